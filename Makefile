@@ -34,6 +34,7 @@ test-all: test test-slow test-pages ## run all tests
 
 campaigns: $(VENV)/.installed-test ## search for defects by random runs, by night (scenarios, signals, messages; hours)
 	@$(BIN)/python -m tests.campaigns scenarios --runs 2000
+	@$(BIN)/python -m tests.campaigns early-signals
 	@$(BIN)/python -m tests.campaigns signals --runs 300
 	@$(BIN)/python -m tests.campaigns.wire --messages 1000000
 	@$(BIN)/python -m tests.campaigns.soak --minutes 30
@@ -41,6 +42,20 @@ campaigns: $(VENV)/.installed-test ## search for defects by random runs, by nigh
 
 bench: $(VENV)/.installed-bench ## measure steps, solvers, messages and runs, and renew docs/performance.md (3 minutes)
 	@$(BIN)/python -m benchmarks
+
+radio: radio-reference ## compare the model of the radio with ns-3, and renew docs/radio.md (3 minutes)
+	@$(BIN)/python -m benchmarks.radio
+
+# ns-3 (GPL-2) runs in a process of its own; its Python bindings and their dependencies stay out.
+radio-reference: $(VENV)/.installed | $(BIN)/python
+	@if [ ! -d build/radio/packages/ns3 ]; then \
+		echo "installing ns3 into build/radio"; \
+		if command -v uv >/dev/null 2>&1; then \
+			uv pip install --quiet --no-deps --python $(BIN)/python --target build/radio/packages ns3==3.44.post0; \
+		else \
+			$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --target build/radio/packages ns3==3.44.post0; \
+		fi; \
+	fi
 
 figures: $(VENV)/.installed-test $(VENV)/.installed-firmware ## run every experiment and renew figures and tables of README and docs (an hour and a half)
 	@$(BIN)/python docs/measured_pages.py

@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from transport.agent.air import AirNews
 from transport.agent.estimation.belief import Belief
 from transport.agent.own import PROJECT, OwnPlanner
 from transport.agent.planner import AgentPlanner, OpenStep
@@ -20,7 +21,14 @@ from transport.protocol.admission.arrivals import Arrivals
 from transport.protocol.admission.participant import Participant
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.errors import MessageError
-from transport.protocol.wire.messages import Measurement, Message, Plan, Roster, Target
+from transport.protocol.wire.messages import (
+    Airtime,
+    Measurement,
+    Message,
+    Plan,
+    Roster,
+    Target,
+)
 from transport.protocol.wire.names import agent_name
 
 
@@ -49,6 +57,8 @@ class AgentNode(Participant):
         self._planner = planner_of(setup, agent, stopwatch)
         # Targets still to come: the tick, and the run with the target.
         self._targets: deque[tuple[int, Setup]] = deque()
+        self._air = None if setup.scenario.radio is None else AirNews(agent)
+        self._hears_by_radio = self._air is not None
         super().__init__(setup, agent_name(agent), incarnation, after=1, own=agent)
 
     def _begin(self, incarnation: int) -> None:
@@ -99,6 +109,8 @@ class AgentNode(Participant):
         if isinstance(message, Measurement):
             self._measurement = message
             self._measurements.put(message, now_ns)
+        elif isinstance(message, Airtime) and self._air is not None:
+            self._air.take(message, self._plans)
 
     def _take_plan(self, plan: Plan, now_ns: int) -> None:
         if plan.tick < self._membership.since[self._agent]:
@@ -193,6 +205,8 @@ class AgentNode(Participant):
             for iteration, proposals in self._proposals.items()
             if iteration[0] >= tick
         }
+        if self._air is not None:
+            self._air.forget_before(tick)
 
     def _has_plans_for(self, measurement: Measurement) -> bool:
         """Return whether the roster is here, and the shared plans of the tick before."""
@@ -201,6 +215,8 @@ class AgentNode(Participant):
         if not self._waits:
             return True
         if measurement.roster > membership.version:
+            return False
+        if self._air is not None and self._air.tick < measurement.tick:
             return False
         if before < membership.since.get(self._agent, 0):
             return True  # plans of ticks before this process took part are not for it
@@ -211,13 +227,19 @@ class AgentNode(Participant):
         """Return whether the proposals of the present iteration are here from all others."""
         others = self._membership.incarnations.keys() - {self._agent}
         iteration = (step.received.tick, step.negotiation)
+        if self._air is not None and not self._air.is_decided(iteration):
+            return False
         return others <= self._proposals.get(iteration, {}).keys()
 
     def _take_proposals(self, step: OpenStep) -> list[Plan]:
         """Return the others' proposals of an iteration that pass without delay, by agent."""
         k = step.received.tick
         proposals = self._proposals.pop((k, step.negotiation), {})
-        plans = [proposals[agent] for agent in sorted(proposals)]
+        senders = sorted(proposals)
+        if self._air is not None:
+            heard = self._air.heard((k, step.negotiation))
+            senders = [agent for agent in senders if agent in heard]
+        plans = [proposals[agent] for agent in senders]
         return [plan for plan in plans if self._is_immediate(plan, k, step.negotiation)]
 
     def _is_immediate(self, plan: Plan, k: int, negotiation: int) -> bool:

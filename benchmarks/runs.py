@@ -21,7 +21,7 @@ from transport.mpc.controller import Controller
 from transport.mpc.qp import QP
 from transport.protocol.scenario.file import find_scenario, read_scenario
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import resized
+from transport.protocol.scenario.team import Team, resized
 from transport.protocol.wire.messages import Message, StepReport
 
 # Calls that are not counted, while caches fill and modules load.
@@ -40,7 +40,7 @@ def setup(name: str, *settings: str, uavs: int | None = None) -> Setup:
     path = find_scenario(name)
     scenario = read_scenario(path, settings)
     if uavs is not None:
-        scenario = resized(scenario, uavs, group=1, name=None, source=path.name)
+        scenario = resized(scenario, Team(uavs=uavs, group=1), path.name)
     run = Setup.of(scenario, path.name)
     compile_functions(run.system.N)  # as at the start of a run
     return run

@@ -85,11 +85,11 @@ def runs_until_failure(case: Case, budget: int, seed: int) -> tuple[float, float
     """Return the runs until the first failure by search and by chance, and events of the minimum."""
     chosen = case.search(budget, seed)
     with SearchProgress(chosen.problem, budget, _CONSOLE) as progress:
-        found = chosen.run(Evaluations(None, {}), on_cores(None), progress)
-    events = 0 if found.minimal is None else len(found.minimal.candidate.events)
+        result = chosen.run(Evaluations(None, {}), on_cores(None), progress)
+    events = 0 if result.minimal is None else len(result.minimal.candidate.events)
     drawn = random_search(replace(chosen, until_failure=False), on_cores(None))
     chance = next((one.number for one in drawn if one.evaluation.failed), np.inf)
-    return found.first_failure or np.inf, chance, events
+    return result.first_failure or np.inf, chance, events
 
 
 def planted(seeds: int, budget: int) -> None:
@@ -115,12 +115,12 @@ def ready(names: Sequence[str], runs: int, folder: Path) -> None:
         options = SearchOptions(over=case.over, budget=runs)
         target = folder / name.split(",")[0]
         scenario = read_scenario(path, case.settings)
-        found = search(scenario, str(path), options, target, _CONSOLE)
-        text = found.worst.candidate.in_words()
-        if found.minimal is not None:
-            text = " ".join(in_words(found.minimal))
-        least = found.worst.evaluation.robustness
-        cells = f"{len(found.flown)} | {found.failures} | {least:.2f} | {text}"
+        result = search(scenario, str(path), options, target, _CONSOLE)
+        text = result.worst.candidate.in_words()
+        if result.minimal is not None:
+            text = " ".join(in_words(result.minimal))
+        least = result.worst.evaluation.robustness
+        cells = f"{len(result.flown)} | {result.failures} | {least:.2f} | {text}"
         sys.stdout.write(f"| {name} | {cells} |\n")
         sys.stdout.flush()
 

@@ -13,34 +13,42 @@ _AWAY_NS = 200_000_000
 class Clock:
     """Sampling clock of a run.
 
-    Ticks are due relative to the first one, so that delays do not add up.
+    Ticks are due relative to the first one, so that delays do not add up. In lockstep the clock
+    waits for all answers, and at a speed above 0 until the next tick is due. In real time it opens
+    ticks at their deadlines; `clock.on_overrun` says what happens when plans miss them.
 
-    In lockstep it waits for all answers, and at a speed above 0 until the next tick is due. In real
-    time it opens ticks at their deadlines; `clock.on_overrun` says what happens when plans miss
-    them. Times are ns of a steady clock; `missing` are the agents on the roster that have not
-    answered the open tick.
+    Times are ns of a steady clock; `missing` are the agents on the roster that have not answered
+    the open tick.
+
+    Attributes:
+        is_realtime: Whether ticks open at their deadlines.
+        waiting_since_ns: Start of the barrier timeout.
+        plant_ns: Time at which the plant answered, or was first asked for the next interval.
     """
 
     def __init__(self, setup: Setup) -> None:
-        self.waiting_since_ns = 0  # start of the barrier timeout
-        self._settings, self._period_ns = setup.scenario.clock, setup.period_ns
-        self.is_realtime, self._holds = (
-            self._settings.mode == "realtime",
-            self._settings.on_overrun == "hold",
-        )
+        self._settings = setup.scenario.clock
+        self._period_ns = setup.period_ns
         self._barrier_ns = round(self._settings.barrier_timeout_s * 1e9)
-        self._start_ns = 0
-        self.plant_ns = 0  # when the plant answered, or was first asked for the next interval
+        self._hold_ns = round(self._settings.join_timeout_s * 1e9)
+        self._holds = self._settings.on_overrun == "hold"
+        self.is_realtime = self._settings.mode == "realtime"
+
+        self.waiting_since_ns = 0
+        self.plant_ns = 0
+        self._start_ns = 0  # instant of tick 0
         self._owed_since_ns: dict[int, int] = {}  # by agent: since when it owes an answer
         self._overrun_ns = 0  # largest overrun of a plan since the last tick
         self._overruns = 0  # missed deadlines
         self._called_ns = 0  # when the coordinator last handled something
-        self._excused_tick = -1  # newest tick at which it was found to have stood still
+        self._excused_tick = -1  # newest tick at which the coordinator had stood still
 
     def due_ns(self, tick: int) -> int:
         """Return the earliest time at which a tick may open."""
         speed = self._settings.speed
-        return 0 if speed == 0.0 else self._start_ns + round(tick * self._period_ns / speed)
+        if speed == 0.0:
+            return 0
+        return self._start_ns + round(tick * self._period_ns / speed)
 
     @property
     def expires_ns(self) -> int:
@@ -49,35 +57,35 @@ class Clock:
 
     @property
     def hold_ends_ns(self) -> int:
-        """End of the time for which a tick waits for agents that the scenario's faults bring back."""
-        return self.waiting_since_ns + round(self._settings.join_timeout_s * 1e9)
+        """End of the wait for agents that the scenario's faults bring back at a tick."""
+        return self.waiting_since_ns + self._hold_ns
 
     def excuse_absence(self, tick: int, wake_ns: int | None, now_ns: int) -> None:
-        """Restart all timeouts if the coordinator woke up late.
+        """Restart all timeouts if the coordinator woke up late: answers may still have to be read.
 
-        Answers that came meanwhile are still to be read.
-
-        At most once in a tick: a process that is always late must still find out which agents are
-            gone.
+        At most once in a tick: a process that is always late must still notice lost agents.
         """
-        called_ns, self._called_ns = self._called_ns, now_ns
-        if (
-            wake_ns is None
-            or self._excused_tick == tick
-            or now_ns <= max(wake_ns, called_ns) + _AWAY_NS
-        ):
+        called_ns = self._called_ns
+        self._called_ns = now_ns
+        if wake_ns is None or self._excused_tick == tick:
             return
+        if now_ns <= max(wake_ns, called_ns) + _AWAY_NS:
+            return
+
         self._excused_tick = tick
-        self.waiting_since_ns = self.plant_ns = now_ns
+        self.waiting_since_ns = now_ns
+        self.plant_ns = now_ns
         self._owed_since_ns = dict.fromkeys(self._owed_since_ns, now_ns)
 
     def open(
         self, tick: int, members: Collection[int], joined: Collection[int], now_ns: int
     ) -> None:
-        """Note that a tick is opened for the members of the roster, some of which have just joined."""
+        """Note that a tick is opened for the roster, some agents of which have just joined."""
         if tick == 0:
             self._start_ns = now_ns
-        self.waiting_since_ns, self._overrun_ns = now_ns, 0
+        self.waiting_since_ns = now_ns
+        self._overrun_ns = 0
+
         for agent in joined:
             self._owed_since_ns.pop(agent, None)
         for agent in members:
@@ -88,10 +96,12 @@ class Clock:
         self._owed_since_ns[plan.agent] = now_ns
         if plan.tick == tick:
             del self._owed_since_ns[plan.agent]
-        self._overrun_ns = max(self._overrun_ns, now_ns - self.due_ns(plan.tick + 1))
+
+        deadline_ns = self.due_ns(plan.tick + 1)
+        self._overrun_ns = max(self._overrun_ns, now_ns - deadline_ns)
 
     def lateness_ns(self, tick: int, now_ns: int) -> tuple[int, int]:
-        """Return how late a tick opens, and by how much the latest plan since the tick before missed its deadline.
+        """Return the delay of the opening of a tick, and the largest overrun of a plan before it.
 
         Both are 0 in lockstep, where messages do not depend on wall-clock time.
         """
@@ -107,13 +117,15 @@ class Clock:
         if not self.is_realtime:
             return missing if now_ns >= self.expires_ns else set()
         return {
-            a for a in members if now_ns >= self._owed_since_ns.get(a, now_ns) + self._barrier_ns
+            agent
+            for agent in members
+            if now_ns >= self._owed_since_ns.get(agent, now_ns) + self._barrier_ns
         }
 
     def plant_is_silent(self, now_ns: int) -> bool:
         """Return whether the plant has owed an answer for the barrier timeout.
 
-        In lockstep agents wait for it, too.
+        Never in lockstep, where the agents wait for it, too.
         """
         return self.is_realtime and now_ns >= self.plant_ns + self._barrier_ns
 
@@ -126,24 +138,23 @@ class Clock:
         return is_due and not self.waits_for(missing)
 
     def overrun(self, tick: int, missing: set[int], now_ns: int) -> str:
-        """Count the deadlines missed in a tick that is closed.
-
-        Return why they end the run, or an empty text.
-        """
+        """Count the deadlines missed in a tick that closes; return why they end the run, or ""."""
         self._overruns += len(missing)
         settings = self._settings
         if settings.on_overrun != "abort" or not self.is_realtime:
             return ""
+
         if self._overruns > settings.overrun_limit:
-            return (
-                f"{names(missing)} missed the deadline of tick {tick} at t = {(tick + 1) * self._period_ns / 1e9:.2f} "
-                f"s: {self._overruns} missed in total, {settings.overrun_limit} allowed"
-            )
-        worst_s = max(self._overrun_ns, now_ns - self.due_ns(tick + 1)) / 1e9
-        if settings.overrun_limit_s is not None and worst_s > settings.overrun_limit_s:
-            return (
-                f"tick {tick + 1} was {worst_s:.3f} s late, {settings.overrun_limit_s:g} s allowed"
-            )
+            t_s = (tick + 1) * self._period_ns / 1e9
+            missed = f"{names(missing)} missed the deadline of tick {tick} at t = {t_s:.2f} s"
+            counts = f"{self._overruns} missed in total, {settings.overrun_limit} allowed"
+            return f"{missed}: {counts}"
+
+        opening_ns = now_ns - self.due_ns(tick + 1)
+        worst_s = max(self._overrun_ns, opening_ns) / 1e9
+        limit_s = settings.overrun_limit_s
+        if limit_s is not None and worst_s > limit_s:
+            return f"tick {tick + 1} was {worst_s:.3f} s late, {limit_s:g} s allowed"
         return ""
 
     def waits_for(self, missing: set[int]) -> bool:

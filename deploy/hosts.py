@@ -4,7 +4,7 @@ import importlib.resources
 import shlex
 import shutil
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from string import Template
@@ -92,119 +92,161 @@ def read_inventory(path: Path, processes: Sequence[str]) -> Inventory:
 def placements(inventory: Inventory, processes: Sequence[str], scheme: str) -> list[Placement]:
     """Return the placement of every process of a run, recorder and routers included.
 
-    Processes in the mesh's order.
+    Routers come first, then the processes in the order of their ports.
     """
-    base, routers, found = inventory.base_port, inventory.routers, []
+    if inventory.routers:
+        return [*_routers(inventory, scheme), *_clients(inventory, processes, scheme)]
+    return _peers(inventory, processes, scheme)
 
-    def endpoint(address: str, port: int) -> str:
-        return f"{scheme}/[{address}]:{port}" if ":" in address else f"{scheme}/{address}:{port}"
 
-    at = [endpoint(host.address, base) for host in routers]
-    for i, host in enumerate(routers):
-        listen = [endpoint(host.listen or host.address, base)]
-        found.append(
-            Placement(ROUTER, host, Endpoints(listen=listen, connect=at[:i], mode="router"))
-        )
-    earlier: list[str] = []  # endpoints of the processes before
-    for port, name in enumerate([*processes, RECORDER], start=base):
-        for host in (host for host in inventory.host if name in host.runs):
-            if routers:  # its client: of the one named, its own, or the first
-                own = [one for one in routers if one.name == (host.router or host.name)] or routers
-                ends = Endpoints(listen=[], connect=[endpoint(own[0].address, base)], mode="client")
-            else:
-                listen = [] if name == RECORDER else [endpoint(host.listen or host.address, port)]
-                ends = Endpoints(listen=listen, connect=list(earlier))
-            found.append(Placement(name, host, ends))
-            earlier.append(endpoint(host.address, port))
-    return found
+def _endpoint(scheme: str, address: str, port: int) -> str:
+    """Return the endpoint of an address, which may be one of IPv6."""
+    host = f"[{address}]" if ":" in address else address
+    return f"{scheme}/{host}:{port}"
+
+
+def _routers(inventory: Inventory, scheme: str) -> list[Placement]:
+    """Return the placements of the routers, each connected to those before."""
+    port = inventory.base_port
+    places = [_endpoint(scheme, host.address, port) for host in inventory.routers]
+    routers = []
+    for i, host in enumerate(inventory.routers):
+        listen = [_endpoint(scheme, host.listen or host.address, port)]
+        endpoints = Endpoints(listen=listen, connect=places[:i], mode="router")
+        routers.append(Placement(ROUTER, host, endpoints))
+    return routers
+
+
+def _clients(inventory: Inventory, processes: Sequence[str], scheme: str) -> list[Placement]:
+    """Return the placements of clients of a router: named, of their host, or the first."""
+    clients = []
+    for name in [*processes, RECORDER]:
+        for host in _hosts_of(inventory, name):
+            wanted = host.router or host.name
+            own = [each for each in inventory.routers if each.name == wanted]
+            router = (own or inventory.routers)[0]
+            place = _endpoint(scheme, router.address, inventory.base_port)
+            endpoints = Endpoints(listen=[], connect=[place], mode="client")
+            clients.append(Placement(name, host, endpoints))
+    return clients
+
+
+def _peers(inventory: Inventory, processes: Sequence[str], scheme: str) -> list[Placement]:
+    """Return the placements of peers, each connected to those before."""
+    peers = []
+    earlier: list[str] = []
+    for port, name in enumerate([*processes, RECORDER], start=inventory.base_port):
+        for host in _hosts_of(inventory, name):
+            listen = []
+            if name != RECORDER:
+                listen = [_endpoint(scheme, host.listen or host.address, port)]
+            endpoints = Endpoints(listen=listen, connect=list(earlier))
+            peers.append(Placement(name, host, endpoints))
+            earlier.append(_endpoint(scheme, host.address, port))
+    return peers
+
+
+def _hosts_of(inventory: Inventory, process: str) -> list[Host]:
+    """Return the hosts that run a process."""
+    return [host for host in inventory.host if process in host.runs]
 
 
 def _problems(inventory: Inventory, processes: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Yield field, and expected and got, of hosts and processes that do not fit."""
-    known, names = [*processes, RECORDER, ROUTER], [host.name for host in inventory.host]
-    runs = Counter(process for host in inventory.host for process in host.runs)
+    allowed = [*processes, RECORDER, ROUTER]
+    names = [host.name for host in inventory.host]
     routers = [host.name for host in inventory.routers]
     for i, host in enumerate(inventory.host, start=1):
         if host.name in names[: i - 1]:
             yield f"host.{i}.name", f"expected each host once, got {host.name!r} again"
         if host.router is not None and host.router not in routers:
-            yield (
-                f"host.{i}.router",
-                f"expected a host that runs a router, one of {routers}, got {host.router!r}",
-            )
-        for key, some, allowed in (("runs", host.runs, known), ("cpus", host.cpus, host.runs)):
-            for process in some:
-                if process not in allowed:
-                    yield (
-                        f"host.{i}.{key}",
-                        f"expected one of {', '.join(allowed)}, got {process!r}",
-                    )
+            expected = f"expected a host that runs a router, one of {routers}"
+            yield f"host.{i}.router", f"{expected}, got {host.router!r}"
+        yield from _strangers(f"host.{i}.runs", host.runs, allowed)
+        yield from _strangers(f"host.{i}.cpus", host.cpus, host.runs)
+
+    runs = Counter(process for host in inventory.host for process in host.runs)
     for process in [*processes, RECORDER]:
-        if runs[process] > 1 or (runs[process] == 0 and process != RECORDER):
+        is_missing = runs[process] == 0 and process != RECORDER
+        if runs[process] > 1 or is_missing:
             yield "host", f"expected one host that runs {process}, got {runs[process]}"
 
 
-# Paths on a host, as install.sh makes them; processes that are restarted, as they can rejoin the
-# run.
-ETC, PROGRAM, _RESTARTED = (
-    Path("/etc/transport"),
-    Path("/opt/transport/bin/transport"),
-    ("agent", ROUTER),
-)
+def _strangers(
+    field: str, processes: Iterable[str], allowed: Sequence[str]
+) -> Iterator[tuple[str, str]]:
+    """Yield a problem for each process that is not among the allowed ones."""
+    for process in processes:
+        if process not in allowed:
+            yield field, f"expected one of {', '.join(allowed)}, got {process!r}"
+
+
+# Paths on a host, as install.sh makes them.
+ETC = Path("/etc/transport")
+PROGRAM = Path("/opt/transport/bin/transport")
+# Processes that are restarted, as they can rejoin the run.
+_RESTARTED = ("agent", ROUTER)
 _TEMPLATES = importlib.resources.files("transport.deploy") / "templates"
 
 
 def render(
     setup: Setup, inventory: Inventory, keys: Path | None, out: Path, *, in_place: bool = False
 ) -> list[Path]:
-    """Write the folders of all hosts with their keys into a new folder, to be used as /etc/transport or `in_place`."""
+    """Write the folders of all hosts with their keys into a new folder, and return them.
+
+    They are to be used as /etc/transport or `in_place`. Raises: DeployError.
+    """
     if keys is None and not inventory.insecure:
-        raise DeployError(
-            "--keys: expected a folder of keys, or insecure = true in the inventory, got neither"
-        )
+        expected = "expected a folder of keys, or insecure = true in the inventory, got neither"
+        raise DeployError(f"--keys: {expected}")
     if out.exists():
         raise DeployError(f"--out: expected a folder that does not exist yet, got {out}")
-    placed = placements(inventory, process_names(setup.scenario), "tcp" if keys is None else "tls")
+
+    scheme = "tcp" if keys is None else "tls"
+    placed = placements(inventory, process_names(setup.scenario), scheme)
     for host in inventory.host:
-        folder = out / host.name
-        _host(
-            setup,
-            inventory,
-            [entry for entry in placed if entry.host == host],
-            folder,
-            in_place=in_place,
-        )
-        if keys is None:
-            continue
-        # Beside the coordinator are operator and watcher.
-        holders = [*host.runs, *([OPERATOR, WATCHER] if COORDINATOR in host.runs else [])]
-        (folder / "keys").mkdir(mode=0o700)
-        for name in (
-            AUTHORITY,
-            *(f"{holder}.{end}" for holder in holders for end in ("pem", "key")),
-        ):
-            if not (keys / name).is_file():
-                shutil.rmtree(out)
-                raise DeployError(
-                    f"--keys: expected the file {keys / name}, got none (transport deploy keys)"
-                )
-            shutil.copy(keys / name, folder / "keys" / name)
+        own = [placement for placement in placed if placement.host == host]
+        _host(setup, inventory, own, out / host.name, in_place=in_place)
+        if keys is not None:
+            _copy_keys(host, keys, out)
     return [out / host.name for host in inventory.host]
 
 
+def _copy_keys(host: Host, keys: Path, out: Path) -> None:
+    """Copy the keys of a host's processes to its folder; without one of them nothing is left."""
+    holders = [*host.runs]
+    if COORDINATOR in host.runs:
+        holders += [OPERATOR, WATCHER]  # they are beside the coordinator
+    names = [AUTHORITY, *(f"{holder}.{end}" for holder in holders for end in ("pem", "key"))]
+
+    folder = out / host.name / "keys"
+    folder.mkdir(mode=0o700)
+    for name in names:
+        if not (keys / name).is_file():
+            shutil.rmtree(out)
+            expected = f"expected the file {keys / name}, got none (transport deploy keys)"
+            raise DeployError(f"--keys: {expected}")
+        shutil.copy(keys / name, folder / name)
+
+
 def unit(placement: Placement, inventory: Inventory, after: Sequence[str], etc: Path = ETC) -> str:
-    """Return the systemd unit of a process, started after some of its host and stopped before them."""
-    host, name = placement.host, placement.process
-    scheduling = [f"CPUAffinity={' '.join(map(str, host.cpus[name]))}"] if name in host.cpus else []
+    """Return the systemd unit of a process, started after some of its host, stopped before them."""
+    host = placement.host
+    name = placement.process
+    scheduling = []
+    if name in host.cpus:
+        scheduling.append(f"CPUAffinity={' '.join(map(str, host.cpus[name]))}")
     if host.priority:
         scheduling += ["CPUSchedulingPolicy=fifo", f"CPUSchedulingPriority={host.priority}"]
-    return Template((_TEMPLATES / "process.service").read_text(encoding="utf-8")).substitute(
+
+    others = [f"transport-{other}.service" for other in after]
+    environment = [f'Environment="{key}={value}"' for key, value in ENVIRONMENT.items()]
+    template = Template((_TEMPLATES / "process.service").read_text(encoding="utf-8"))
+    return template.substitute(
         name=name,
         run=inventory.run,
-        after=" ".join(
-            ["network-online.target", *[f"transport-{other}.service" for other in after]]
-        ),
-        environment="\n".join(f'Environment="{key}={value}"' for key, value in ENVIRONMENT.items()),
+        after=" ".join(["network-online.target", *others]),
+        environment="\n".join(environment),
         command=shlex.join(command(placement, inventory, etc=etc)),
         restart="on-failure" if name.startswith(_RESTARTED) else "no",
         scheduling="\n".join(scheduling),
@@ -240,35 +282,42 @@ def _host(
 ) -> None:
     """Write the folder of a host with its own processes, but for the keys."""
     (folder / "systemd").mkdir(parents=True)
-    host, ends, running = own[0].host, own[0].endpoints, [placement.process for placement in own]
     etc = folder.resolve() if in_place else ETC
-    router = [
-        placement.endpoints.connect[0] for placement in own if placement.endpoints.mode == "client"
-    ]
+    network = _network(inventory, own, etc)
+    text = tomli_w.dumps({**setup.scenario.tree(), "network": network})
+    (folder / "scenario.toml").write_text(text, encoding="utf-8")
+
+    running = [placement.process for placement in own]
+    for placement in own:
+        # Started last, the coordinator is stopped first, so that all processes on its host receive
+        # the end of the run.
+        after = []
+        if placement.process == COORDINATOR:
+            after = [other for other in running if other != COORDINATOR]
+        file = folder / "systemd" / f"transport-{placement.process}.service"
+        file.write_text(unit(placement, inventory, after, etc), encoding="utf-8")
+
+    template = Template((_TEMPLATES / "install.sh").read_text(encoding="utf-8"))
+    services = " ".join(f"transport-{name}.service" for name in running)
+    script = template.substitute(host=own[0].host.name, etc=ETC, program=PROGRAM, services=services)
+    (folder / "install.sh").write_text(script, encoding="utf-8")
+    (folder / "install.sh").chmod(0o755)
+
+
+def _network(inventory: Inventory, own: Sequence[Placement], etc: Path) -> dict[str, Any]:
+    """Return the section `network` of a host's scenario."""
+    host = own[0].host
     network: dict[str, Any] = {
         "host": host.listen or host.address,
         "base_port": inventory.base_port,
     }
-    network |= {"router": router[0]} if router else {}
-    is_secure = [*ends.listen, *ends.connect][0].startswith("tls")
-    network |= {"keys": str(etc / "keys")} if is_secure else {"insecure": True}
-    text = tomli_w.dumps({**setup.scenario.tree(), "network": network})
-    (folder / "scenario.toml").write_text(text, encoding="utf-8")
-    for placement in own:
-        # Started last, the coordinator is stopped first, so that all processes on its host receive
-        # the end of the run.
-        after = (
-            [other for other in running if other != COORDINATOR]
-            if placement.process == COORDINATOR
-            else []
-        )
-        file = folder / "systemd" / f"transport-{placement.process}.service"
-        file.write_text(unit(placement, inventory, after, etc), encoding="utf-8")
-    script = Template((_TEMPLATES / "install.sh").read_text(encoding="utf-8")).substitute(
-        host=host.name,
-        etc=ETC,
-        program=PROGRAM,
-        services=" ".join(f"transport-{name}.service" for name in running),
-    )
-    (folder / "install.sh").write_text(script, encoding="utf-8")
-    (folder / "install.sh").chmod(0o755)
+    clients = [placement.endpoints for placement in own if placement.endpoints.mode == "client"]
+    if clients:
+        network["router"] = clients[0].connect[0]
+
+    first = [*own[0].endpoints.listen, *own[0].endpoints.connect][0]
+    if first.startswith("tls"):
+        network["keys"] = str(etc / "keys")
+    else:
+        network["insecure"] = True
+    return network

@@ -19,11 +19,20 @@ _TIMEOUT_S = 300.0
 
 
 def cache_folder() -> Path:
-    """Return $PAYLOAD_TRANSPORT_CACHE, or the user's cache folder."""
+    """Return $PAYLOAD_TRANSPORT_CACHE, or the user's cache folder.
+
+    A user without a home, as in a container with any user id, has one among the temporary files.
+    """
     named = os.environ.get("PAYLOAD_TRANSPORT_CACHE")
     if named:
         return Path(named)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "payload-transport"
+    shared = os.environ.get("XDG_CACHE_HOME")
+    if shared:
+        return Path(shared) / "payload-transport"
+    try:
+        return Path.home() / ".cache" / "payload-transport"
+    except RuntimeError:
+        return Path(tempfile.gettempdir()) / f"payload-transport-{os.getuid()}"
 
 
 def enabled() -> bool:

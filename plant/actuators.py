@@ -1,6 +1,4 @@
-"""Actuators of the plant.
-
-The schedule of the plans, inner loops, and motors, for any physics engine.
+"""Actuators of the plant: schedule of the plans, inner loops, and motors, for any engine.
 
 Each UAV follows the newest plan that has started, and a fail-safe after its end. From commanded
 body rates an inner loop makes thrust and moments. Motors round the command's thrust to its steps;
@@ -26,7 +24,9 @@ from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Plan
 
 # Sources of an input that is not from a plan (`PlantState.plan_ticks`).
-BEFORE_ANY_PLAN, FAIL_SAFE, MOTOR_OFF = -1, -2, -3
+BEFORE_ANY_PLAN = -1
+FAIL_SAFE = -2
+MOTOR_OFF = -3
 # Starts processes, so it is imported by runs with a firmware only.
 _FIRMWARE = "transport.plant.firmware.betaflight"
 # Longest time between two evaluations of an inner loop, s.
@@ -42,19 +42,18 @@ class ActuatorSchedule:
     def __init__(self, u_hover: Array, fail_safe: FailSafe, settings: ControllerSettings) -> None:
         self._u_hover = u_hover
         self.fail_safe = fail_safe
-        self._lower, self._upper, self._step = (
-            settings.lower(1),
-            settings.upper(1),
-            settings.step(1),
-        )
-        self._plans: list[list[Plan]] = [[] for _ in range(len(u_hover) // state.INPUTS)]
+        self._lower = settings.lower(1)  # limits of the inputs of a UAV, (4,)
+        self._upper = settings.upper(1)
+        self._step = settings.step(1)  # largest change in a sampling period, (4,)
+        uavs = len(u_hover) // state.INPUTS
+        self._plans: list[list[Plan]] = [[] for _ in range(uavs)]
 
     def add(self, plan: Plan) -> None:
         """Add a plan to the schedule of its UAVs, in any order of arrival."""
         for uav in plan.uavs:
             plans = self._plans[uav - 1]
             plans.append(plan)
-            plans.sort(key=lambda p: (p.start_tick, p.tick))
+            plans.sort(key=lambda each: (each.start_tick, each.tick))
 
     def inputs(self, tick: int, x: Array, u_before: Array) -> tuple[Array, tuple[int, ...]]:
         """Return the inputs over [t_k, t_{k+1}) and their sources; forget plans before tick k.
@@ -65,24 +64,38 @@ class ActuatorSchedule:
         Returns: Inputs, (4 N,), and for each UAV the tick at which its plan was made, or another
             source.
         """
-        u, sources = self._u_hover.copy(), [BEFORE_ANY_PLAN] * len(self._plans)
-        for i, plans in enumerate(self._plans):
-            started = [plan for plan in plans if plan.start_tick <= tick]
-            if not started:
+        u = self._u_hover.copy()
+        sources = [BEFORE_ANY_PLAN] * len(self._plans)
+        for uav in range(len(self._plans)):
+            plan = self._newest_started(uav, tick)
+            if plan is None:
                 continue
-            newest, own = started[-1], state.input_slice(i)
-            self._plans[i] = [newest, *(plan for plan in plans if plan.start_tick > tick)]
-            step = tick - newest.start_tick
-            if step < len(newest.inputs):
-                u[own], sources[i] = (
-                    newest.inputs[step, state.input_slice(newest.uavs.index(i + 1))],
-                    newest.tick,
-                )
+            own = state.input_slice(uav)
+            step = tick - plan.start_tick
+            if step < len(plan.inputs):
+                planned = state.input_slice(plan.uavs.index(uav + 1))
+                u[own] = plan.inputs[step, planned]
+                sources[uav] = plan.tick
             else:
-                before, safe = u_before[own], self.fail_safe.inputs(i, x, tick)
-                safe = np.clip(safe, before - self._step, before + self._step)
-                u[own], sources[i] = np.clip(safe, self._lower, self._upper), FAIL_SAFE
+                u[own] = self._safe_inputs(uav, tick, x, u_before[own])
+                sources[uav] = FAIL_SAFE
         return u, tuple(sources)
+
+    def _newest_started(self, uav: int, tick: int) -> Plan | None:
+        """Return the newest plan of a UAV, 0-based, that has started; forget those before it."""
+        plans = self._plans[uav]
+        started = [plan for plan in plans if plan.start_tick <= tick]
+        if not started:
+            return None
+        ahead = [plan for plan in plans if plan.start_tick > tick]
+        self._plans[uav] = [started[-1], *ahead]
+        return started[-1]
+
+    def _safe_inputs(self, uav: int, tick: int, x: Array, before: Array) -> Array:
+        """Return the fail-safe's inputs of a UAV, (4,), within rates and limits."""
+        safe = self.fail_safe.inputs(uav, x, tick)
+        safe = np.clip(safe, before - self._step, before + self._step)
+        return np.clip(safe, self._lower, self._upper)
 
 
 class InnerLoop(Protocol):
@@ -94,7 +107,7 @@ class InnerLoop(Protocol):
     failure: str  # why the run ends, as an inner loop has failed; empty while all work
 
     def reset(self, x: Array) -> None:
-        """Continue from a plant state, (12 + 12 N,), to which it may have jumped with the failure of a UAV."""
+        """Continue from a plant state, (12 + 12 N,), which may have jumped as a UAV failed."""
 
     def moments(self, command: Array, x: Array) -> Array:
         """Return the inputs of the motors until the next call, (N, 4), N and N m.
@@ -114,26 +127,31 @@ class RateLoop:
 
     def __init__(self, system: System, limits_Nm: Array) -> None:
         self._inertia = np.array([uav.inertia for uav in system.uavs])
-        self._gains, self._limits_Nm = np.asarray(system.rate_gains), limits_Nm
+        self._gains = np.asarray(system.rate_gains)
+        self._limits_Nm = limits_Nm
 
     def reset(self, x: Array) -> None:
         """Do nothing: this loop has no state."""
 
     def moments(self, command: Array, x: Array) -> Array:
         """Return thrust and moments for commanded body rates, (N, 4), N and N m."""
-        omega, inputs = (
-            x[state.PAYLOAD :].reshape(-1, state.PER_UAV)[:, state.OMEGA],
-            command.copy(),
-        )
+        omega = x[state.PAYLOAD :].reshape(-1, state.PER_UAV)[:, state.OMEGA]
+        error = command[:, 1:] - omega
+
+        # tau = J K (omega_cmd - omega) + omega x (J omega), limited; docs/equations.md (57).
+        tau = np.matmul(self._inertia, (self._gains * error)[:, :, None])[:, :, 0]
         momentum = np.matmul(self._inertia, omega[:, :, None])[:, :, 0]
-        wanted = np.matmul(self._inertia, (self._gains * (command[:, 1:] - omega))[:, :, None])[
-            :, :, 0
-        ]
         # The cross product, at a fifth of the time that numpy.cross takes for a few vectors.
-        after, last = [1, 2, 0], [2, 0, 1]
-        wanted += omega[:, after] * momentum[:, last] - omega[:, last] * momentum[:, after]
-        inputs[:, 1:] = np.minimum(np.maximum(wanted, -self._limits_Nm), self._limits_Nm)
+        tau += omega[:, _NEXT] * momentum[:, _LAST] - omega[:, _LAST] * momentum[:, _NEXT]
+
+        inputs = command.copy()
+        inputs[:, 1:] = np.minimum(np.maximum(tau, -self._limits_Nm), self._limits_Nm)
         return inputs
+
+
+# Axes after each axis in a cross product: (a x b)_i = a_next b_last - a_last b_next.
+_NEXT = [1, 2, 0]
+_LAST = [2, 0, 1]
 
 
 def inner_loop(setup: Setup, step_s: float) -> InnerLoop | None:
@@ -154,8 +172,9 @@ def checked_firmware(setup: Setup) -> str:
 
     Raises: ScenarioError: it is not usable.
     """
-    is_used = setup.scenario.plant.inner_loop == "betaflight"
-    return str(importlib.import_module(_FIRMWARE).version(setup)) if is_used else ""
+    if setup.scenario.plant.inner_loop != "betaflight":
+        return ""
+    return str(importlib.import_module(_FIRMWARE).version(setup))
 
 
 # Signs of thrust, arm along -y, arm along x, and drag moment: front right, rear left (both turning
@@ -172,7 +191,7 @@ class Rotors:
 
     def __init__(self, section: RotorsSection) -> None:
         arm = section.arm_m / np.sqrt(2.0)
-        self._least, self._most = section.thrust_N
+        self._least_N, self._most_N = section.thrust_N
         # A thrust f against z at (x, y) has the moments -y f about x and x f about y.
         self.mixing: Array = np.array([1.0, arm, arm, section.drag_to_thrust_m])[:, None] * _SIGNS
         self._back = np.linalg.inv(self.mixing)
@@ -187,20 +206,18 @@ class Rotors:
         Source: docs/equations.md (56).
         """
         thrusts = self.thrusts(inputs)
+        change = np.clip(thrusts, self._least_N, self._most_N) - thrusts
         # The difference alone is mixed back, so that commands within the limits pass without
         # rounding.
-        limited: Array = (
-            inputs + (np.clip(thrusts, self._least, self._most) - thrusts) @ self.mixing.T
-        )
+        limited: Array = inputs + change @ self.mixing.T
         return limited
 
 
 class Motors:
-    """Motors of all UAVs, with their state.
+    """Motors of all UAVs, with their state: hover at first, (4 N,).
 
-    Hover at first, (4 N,). `fails` tells that an efficiency will change.
-
-    Without any stage they are `ideal`: actual inputs are the commands.
+    `fails` tells that an efficiency will change. Without any stage they are `ideal`: actual inputs
+    are the commands.
     """
 
     def __init__(self, section: MotorsSection, u_hover: Array, fails: bool = False) -> None:
@@ -241,9 +258,10 @@ class Motors:
     def _lagged(self, command: Array, step_s: float) -> tuple[tuple[Array, Array], Array]:
         """Return two inputs for half a step each, and those at its end, (4 N,).
 
-        Source: equations.md (54), (56a).
+        Source: docs/equations.md (54), (56a).
         """
-        rising, rotors = motors.held(self._a, command, self._section.lag_s, step_s), self._rotors
+        rotors = self._rotors
+        rising = motors.held(self._a, command, self._section.lag_s, step_s)
         if rotors is None or self._section.falling_lag_s is None:
             return rising
         falling = motors.held(self._a, command, self._section.falling_lag_s, step_s)
@@ -254,14 +272,17 @@ class Motors:
             change = rotors.thrusts((down - up).reshape(falls.shape))
             return np.asarray(up + (np.where(falls, change, 0.0) @ rotors.mixing.T).reshape(-1))
 
-        (first, second), end = rising
-        return (chosen(first, falling[0][0]), chosen(second, falling[0][1])), chosen(
-            end, falling[1]
-        )
+        (first_up, second_up), end_up = rising
+        (first_down, second_down), end_down = falling
+        halves = (chosen(first_up, first_down), chosen(second_up, second_down))
+        return halves, chosen(end_up, end_down)
 
     def _limited(self, u: Array) -> Array:
         """Return commands in steps of the thrust and within the limits of the rotors, (4 N,)."""
-        inputs, step_N = u.reshape(-1, state.INPUTS).copy(), self._section.thrust_step_N
+        inputs = u.reshape(-1, state.INPUTS).copy()
+        step_N = self._section.thrust_step_N
         if step_N:
             inputs[:, 0] = np.round(inputs[:, 0] / step_N) * step_N
-        return (inputs if self._rotors is None else self._rotors.limited(inputs)).reshape(-1)
+        if self._rotors is not None:
+            inputs = self._rotors.limited(inputs)
+        return inputs.reshape(-1)

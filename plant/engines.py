@@ -1,7 +1,4 @@
-"""Engines of the plant.
-
-Their interface, rods, and the one that a scenario names, checked in all it returns.
-"""
+"""Engines of the plant: their interface, rods, and the checks of one that a scenario names."""
 
 import importlib
 import math
@@ -33,16 +30,17 @@ from transport.protocol.scenario.setup import Setup
 
 
 class Rods:
-    """Massless rigid rods, no ground.
+    """Massless rigid rods, no ground; steps are halved where their local error is large.
 
-    Steps halved where their local error is large: docs/equations.md (4)-(13).
+    Source: docs/equations.md (4)-(13).
     """
 
     version = metadata.version("payload-transport")
 
     def __init__(self, system: System, section: PlantSection) -> None:
         self._model = Model(system)
-        self._step_s, self._tolerance = section.step_s, section.tolerance
+        self._step_s = section.step_s
+        self._tolerance = section.tolerance
         self._x: Array = np.zeros(system.n)  # until `reset`
 
     def reset(self, x: Array) -> None:
@@ -66,9 +64,7 @@ class Rods:
 
 
 class Physics(Protocol):
-    """Integration of the ground truth.
-
-    N UAVs, one payload, in the layout and the signs of `model.state`, SI.
+    """Integration of the ground truth in the layout and the signs of `model.state`, SI.
 
     An engine is made of the plant's actual `System` and its section of the scenario. Wind, drag,
     noise, mass errors and failures are the plant's. `version`, if there is one, is recorded, else a
@@ -96,10 +92,10 @@ class Physics(Protocol):
         """Return the present state, (12 + 12 N,), with |e_i| = 1 and e_i . Omega_i = 0."""
 
 
-# How far the state that an engine reads out after `reset` may be from the given one, SI.
+# Largest difference of the state that an engine reads out after `reset` from the given one, SI.
 _SAME_STATE = 1e-6
-# How far the length of a rod direction may be from 1: beyond rounding, below any error of a real
-# rod.
+# Largest deviation of the length of a rod direction from 1: beyond rounding, below any error of a
+# real rod.
 _UNIT = 1e-3
 UNKNOWN_ERROR = -1.0
 
@@ -149,52 +145,54 @@ class Engine:
             error = self._physics.advance(u, forces, duration_s)
             self._x = self._physics.state()
             return self._x, error if math.isfinite(error) else UNKNOWN_ERROR
+
         error = UNKNOWN_ERROR
         if not self.failure:
             with self._failing():
                 with told("advance"):
-                    found = self._physics.advance(u, forces, duration_s)
-                    error = float(found) if found is not None and math.isfinite(found) else error
+                    told_error = self._physics.advance(u, forces, duration_s)
+                    if told_error is not None and math.isfinite(told_error):
+                        error = float(told_error)
                 self._x = self._read()
         return self._x, error
 
     @property
     def tensions(self) -> Array:
-        """Least tension of each cable in the last interval, (N,), N.
-
-        (0,) where the engine tells none.
-        """
+        """Least tension of each cable in the last interval, (N,), N; (0,) without cables."""
         return np.asarray(getattr(self._physics, "tensions", ()), dtype=np.float64)
 
     def _build(self, system: System) -> None:
+        """Make the engine of some bodies and give it the state. Raises: OwnClassError."""
         self._system = system
-        self._physics: Physics = made(
-            self._make, ("reset", "advance", "state"), system, self._section
-        )
+        methods = ("reset", "advance", "state")
+        self._physics: Physics = made(self._make, methods, system, self._section)
         self._reset()
 
     def _reset(self) -> None:
+        """Give the engine the state, and check that it takes it. Raises: OwnClassError."""
         x = self._x
         with told("reset"):
             self._physics.reset(x.copy())
-        found = self._read()
-        furthest = int(np.argmax(np.abs(found - x)))
-        if not abs(found[furthest] - x[furthest]) <= _SAME_STATE:
-            got = f"{found[furthest]:g} instead of {x[furthest]:g} at index {furthest}"
+
+        taken = self._read()
+        furthest = int(np.argmax(np.abs(taken - x)))
+        if not abs(taken[furthest] - x[furthest]) <= _SAME_STATE:
+            got = f"{taken[furthest]:g} instead of {x[furthest]:g} at index {furthest}"
             raise OwnClassError(f"state: expected the state given to reset, got {got}")
 
     def _read(self) -> Array:
-        """Return a copy of the state of the engine; it need not be finite."""
+        """Return a copy of the engine's state; it need not be finite. Raises: OwnClassError."""
         with told("state"):
-            found = real_array(self._physics.state())
-        if found.shape != self._x.shape:
-            raise OwnClassError(f"state: expected shape {self._x.shape}, got {found.shape}")
-        lengths = np.linalg.norm(StateView(found).e_P, axis=1)
+            x = real_array(self._physics.state())
+        if x.shape != self._x.shape:
+            raise OwnClassError(f"state: expected shape {self._x.shape}, got {x.shape}")
+
+        lengths = np.linalg.norm(StateView(x).e_P, axis=1)
         wrong = np.flatnonzero(np.abs(lengths - 1.0) > _UNIT)
-        if len(wrong) and np.isfinite(found).all():
+        if len(wrong) and np.isfinite(x).all():
             expected = f"expected a unit vector as rod direction of UAV{wrong[0] + 1}"
             raise OwnClassError(f"state: {expected}, got length {lengths[wrong[0]]:g}")
-        return found
+        return x
 
     @contextmanager
     def _failing(self) -> Iterator[None]:
@@ -206,13 +204,17 @@ class Engine:
 
 
 def checked_engine(setup: Setup) -> str:
-    """Return name and version of the engine of a run after building it once, as the plant will, and of a firmware.
+    """Return name and version of the engine of a run, and of a firmware if there is one.
+
+    Builds the engine once, as the plant will.
 
     Raises: ScenarioError: no such engine or firmware, or it does not take the initial state.
     """
-    firmware, name = checked_firmware(setup), setup.scenario.plant.engine
+    firmware = checked_firmware(setup)
+    name = setup.scenario.plant.engine
     Engine(setup, Environment(setup).system)
-    return f"{name} {engine_version(name)}".rstrip() + (f", {firmware}" if firmware else "")
+    engine = f"{name} {engine_version(name)}".rstrip()
+    return f"{engine}, {firmware}" if firmware else engine
 
 
 def engine_version(name: str) -> str:
@@ -228,10 +230,11 @@ def _engine_class(name: str) -> Any:
 
     Raises: OwnClassError: it is not found.
     """
-    if name == "mujoco" and find_spec("mujoco") is None:
-        raise OwnClassError(
-            "expected the package mujoco, got none; pip install 'payload-transport[mujoco]'"
-        )
-    if name == "mujoco":
-        return importlib.import_module("transport.plant.mujoco_engine").MujocoEngine
-    return Rods if name == "rods" else own_class(name)
+    if name == "rods":
+        return Rods
+    if name != "mujoco":
+        return own_class(name)
+    if find_spec("mujoco") is None:
+        remedy = "pip install 'payload-transport[mujoco]'"
+        raise OwnClassError(f"expected the package mujoco, got none; {remedy}")
+    return importlib.import_module("transport.plant.mujoco_engine").MujocoEngine

@@ -15,7 +15,7 @@ from transport.model.hover import with_released
 from transport.model.linearisation import Model
 from transport.model.parameters import Payload, System, Uav
 from transport.model.state import SENSED, StateView
-from transport.protocol.scenario.links import draw_key, generator
+from transport.protocol.scenario.draws import draw_key, generator
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.names import PLANT
 
@@ -32,22 +32,30 @@ def drawn(seed: int, purpose: str, tick: int, count: int) -> Array:
 class Environment:
     """Wind, drag, sensors and actual masses of the plant.
 
-    The `system` of bodies, and its equations of motion.
+    Attributes:
+        system: The actual bodies.
+        model: Their equations of motion.
     """
 
     def __init__(self, setup: Setup) -> None:
-        section, N = setup.scenario.plant, setup.system.N
-        nominal = section.payload_mass_factor == section.uav_mass_factor == 1.0
+        section = setup.scenario.plant
+        N = setup.system.N
+        is_nominal = section.payload_mass_factor == section.uav_mass_factor == 1.0
         self.system = _scaled(setup.system, section.payload_mass_factor, section.uav_mass_factor)
-        self.model = setup.model if nominal else Model(self.system)
+        self.model = setup.model if is_nominal else Model(self.system)
         self._seed = setup.scenario.seed
-        wind, noise = section.wind, section.noise
-        self._mean_I, self._gust_I = np.array(wind.speed_mps), np.array(wind.gust_mps)
+
+        wind = section.wind
+        self._mean_I = np.array(wind.speed_mps)
+        self._gust_I = np.array(wind.gust_mps)
         self._is_windy = bool(self._mean_I.any() or self._gust_I.any())
         self._gust_decay = math.exp(-GUST_STEP_S / wind.gust_time_constant_s)
         self._gusts_per_tick = setup.settings.sampling_period_s / GUST_STEP_S
-        self._drag = np.array([wind.drag_payload_kgps, *[wind.drag_uav_kgps] * N])
         self._gusts: list[Array] = []  # in units of their standard deviation, by interval
+        self._drag = np.array([wind.drag_payload_kgps, *[wind.drag_uav_kgps] * N])  # kg/s
+
+        # Standard deviations of all states, (12 + 12 N,): each number for three axes.
+        noise = section.noise
         payload = [noise.position_m, noise.velocity_mps, noise.attitude_rad, noise.rate_rads]
         uav = [noise.rod_direction_rad, noise.rod_rate_rads, noise.attitude_rad, noise.rate_rads]
         self._deviations = np.repeat([*payload, *uav * N], 3)
@@ -66,41 +74,47 @@ class Environment:
 
         Source: docs/equations.md (43).
         """
-        at = tick * self._gusts_per_tick
+        interval = tick * self._gusts_per_tick
         # Rounding must not put the beginning of an interval into the one before.
-        before = round(at) if abs(at - round(at)) < _SAME else math.floor(at)
-        share = max(0.0, at - before)
+        is_beginning = abs(interval - round(interval)) < _SAME
+        before = round(interval) if is_beginning else math.floor(interval)
+        share = max(0.0, interval - before)
+
         gust = self._gust(before)
         if share > _SAME:
             gust = (1.0 - share) * gust + share * self._gust(before + 1)
         return self._mean_I + self._gust_I * gust
 
     def _gust(self, interval: int) -> Array:
-        """Return the gust at the beginning of an interval, (3,), in units of its standard deviation."""
+        """Return the gust at the beginning of an interval, (3,), in standard deviations.
+
+        First-order Gauss-Markov process: g_0 = n_0, g_j = d g_{j-1} + sqrt(1 - d^2) n_j.
+        """
+        decay = self._gust_decay
         while len(self._gusts) <= interval:
-            new, decay = drawn(self._seed, "wind", len(self._gusts), 3), self._gust_decay
-            self._gusts.append(
-                decay * self._gusts[-1] + math.sqrt(1.0 - decay**2) * new if self._gusts else new
-            )
+            gust = drawn(self._seed, "wind", len(self._gusts), 3)
+            if self._gusts:
+                gust = decay * self._gusts[-1] + math.sqrt(1.0 - decay**2) * gust
+            self._gusts.append(gust)
         return self._gusts[interval]
 
     def forces(self, tick: int, x: Array) -> Array | None:
         """Return the drag of the bodies over [t_k, t_{k+1}) at a state x(t_k), (n,).
 
-        None without wind.
-
-        Returns: Forces on payload and UAVs, (3 + 3 N,), inertial frame, N. Source:
-            docs/equations.md (42).
+        Returns: Forces on payload and UAVs, (3 + 3 N,), inertial frame, N; None without wind.
+        Source: docs/equations.md (42).
         """
         if not self._is_windy:
             return None
-        forces: Array = (
-            self._drag[:, None] * (self.wind(tick) - self.model.velocities(x))
-        ).reshape(-1)
+        # F_i = d_i (v_air - v_i); docs/equations.md (42).
+        relative = self.wind(tick) - self.model.velocities(x)
+        forces: Array = (self._drag[:, None] * relative).reshape(-1)
         return forces
 
     def measured(self, tick: int, agent: int, x: Array) -> Array:
-        """Return a state x(t_k), (n,), as measured by the sensors of an agent, 1-based, with independent normal errors.
+        """Return a state x(t_k), (n,), as measured by the sensors of an agent, 1-based.
+
+        Errors are normal and independent.
 
         Returns: (n,), with |e| = 1 and e . Omega = 0; x itself without noise. Source:
             docs/equations.md (44).
@@ -109,37 +123,41 @@ class Environment:
             return x
         noise = self._deviations * drawn(self._seed, f"noise/{agent}", tick, len(x))
         measured = x + noise
-        true, error, rods = StateView(x), StateView(noise), StateView(measured)
+        true = StateView(x)
+        error = StateView(noise)
+        rods = StateView(measured)
+
         # A rod direction errs by a small rotation about each axis; the one along the rod has no
         # effect.
         turned = true.e_P + np.cross(error.e_P, true.e_P)
         rods.e_P[:] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+        # Without spin about the rod: Omega_i minus its part along e_i.
         rods.Omega_P[:] -= rods.e_P * (rods.e_P * rods.Omega_P).sum(axis=1, keepdims=True)
         return measured
 
 
 class Sensors:
-    """Sensors of the autopilots.
-
-    Position, velocity, attitude, body rates and specific force of each UAV.
+    """Sensors of the autopilots: position, velocity, attitude, body rates, specific force of UAVs.
 
     A measurement errs by white noise and a constant bias, and shows its quantity as it was some
     periods before.
     """
 
     def __init__(self, setup: Setup) -> None:
-        self._seed, sheet = setup.scenario.seed, setup.sensors
-        self._noise, bias, self._ages = (
-            np.repeat(of, 3) for of in (sheet.noise, sheet.bias, sheet.ages)
-        )
-        uavs = range(1, setup.system.N + 1)
-        self._bias = np.array([bias * drawn(self._seed, f"bias/{uav}", 0, SENSED) for uav in uavs])
+        sheet = setup.sensors
+        self._seed = setup.scenario.seed
+        self._noise = np.repeat(sheet.noise, 3)  # standard deviations, (15,)
+        self._ages = np.repeat(sheet.ages, 3)  # periods, (15,)
+        bias = np.repeat(sheet.bias, 3)
+        names = [f"bias/{uav}" for uav in range(1, setup.system.N + 1)]
+        self._bias = np.array([bias * drawn(self._seed, name, 0, SENSED) for name in names])
         # True values at the newest ticks, (N, 15) each, the newest first.
         self._true: deque[Array] = deque(maxlen=max(sheet.ages) + 1)
 
     def observe(self, model: Model, x: Array, u: Array, forces: Array | None) -> None:
         """Take in the next tick: the state, (n,), and the inputs, (4 N,), and forces until then."""
-        self._true.appendleft(model.sense(x, u, forces=forces)[0].reshape(-1, SENSED))
+        sensed, *_ = model.sense(x, u, forces=forces)
+        self._true.appendleft(sensed.reshape(-1, SENSED))
 
     def measured(self, tick: int, uavs: Sequence[int]) -> Array:
         """Return the measurements of UAVs, 0-based, at the newest tick, (UAVs, 15).
@@ -148,11 +166,10 @@ class Sensors:
         """
         ages = np.minimum(self._ages, len(self._true) - 1)
         true = np.array(self._true)[ages, :, np.arange(SENSED)].T
-        noise = np.array(
-            [self._noise * drawn(self._seed, f"sensors/{uav + 1}", tick, SENSED) for uav in uavs]
-        )
-        found: Array = true[list(uavs)] + self._bias[list(uavs)] + noise
-        return found
+        draws = [drawn(self._seed, f"sensors/{uav + 1}", tick, SENSED) for uav in uavs]
+        noise = np.array([self._noise * draw for draw in draws])
+        measured: Array = true[list(uavs)] + self._bias[list(uavs)] + noise
+        return measured
 
 
 def _scaled(system: System, payload: float, uavs: float) -> System:
@@ -160,12 +177,14 @@ def _scaled(system: System, payload: float, uavs: float) -> System:
 
     Inputs are moments.
     """
-    body, of = (
-        Payload(mass=payload * system.payload.mass, inertia=payload * system.payload.inertia),
-        system.uavs,
-    )
+    body = Payload(mass=payload * system.payload.mass, inertia=payload * system.payload.inertia)
     scaled = [
-        Uav(mass=uavs * u.mass, inertia=uavs * u.inertia, rho=u.rho, rod_length=u.rod_length)
-        for u in of
+        Uav(
+            mass=uavs * uav.mass,
+            inertia=uavs * uav.inertia,
+            rho=uav.rho,
+            rod_length=uav.rod_length,
+        )
+        for uav in system.uavs
     ]
     return System(payload=body, uavs=scaled, gravity=system.gravity)

@@ -1,14 +1,14 @@
 """The plant as a state machine: measures at each tick, integrates to the next.
 
 At tick k it publishes the measurements of x_k. Once the inputs of [t_k, t_{k+1}) are decided it
-integrates that
-interval: with actuation "immediate" from the plans of tick k, with "next_tick" from those of k - 1,
-so that plant and agents compute at the same time.
+integrates that interval: with actuation "immediate" from the plans of tick k, with "next_tick" from
+those of k - 1, so that plant and agents compute at the same time.
 """
 
 import math
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,6 +32,23 @@ from transport.protocol.wire.messages import (
 from transport.protocol.wire.names import PLANT
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Integrated:
+    """The plant after one sampling period.
+
+    Attributes:
+        x: State at its end, (12 + 12 N,), SI.
+        error: Largest local error of a component, -1 if it is unknown.
+        mean: Mean thrust and moments of the motors, (4 N,), N and N m.
+        tensions: Least tension of each cable, N, 0 while slack; none with rods.
+    """
+
+    x: Array
+    error: float
+    mean: Array
+    tensions: Array
+
+
 class PlantNode(Participant):
     """Plant of one run."""
 
@@ -42,34 +59,30 @@ class PlantNode(Participant):
         super().__init__(setup, PLANT, incarnation, after=int(setup.scenario.clock.next_tick))
         self.environment = Environment(setup)
         self.engine = Engine(setup, self.environment.system)
+
         self._period_s = setup.settings.sampling_period_s
         # Parts of a period with own inputs, and integration steps of each.
-        self._parts = (
-            1
-            if setup.settings.inputs == "moments"
-            else math.ceil(self._period_s / INNER_STEP_S - 1e-9)
-        )
-        self._inner_loop = inner_loop(setup, self._period_s / self._parts)
+        self._parts = 1
+        if setup.settings.inputs != "moments":
+            self._parts = math.ceil(self._period_s / INNER_STEP_S - 1e-9)
         self._steps = math.ceil(self._period_s / self._parts / section.step_s - 1e-9)
-        self._path, _ = setup.maneuver.path(
-            self._period_s * np.arange(setup.ticks + 1, dtype=np.float64)
-        )
+        self._inner_loop = inner_loop(setup, self._period_s / self._parts)
+
+        instants_s = self._period_s * np.arange(setup.ticks + 1, dtype=np.float64)
+        self._path, _ = setup.maneuver.path(instants_s)
         self._schedule = ActuatorSchedule(setup.hover.u, setup.fail_safe, setup.settings)
-        self._faults = deque(
-            fault for fault in setup.faults if fault.do in OF_UAVS
-        )  # still to come
-        self._motors = Motors(
-            section.motors, setup.hover.u, any(fault.do == "degrade" for fault in self._faults)
-        )
+        of_uavs = [fault for fault in setup.faults if fault.do in OF_UAVS]
+        self._faults = deque(of_uavs)  # still to come
+        degrades = any(fault.do == "degrade" for fault in of_uavs)
+        self._motors = Motors(section.motors, setup.hover.u, degrades)
         self._off: set[int] = set()  # UAVs without motors, 0-based
         self._released: set[int] = set()  # of these
+
         self._x: Array = setup.initial_state()
-        self._u: Array = setup.hover.u.copy()  # in force until now
+        self._u: Array = setup.hover.u.copy()  # commands in force until now
+        # Actual inputs and external forces until now.
+        self._acted: tuple[Array, Array | None] = (self._u, None)
         self._sensors = Sensors(setup) if setup.sensors.vehicle else None
-        self._acted: tuple[Array, Array | None] = (
-            self._u,
-            None,
-        )  # actual inputs and forces until now
         self._tick = 0  # self._x is the state at this tick
         self._measured_tick = -1
         self._pending: deque[Tick] = deque()  # open, waiting for the interval before
@@ -84,7 +97,7 @@ class PlantNode(Participant):
             self._pending.append(message)
 
     def _head(self, target: Target) -> None:
-        """Take in a target: the path and the fail-safe before its tick stay as they were, bit for bit."""
+        """Take in a target; path and fail-safe before its tick stay the same, bit for bit."""
         instants = np.arange(target.tick, len(self._path), dtype=np.float64)
         self._path[target.tick :], _ = self._setup.maneuver.path(self._period_s * instants)
         self._schedule.fail_safe = self._setup.fail_safe.of_team(self._off, self._released)
@@ -120,6 +133,7 @@ class PlantNode(Participant):
         return senders <= self._arrived.get(decisive, set())
 
     def _measure(self, tick: Tick) -> list[Message]:
+        """Return the measurements of a tick, one for each agent on the roster."""
         self._measured_tick = tick.tick
         self._fail_uavs(tick.tick)
         if self._sensors is not None:
@@ -127,12 +141,15 @@ class PlantNode(Participant):
         return [self._measurement(tick, agent) for agent in sorted(self._membership.incarnations)]
 
     def _measurement(self, tick: Tick, agent: int) -> Measurement:
+        """Return the measurement of an agent, 1-based: UAVs and, unless by sensors, payload."""
         owned = list(self._setup.owned[agent - 1])
         if self._sensors is not None:
-            payload, uav_states = np.zeros(0), self._sensors.measured(tick.tick, owned)
+            payload = np.zeros(0)
+            uav_states = self._sensors.measured(tick.tick, owned)
         else:
             x = self.environment.measured(tick.tick, agent, self._x)
-            payload, uav_states = x[: state.PAYLOAD], state.StateView(x).uavs[owned]
+            payload = x[: state.PAYLOAD]
+            uav_states = state.StateView(x).uavs[owned]
         return self._out.stamp(
             Measurement,
             tick=tick.tick,
@@ -141,7 +158,7 @@ class PlantNode(Participant):
             shared=tick.shared,
             roster=tick.roster,
             payload=payload,
-            uavs=tuple(i + 1 for i in owned),
+            uavs=tuple(uav + 1 for uav in owned),
             uav_states=uav_states,
             inputs=self._u.reshape(-1, state.INPUTS)[owned],
         )
@@ -150,76 +167,113 @@ class PlantNode(Participant):
         """Apply the scenario's failures of UAVs due at a tick, before it is measured."""
         while self._faults and self._faults[0].tick <= tick:
             fault = self._faults.popleft()
-            uav = fault.uav
-            if fault.do == "degrade":
-                if uav not in self._off:
-                    self._motors.degrade(uav, fault.efficiency)
-                continue
-            self._off.add(uav)
-            self._motors.degrade(uav, 0.0)
-            self._x = (
-                released_state(self._x, uav)
-                if fault.do == "release"
-                else motor_off_state(self._x, uav)
-            )
-            if fault.do == "release":
-                self._released.add(uav)
-                self.environment.release(uav)
-            self.engine.restart(self._x, self.environment.system)
-            self._schedule.fail_safe = self._setup.fail_safe.of_team(self._off, self._released)
-            if self._inner_loop is not None:
-                self._inner_loop.reset(self._x)
+            if fault.do != "degrade":
+                self._switch_off(fault.uav, released=fault.do == "release")
+            elif fault.uav not in self._off:
+                self._motors.degrade(fault.uav, fault.efficiency)
+
+    def _switch_off(self, uav: int, *, released: bool) -> None:
+        """Switch the motors of a UAV off, 0-based, and take it off its rod if it is released."""
+        self._off.add(uav)
+        self._motors.degrade(uav, 0.0)
+        if released:
+            self._x = released_state(self._x, uav)
+            self._released.add(uav)
+            self.environment.release(uav)
+        else:
+            self._x = motor_off_state(self._x, uav)
+
+        self.engine.restart(self._x, self.environment.system)
+        self._schedule.fail_safe = self._setup.fail_safe.of_team(self._off, self._released)
+        if self._inner_loop is not None:
+            self._inner_loop.reset(self._x)
 
     def _integrate(self, now_ns: int) -> list[Message]:
-        k, x = self._tick, self._x
-        for plan in self._plans.take(k, now_ns)[0]:
+        """Integrate [t_k, t_{k+1}) and return what is recorded of it."""
+        k = self._tick
+        x = self._x
+        u, sources = self._commands(now_ns)
+        after = self._advance(u, self.environment.forces(k, x))
+        reason = self._failure(k + 1, after.x)
+
+        self._diverged = bool(reason)
+        self._x = after.x
+        self._u = u
+        self._tick = k + 1
+        self._arrived = {
+            tick: agents for tick, agents in self._arrived.items() if tick > k - self._after
+        }
+        plant_state = self._out.stamp(
+            PlantState,
+            tick=k,
+            x=x,
+            u=u,
+            plan_ticks=sources,
+            local_error=after.error if np.isfinite(after.x).all() else UNKNOWN_ERROR,
+            diverged=reason,
+        )
+        return [plant_state, *self._actual_inputs(k, after)]
+
+    def _commands(self, now_ns: int) -> tuple[Array, tuple[int, ...]]:
+        """Return the commands over [t_k, t_{k+1}), (4 N,), and the source of those of each UAV."""
+        usable, _ = self._plans.take(self._tick, now_ns)
+        for plan in usable:
             self._schedule.add(plan)
-        u, sources = self._schedule.inputs(k, x, self._u)
-        if self._off:
-            u = no_inputs(u, self._off)
-            sources = tuple(
-                MOTOR_OFF if i in self._off else source for i, source in enumerate(sources)
-            )
-        forces = self.environment.forces(k, x)
-        end, error, mean = x, UNKNOWN_ERROR, np.zeros_like(u)
+        u, sources = self._schedule.inputs(self._tick, self._x, self._u)
+        if not self._off:
+            return u, sources
+        without = tuple(
+            MOTOR_OFF if uav in self._off else source for uav, source in enumerate(sources)
+        )
+        return no_inputs(u, self._off), without
+
+    def _advance(self, u: Array, forces: Array | None) -> Integrated:
+        """Integrate a sampling period under commands, (4 N,), and external forces, (3 + 3 N,)."""
+        x = self._x
+        error = UNKNOWN_ERROR
+        mean = np.zeros_like(u)
         tensions = np.full(len(self.engine.tensions), np.inf)
         part_s = self._period_s / self._parts
+
         for _ in range(self._parts):
             command = u
             if self._inner_loop is not None:
                 rates = u.reshape(-1, state.INPUTS)
-                command = self._inner_loop.moments(rates, end).reshape(-1)
+                command = self._inner_loop.moments(rates, x).reshape(-1)
             for actual, duration_s in self._motors.inputs(command, part_s, self._steps):
-                end, local_error = self.engine.advance(actual, forces, duration_s)
-                error, mean = max(local_error, error), mean + duration_s / self._period_s * actual
-                self._acted = actual, forces
+                x, local_error = self.engine.advance(actual, forces, duration_s)
+                error = max(local_error, error)
+                mean = mean + duration_s / self._period_s * actual
+                self._acted = (actual, forces)
                 if len(tensions):
                     tensions = np.minimum(tensions, self.engine.tensions)
-        reason = (
-            self.engine.failure
-            or (self._inner_loop and self._inner_loop.failure)
-            or self._divergence(k + 1, end)
-        )
-        self._diverged = bool(reason)
-        self._x, self._u, self._tick = end, u, k + 1
-        self._arrived = {
-            tick: agents for tick, agents in self._arrived.items() if tick > k - self._after
-        }
-        known = error if np.isfinite(end).all() else UNKNOWN_ERROR
-        recorded: list[Message] = [
+        return Integrated(x=x, error=error, mean=mean, tensions=tensions)
+
+    def _actual_inputs(self, k: int, after: Integrated) -> list[Message]:
+        """Return the actual inputs of a period if they are not the commands, or with cables."""
+        are_commands = self._motors.ideal and self._inner_loop is None
+        if are_commands and not len(after.tensions):
+            return []
+        inputs = after.mean.reshape(-1, state.INPUTS)
+        uavs = tuple(range(1, len(inputs) + 1))
+        return [
             self._out.stamp(
-                PlantState, tick=k, x=x, u=u, plan_ticks=sources, local_error=known, diverged=reason
+                ActualInputs,
+                tick=k,
+                uavs=uavs,
+                inputs=inputs,
+                cables=uavs[: len(after.tensions)],
+                tensions=after.tensions,
             )
         ]
-        if not self._motors.ideal or self._inner_loop is not None or len(tensions):
-            uavs, inputs = tuple(range(1, len(sources) + 1)), mean.reshape(-1, state.INPUTS)
-            cables = uavs[: len(tensions)]
-            recorded.append(
-                self._out.stamp(
-                    ActualInputs, tick=k, uavs=uavs, inputs=inputs, cables=cables, tensions=tensions
-                )
-            )
-        return recorded
+
+    def _failure(self, tick: int, x: Array) -> str:
+        """Return why the run ends after a period, empty if it goes on."""
+        if self.engine.failure:
+            return self.engine.failure
+        if self._inner_loop is not None and self._inner_loop.failure:
+            return self._inner_loop.failure
+        return self._divergence(tick, x)
 
     def _divergence(self, tick: int, x: Array) -> str:
         """Return why the run has diverged, empty if it has not."""
@@ -227,14 +281,16 @@ class PlantNode(Participant):
             return "the state is no longer finite"
         limits = self._setup.scenario.plant
         view = state.StateView(x)
+
+        # Roll and pitch of the payload, then of each UAV, (1 + N, 2), deg.
         attitudes = np.degrees(np.abs(np.vstack([view.Theta0[None], view.Theta])[:, :2]))
         worst = np.unravel_index(int(np.argmax(attitudes)), attitudes.shape)
         if attitudes[worst] > limits.max_attitude_deg:
-            body, angle = (
-                "payload" if worst[0] == 0 else f"UAV{worst[0]}",
-                ("roll", "pitch")[worst[1]],
-            )
-            return f"{body} {angle} of {attitudes[worst]:.0f} deg exceeds {limits.max_attitude_deg:g} deg"
+            body = "payload" if worst[0] == 0 else f"UAV{worst[0]}"
+            angle = ("roll", "pitch")[worst[1]]
+            size = f"{body} {angle} of {attitudes[worst]:.0f} deg"
+            return f"{size} exceeds {limits.max_attitude_deg:g} deg"
+
         error = float(np.linalg.norm(view.r0_I - self._path[tick]))
         if error > limits.max_error_m:
             return f"payload position error of {error:.1f} m exceeds {limits.max_error_m:g} m"

@@ -28,7 +28,7 @@ LAYERS = {
 # Rooms of the two large packages, floor by floor from the lowest: a room imports its own modules
 # and lower floors only.
 ROOMS = {
-    "protocol": ({"wire"}, {"scenario"}, {"admission"}, {"network"}),
+    "protocol": ({"wire", "radio"}, {"scenario"}, {"admission"}, {"network"}),
     "transport": (
         {"log"},
         {"flight", "analysis", "scene"},

@@ -5,8 +5,8 @@ the command line does not wait for them.
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # as `typing` has it, whose import the command does without at its start
 if TYPE_CHECKING:
     from transport.experiments.cases import ExperimentError as ExperimentError
     from transport.flight.harness import HarnessError as HarnessError
@@ -54,7 +54,7 @@ _MODULES = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = list(_MODULES)  # a type checker reads the imports above
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Return a name of the Python interface, importing its module."""
     if name not in _MODULES:
         raise AttributeError(f"module 'transport' has no attribute {name!r}")

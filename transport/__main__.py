@@ -1,118 +1,104 @@
-"""The command `transport`, also as `python -m transport`."""
+"""The command `transport`, also as `python -m transport`.
+
+Modules are imported by the functions that need them: from its first line on, `main` decides what a
+signal does.
+"""
 
 import atexit
-import io
-import itertools
 import os
 import signal
 import sys
-import traceback
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from errno import EPIPE
+from contextlib import suppress
 from types import FrameType
-from typing import NoReturn, TextIO
 
-from transport.flight.signals import raise_interrupts
-from transport.protocol.network.parent import ending_signals, wake_with_its_end
-from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNRECORDED
+from transport.protocol.network.parent import ending_signals
+from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
 
-
-class _Stream(io.FileIO):
-    """Raw stream of a file descriptor that leads to the null device after the first failed write.
-
-    Attributes:
-        error: That failure, if there was one.
-    """
-
-    error: OSError | None = None
-
-    def write(self, data: object) -> int | None:  # type: ignore[override]
-        try:
-            return super().write(data)  # type: ignore[arg-type]
-        except OSError as error:
-            self.error = error
-            null = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(null, self.fileno())
-            os.close(null)
-            return super().write(data)  # type: ignore[arg-type]
+TYPE_CHECKING = False  # as `typing` has it, whose import takes as long as all others
+if TYPE_CHECKING:
+    from typing import NoReturn
 
 
-@contextmanager
-def standard_streams() -> Iterator[None]:
-    """Run a command whose output may fail at any moment.
-
-    A reader that has left, as `head`, changes nothing. Another failure of standard output, such as
-    a full disk, is told in a line, and the exit code is 10 unless the command has another one.
-    Standard error may be lost.
-    """
-    raw = _replace("stdout", 1)
-    _replace("stderr", 2)
-    try:
-        yield
-    except SystemExit as end:
-        sys.stdout.flush()
-        if raw.error is None or raw.error.errno == EPIPE:
-            raise
-        sys.stderr.write(
-            f"transport: standard output: cannot write the results ({raw.error.strerror})\n"
-        )
-        sys.exit(end.code or EXIT_UNRECORDED)
-
-
-def _replace(name: str, number: int) -> _Stream:
-    """Replace a stream of `sys`; one that is closed goes to the null device."""
-    old: TextIO | None = getattr(sys, name)
-    raw = _Stream(
-        number if old is not None else os.open(os.devnull, os.O_WRONLY), "wb", closefd=False
-    )
-    buffered = name == "stdout" and not raw.isatty()
-    stream = io.TextIOWrapper(
-        io.BufferedWriter(raw),
-        encoding=old.encoding if old is not None else "utf-8",
-        errors="backslashreplace",  # a character that the terminal has not is no reason to end
-        line_buffering=not buffered,
-        write_through=not buffered,
-    )
-    setattr(sys, name, stream)
-    return raw
-
-
-def main() -> NoReturn:
+def main() -> "NoReturn":
     """Run the command and end the process.
 
     SIGTERM and SIGHUP end it like Ctrl-C, from the first import to the end.
     """
+    _leave_on_signals()
     if sys.getfilesystemencoding() != "utf-8" and os.environ.get("PYTHONUTF8") != "1":
         # Paths are UTF-8 for Zenoh and in TOML, whatever the locale.
         os.execve(sys.executable, sys.orig_argv, {**os.environ, "PYTHONUTF8": "1"})  # noqa: S606
     code = 1
-    if sys.argv[1:2] == ["fork-server"]:
-        _serve()
     try:
-        wake_with_its_end()
-        raise_interrupts()  # before the imports: they take a while
-        if sys.argv[1:2] == ["run"] and not {"-h", "--help"} & set(sys.argv):
-            from transport.flight.fork_server import fork_server
-
-            fork_server()  # imports for the processes of the run while this process imports for itself
-        with standard_streams():
-            from transport.cli.main import app
-
-            app(prog_name="transport")
-        code = 0
-    except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else int(end.code is not None)
-    except KeyboardInterrupt:  # during the imports
+        if sys.argv[1:2] == ["fork-server"]:
+            _serve()
+        else:
+            code = _code_of_command()
+    except KeyboardInterrupt:  # between the last steps
         code = EXIT_INTERRUPTED
-    except BaseException:  # noqa: BLE001  # a bug
-        traceback.print_exc()
-    _end(code)
+    finally:
+        while True:
+            with suppress(KeyboardInterrupt):  # before its first step
+                _end(code)
 
 
-def _serve() -> NoReturn:
+def _leave_on_signals() -> None:
+    """End this process at once when a signal arrives, without any cleaning up.
+
+    During the imports there is nothing to be ended, and an exception could be dropped, or leave a
+    module half imported.
+    """
+
+    def leave(_: int, __: FrameType | None) -> "NoReturn":
+        os._exit(EXIT_INTERRUPTED)
+
+    for number in ending_signals():
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, leave)
+
+
+def _code_of_command() -> int:
+    """Run the command of the arguments and return its exit code."""
+    from transport.protocol.network.parent import wake_with_its_end
+
+    wake_with_its_end()
+    if sys.argv[1:2] == ["run"] and not {"-h", "--help"} & set(sys.argv):
+        from transport.flight.fork_server import fork_server
+
+        fork_server()  # imports for the processes of the run while this process imports for itself
+
+    from transport.flight.signals import raise_interrupts, take_interrupt
+
+    try:
+        from transport.cli.main import app
+        from transport.cli.streams import standard_streams
+
+        with standard_streams():
+            raise_interrupts()
+            app(prog_name="transport")
+    except BaseException as error:  # noqa: BLE001  # any error has an exit code
+        # Code that was interrupted may have turned the interrupt into another error.
+        is_interrupted = take_interrupt() or isinstance(error, KeyboardInterrupt)
+        return EXIT_INTERRUPTED if is_interrupted else _code_of_error(error)
+    return EXIT_INTERRUPTED if take_interrupt() else 0
+
+
+def _code_of_error(error: BaseException) -> int:
+    """Return the exit code of an exception that ends the command; print a bug."""
+    if isinstance(error, SystemExit):
+        return error.code if isinstance(error.code, int) else int(error.code is not None)
+    import traceback
+
+    traceback.print_exception(error)
+    return 1
+
+
+def _serve() -> None:
     """Be the fork server (`transport.flight.fork_server`), whose processes begin with `main`."""
+    import itertools
     import socket
+
+    from transport.protocol.network.parent import wake_with_its_end
 
     wake_with_its_end()
     from transport.cli.lazy import load
@@ -125,6 +111,7 @@ def _serve() -> NoReturn:
 
     for name in (
         "transport.cli.main",
+        "transport.cli.streams",
         "transport.cli.processes",
         "transport.agent.node",
         "transport.coordinator.node",
@@ -135,10 +122,11 @@ def _serve() -> NoReturn:
     os._exit(0)
 
 
-def _end(code: int) -> NoReturn:
-    """End this process without the interpreter's shutdown, which may wait for native threads and ignores signals.
+def _end(code: int) -> "NoReturn":
+    """End this process without the interpreter's shutdown.
 
-    The exit code is decided: a signal changes nothing, and a second one ends the process at once.
+    That may wait for native threads and ignores signals. The exit code is decided: a signal changes
+    nothing, and a second one ends the process at once.
     """
     received = 0
 

@@ -1,7 +1,8 @@
 """An agent that shares no code with the others, made from Zenoh, msgpack, numpy and docs/protocol.md.
 
 It does not know the maneuver. It keeps its rod parallel to the others', whose states are in their
-plans, and its corner of the payload as high as the middle, and carries its share. Start all but
+plans, and its corner of the payload as high as the middle, and carries its share. `pip install
+eclipse-zenoh msgpack numpy` installs all that it needs. Start all but
 agent 3 as in README ("By hand"), with `--scenario resilient`, and this in its place; `transport
 validate resilient` prints the digest:
 

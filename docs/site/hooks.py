@@ -7,11 +7,13 @@ converted ends the build.
 
 import html
 import re
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import ziamath
 from griffe import Extension, Object
-from latex2mathml.converter import convert
+from math_core import LatexError, LatexToMathML
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
@@ -31,6 +33,12 @@ LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 # Formulas as the Markdown extension arithmatex leaves them.
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
+CONVERTER = LatexToMathML()
+# Browsers draw the combining line of bars above and below beside their letter.
+BARS = re.compile(r"(<mo[^>]*>)\u0332(</mo></munder>|</mo></mover>)")
+BAR_OF = {"</mo></munder>": "_", "</mo></mover>": "\u00af"}
+# Few systems have a font with the tables for mathematics, without which brackets stay small.
+MATH_FONT = Path(ziamath.__file__).parent / "fonts" / "STIXTwoMath-Regular.ttf"
 TAG = re.compile(r"\\tag\{(\w+)\}")
 
 
@@ -42,6 +50,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         )
     for asset in sorted((FOLDER / "assets").iterdir()):
         files.append(File.generated(config, f"assets/{asset.name}", abs_src_path=str(asset)))
+    files.append(File.generated(config, f"assets/{MATH_FONT.name}", abs_src_path=str(MATH_FONT)))
     linked = set()
     for file in files.documentation_pages():
         linked |= {
@@ -81,30 +90,40 @@ def _target(file: File, target: str) -> str:
 
 
 def on_page_content(page_html: str, page: Page, **_: object) -> str:
-    """Convert formulas, numbered ones with their number and an anchor."""
+    """Convert formulas to MathML, numbered ones with their number and an anchor."""
+    return FORMULA.sub(partial(_converted, page.file.src_uri), page_html)
 
-    def converted(found: re.Match[str]) -> str:
-        formula = html.unescape(found[2]).strip()
-        tag = TAG.search(formula)
-        text = re.sub(
-            r"\\arg(?![A-Za-z])", r"\\mathrm{arg}", TAG.sub("", formula)
-        )  # unknown to the converter
-        try:
-            mathml = convert(text, display="inline" if found[1] == "span" else "block")
-        except Exception as error:
-            raise PluginError(
-                f"{page.file.src_uri}: expected a formula, got {text!r}: {error}"
-            ) from error
-        if re.search(r"\\[A-Za-z]", html.unescape(mathml)):
-            raise PluginError(f"{page.file.src_uri}: expected known commands, got {text!r}")
-        if found[1] == "span":
-            return mathml
-        place, number = (
-            (f' id="eq-{tag[1]}"', f'<span class="number">({tag[1]})</span>') if tag else ("", "")
-        )
-        return f'<div class="equation"{place}>{mathml}{number}</div>'
 
-    return FORMULA.sub(converted, page_html)
+def _converted(source: str, match: re.Match[str]) -> str:
+    """Return the MathML of a formula on the page of a source file."""
+    is_block = match[1] == "div"
+    formula = html.unescape(match[2]).strip()
+    if not is_block:
+        return _mathml(source, formula, is_block=False)
+
+    tag = TAG.search(formula)
+    parts = "".join(
+        _mathml(source, part, is_block=True) for part in _parts(TAG.sub("", formula).strip())
+    )
+    anchor = f' id="eq-{tag[1]}"' if tag else ""
+    number = f'<span class="number">({tag[1]})</span>' if tag else ""
+    return f'<div class="equation"{anchor}><div class="formula">{parts}</div>{number}</div>'
+
+
+def _parts(formula: str) -> list[str]:
+    """Return the parts of a formula between wide spaces, which may stand below each other."""
+    if r"\begin{aligned}" in formula:
+        return [formula]
+    return [part.strip() for part in formula.split(r"\qquad") if part.strip()]
+
+
+def _mathml(source: str, formula: str, *, is_block: bool) -> str:
+    """Return the MathML of a formula, strictly: an unknown command ends the build."""
+    try:
+        mathml = CONVERTER.convert_with_local_state(formula, displaystyle=is_block)
+    except LatexError as error:
+        raise PluginError(f"{source}: expected a formula, got {formula!r}: {error}") from error
+    return BARS.sub(lambda match: f"{match[1]}{BAR_OF[match[2]]}{match[2]}", mathml)
 
 
 class ProjectDocstrings(Extension):

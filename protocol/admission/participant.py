@@ -1,7 +1,4 @@
-"""The common part of agents and plant.
-
-Roster, links, targets, the plans that arrive, and the end of the run.
-"""
+"""The common part of agents and plant: roster, links, targets, arriving plans, end of the run."""
 
 from abc import ABC, abstractmethod
 from collections import deque
@@ -9,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from transport.protocol.admission.arrivals import Arrivals
-from transport.protocol.scenario.links import LinkChanges
+from transport.protocol.scenario.link_changes import LinkChanges
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.targets import check_target
 from transport.protocol.wire.errors import MessageError
@@ -32,35 +29,41 @@ _NONE = Roster(sender=COORDINATOR, incarnation=0, sequence=0, tick=0, version=0,
 
 
 class Membership:
-    """The newest roster and the plans that are ahead of it.
+    """The newest roster and the plans ahead of it, also of an agent, `own`, that is off it.
 
-    Of an agent, `own`, also while it is off the roster.
+    Attributes:
+        version: Version of the newest roster.
+        failed_since: Tick of the newest failure of a UAV.
+        since: Tick from which each agent is on the roster in its present incarnation.
+        incarnations: Incarnations of the agents on it.
     """
 
     def __init__(self, own: int | None = None) -> None:
-        self.version = 0  # of the newest roster
-        self.failed_since = 0  # tick of the newest failure of a UAV
-        self.since: dict[
-            int, int
-        ] = {}  # tick from which each agent is on it in its present incarnation
-        self.incarnations: dict[int, int] = {}  # of the agents on it
+        self.version = 0
+        self.failed_since = 0
+        self.since: dict[int, int] = {}
+        self.incarnations: dict[int, int] = {}
+
         self._own = own
         self._newest: dict[int, int] = {}  # highest incarnation ever on a roster
         self._early: deque[Plan] = deque(maxlen=_KEPT)
-        self._left: dict[
-            int, tuple[int, int]
-        ] = {}  # by agent that left: its last incarnation, the tick it left at
+        # By agent that left: its last incarnation, and the tick at which it left.
+        self._left: dict[int, tuple[int, int]] = {}
         self._rosters = [_NONE]  # ascending, from the one in force on
 
     def took_part(self, tick: int) -> set[int]:
-        """Return the agents whose plans of a tick are here or, also of those that have left since, still to come."""
+        """Return the agents whose plans of a tick are here or still to come.
+
+        Also of those that have left since.
+        """
         present = {agent for agent, since in self.since.items() if since <= tick}
-        return present | {agent for agent, (_, at) in self._left.items() if tick < at}
+        were_present = {agent for agent, (_, left) in self._left.items() if tick < left}
+        return present | were_present
 
     def at(self, version: int) -> Roster:
-        """Return the roster in force where a tick names its version, the same at all processes.
+        """Return the roster in force where a tick names its version; forget older ones.
 
-        Forget older ones.
+        It is the same at all processes.
         """
         while len(self._rosters) > 1 and self._rosters[1].version <= version:
             del self._rosters[0]
@@ -73,27 +76,29 @@ class Membership:
             self.failed_since = roster.tick
         self.version = roster.version
         self._rosters.append(roster)
-        before, self.incarnations = (
-            self.incarnations,
-            dict(zip(roster.agents, roster.incarnations, strict=True)),
-        )
-        stay = dict(before.items() & self.incarnations.items())
-        self._left |= {agent: (before[agent], roster.tick) for agent in before.keys() - stay.keys()}
+
+        before = self.incarnations
+        self.incarnations = dict(zip(roster.agents, roster.incarnations, strict=True))
+        staying = dict(before.items() & self.incarnations.items())
+        for agent in before.keys() - staying.keys():
+            self._left[agent] = (before[agent], roster.tick)
         self.since = {
-            agent: self.since[agent] if agent in stay else roster.tick
+            agent: self.since[agent] if agent in staying else roster.tick
             for agent in self.incarnations
         }
         for agent, incarnation in self.incarnations.items():
             self._newest[agent] = max(incarnation, self._newest.get(agent, incarnation))
-        waiting, self._early = list(self._early), deque(maxlen=_KEPT)
+
+        waiting = list(self._early)
+        self._early.clear()
         return waiting
 
     def check(self, plan: Plan) -> None:
         """Raise MessageError for a plan that neither this roster nor one to come admits."""
-        if not self._counts(plan) and plan.incarnation <= self._newest.get(plan.agent, -1):
-            raise MessageError(
-                "wrong_incarnation", "plan of an incarnation that is not on the roster"
-            )
+        is_old = plan.incarnation <= self._newest.get(plan.agent, -1)
+        if is_old and not self._counts(plan):
+            text = "plan of an incarnation that is not on the roster"
+            raise MessageError("wrong_incarnation", text)
 
     def admits(self, plan: Plan) -> bool:
         """Return whether a plan counts now; otherwise keep it for a roster to come."""
@@ -105,12 +110,12 @@ class Membership:
     def _counts(self, plan: Plan) -> bool:
         """Return whether the sender is on the roster, or was when it sent the plan.
 
-        That counts at all receivers.
+        Such a plan counts at all receivers.
         """
-        incarnation, at = self._left.get(plan.agent, (-1, 0))
-        return self.incarnations.get(plan.agent) == plan.incarnation or (
-            plan.incarnation == incarnation and plan.tick < at
-        )
+        if self.incarnations.get(plan.agent) == plan.incarnation:
+            return True
+        incarnation, left = self._left.get(plan.agent, (-1, 0))
+        return plan.incarnation == incarnation and plan.tick < left
 
 
 class Participant(ABC):
@@ -120,25 +125,34 @@ class Participant(ABC):
     """
 
     publish_ns = 0
+    _hears_by_radio = False  # whether plans come over the radio of the team
 
     def __init__(
         self, setup: Setup, name: str, incarnation: int, after: int, own: int | None = None
     ) -> None:
-        self.name, self._after = name, after
+        self.name = name
         self.finished: Control | None = None
-        self._setup, self._membership = setup, Membership(own)
+        self._setup = setup
+        self._after = after
+        self._membership = Membership(own)
         self._waits = setup.scenario.clock.mode == "lockstep"
+        # Scenario seconds per second; None in lockstep, where plans arrive by ticks.
         self._speed = None if self._waits else setup.scenario.clock.speed
         self._begin(incarnation)
 
     def _begin(self, incarnation: int) -> None:
         """Start anew under an incarnation; only the roster is kept."""
-        setup, self.incarnation = self._setup, incarnation
-        self._out, self._tick = Outbox(self.name, incarnation), -1  # the newest worked on
-        senders = [name for name in (*map(agent_name, setup.agents), PLANT) if name != self.name]
-        self._links = {name: setup.link(name, self.name) for name in senders}
+        self.incarnation = incarnation
+        self._out = Outbox(self.name, incarnation)
+        self._tick = -1  # the newest worked on
+
+        everybody = (*map(agent_name, self._setup.agents), PLANT)
+        senders = [name for name in everybody if name != self.name]
+        self._links = {name: self._setup.link(name, self.name) for name in senders}
         self._link_changes = LinkChanges(self._links.values())
-        self._plans: Arrivals[Plan] = Arrivals(self._links, after=self._after, speed=self._speed)
+        self._plans: Arrivals[Plan] = Arrivals(
+            self._links, after=self._after, speed=self._speed, aired=self._hears_by_radio
+        )
         self._arrived: dict[int, set[int]] = {}  # agents whose plans are physically here, by tick
 
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:

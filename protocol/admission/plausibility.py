@@ -1,7 +1,4 @@
-"""Plausibility of messages.
-
-Agents and UAVs of the run, possible inputs and states, whatever the present tick is.
-"""
+"""Time-independent plausibility of messages: agents and UAVs of the run, inputs, states."""
 
 import math
 
@@ -12,6 +9,7 @@ from transport.model.arrays import Array
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import (
     ActualInputs,
+    Airtime,
     Measurement,
     Message,
     Plan,
@@ -30,89 +28,106 @@ _IDS: dict[type[Message], tuple[str, ...]] = {
     Roster: ("agents", "off", "released"),
     StepReport: ("peers",),
     ActualInputs: ("uavs", "cables"),
+    Airtime: ("agents",),
 }
+_IDS_OF_UAVS = ("off", "released", "uavs", "cables")
 
 
 def check_tick(message: Message, first: int, last: int) -> None:
     """Raise MessageError for a message whose tick is not among those from a first to a last one."""
     if message.tick < first:
-        raise MessageError(
-            "past", f"{message.kind} of tick {message.tick}, expected {first} or later"
-        )
+        text = f"{message.kind} of tick {message.tick}, expected {first} or later"
+        raise MessageError("past", text)
     if message.tick > last:
-        raise MessageError(
-            "future", f"{message.kind} of tick {message.tick}, expected {last} or earlier"
-        )
+        text = f"{message.kind} of tick {message.tick}, expected {last} or earlier"
+        raise MessageError("future", text)
 
 
 def check_plausible(message: Message, run: RunShape) -> None:
     """Raise MessageError for a message that no process of a run can have sent."""
     check_tick(message, 0, run.ticks - 1)
     for field in _IDS.get(type(message), ()):
-        are_uavs = field in ("off", "released", "uavs", "cables")
-        known = range(1, run.uavs + 1) if are_uavs else run.owned
-        if strangers := [number for number in getattr(message, field) if number not in known]:
-            what = "UAVs" if are_uavs else "agents"
-            raise MessageError(
-                "unknown_agent", f"{field}: expected {what} of this run, got {strangers}"
-            )
+        _check_ids(message, field, run)
     match message:
         case Plan():
             _check_states(message, run, state.REPORTS * state.REPORTED, "corrections")
             _check_plan(message, run)
         case Measurement():
             _check_states(message, run, state.SENSED, "payload", "inputs")
+        case Airtime() if message.receivers != tuple(run.owned):
+            text = f"receivers: expected all agents of this run, got {list(message.receivers)}"
+            raise MessageError("unknown_agent", text)
         case PlantState() if len(message.plan_ticks) != run.uavs:
             text = f"x: expected a state of {run.uavs} UAVs, got one of {len(message.plan_ticks)}"
             raise MessageError("wrong_shape", text)
 
 
+def _check_ids(message: Message, field: str, run: RunShape) -> None:
+    """Refuse ids of agents or UAVs that the run has not."""
+    are_uavs = field in _IDS_OF_UAVS
+    ids = range(1, run.uavs + 1) if are_uavs else run.owned
+    strangers = [number for number in getattr(message, field) if number not in ids]
+    if strangers:
+        whose = "UAVs" if are_uavs else "agents"
+        text = f"{field}: expected {whose} of this run, got {strangers}"
+        raise MessageError("unknown_agent", text)
+
+
 def _check_plan(plan: Plan, run: RunShape) -> None:
+    """Refuse a plan with a wrong start, too many iterations, or impossible inputs."""
     ahead = plan.start_tick - plan.tick
     if ahead != run.delay:
         text = f"plan of tick {plan.tick} that starts at tick {plan.start_tick}"
         raise MessageError("past" if ahead < run.delay else "future", text)
-    if plan.negotiation >= run.negotiation_iterations:
-        text = (
-            f"negotiation: expected less than {run.negotiation_iterations}, got {plan.negotiation}"
-        )
+
+    iterations = run.negotiation_iterations
+    if plan.negotiation >= iterations:
+        text = f"negotiation: expected less than {iterations}, got {plan.negotiation}"
         raise MessageError("out_of_range", text)
+
     low, high = run.limits[plan.agent]
     if np.count_nonzero(plan.inputs < low) or np.count_nonzero(plan.inputs > high):
         raise MessageError("outside_limits", f"inputs outside the limits of {plan.sender}")
 
 
 def _check_states(message: Plan | Measurement, run: RunShape, sensed: int, *others: str) -> None:
-    """Check the UAVs, their states, (owned, 12), or numbers of their sensors, (owned, sensed), and other arrays."""
+    """Refuse wrong UAVs, numbers of them, and other arrays that are out of range.
+
+    The numbers of a UAV are its states, (owned, 12), or those of its sensors, (owned, sensed).
+    """
     owned = run.owned.get(message.agent)
     if owned is None:
-        raise MessageError(
-            "unknown_agent",
-            f"{message.kind} of agent {message.agent}, the run has {len(run.owned)}",
-        )
+        text = f"{message.kind} of agent {message.agent}, the run has {len(run.owned)}"
+        raise MessageError("unknown_agent", text)
     if message.uavs != owned:
-        text = (
-            f"{message.kind} of UAVs {list(message.uavs)}, agent {message.agent} has {list(owned)}"
-        )
-        raise MessageError("wrong_uavs", text)
+        given = f"{message.kind} of UAVs {list(message.uavs)}"
+        raise MessageError("wrong_uavs", f"{given}, agent {message.agent} has {list(owned)}")
     for field in ("uav_states", *others):
-        values: Array = getattr(message, field)
-        # The first test takes one pass; the usual case is below.
-        if (
-            np.vdot(values, values) >= state.LARGEST**2
-            and (largest := np.abs(values).max()) > state.LARGEST
-        ):
-            raise MessageError(
-                "out_of_range", f"{field}: expected at most {state.LARGEST:g}, got {largest:g}"
-            )
-    blocks, expected = message.uav_states, sensed if run.vehicle_sensors else state.PER_UAV
-    if blocks.shape[1] != expected:
-        raise MessageError(
-            "wrong_shape",
-            f"uav_states: expected {expected} numbers of a UAV, got {blocks.shape[1]}",
-        )
-    lengths = [] if run.vehicle_sensors else [math.hypot(*e) for e in blocks[:, state.E].tolist()]
+        _check_size(field, getattr(message, field))
+
+    expected = sensed if run.vehicle_sensors else state.PER_UAV
+    numbers = message.uav_states.shape[1]
+    if numbers != expected:
+        text = f"uav_states: expected {expected} numbers of a UAV, got {numbers}"
+        raise MessageError("wrong_shape", text)
+    if not run.vehicle_sensors:
+        _check_rods(message.uav_states)
+
+
+def _check_size(field: str, values: Array) -> None:
+    """Refuse numbers beyond any state."""
+    # Most arrays need this one pass only.
+    if np.vdot(values, values) < state.LARGEST**2:
+        return
+    largest = np.abs(values).max()
+    if largest > state.LARGEST:
+        text = f"{field}: expected at most {state.LARGEST:g}, got {largest:g}"
+        raise MessageError("out_of_range", text)
+
+
+def _check_rods(uav_states: Array) -> None:
+    """Refuse rod directions, |e| = 1, whose length no sensor noise explains."""
+    lengths = [math.hypot(*e) for e in uav_states[:, state.E].tolist()]
     if any(abs(length - 1.0) > _OFF_UNIT for length in lengths):
-        raise MessageError(
-            "out_of_range", f"uav_states: expected rod directions of length 1, got {max(lengths):g}"
-        )
+        text = f"uav_states: expected rod directions of length 1, got {max(lengths):g}"
+        raise MessageError("out_of_range", text)

@@ -1,4 +1,4 @@
-"""The Zenoh bus: one session per process, liveliness in and out, and one queue of all that arrives, read by `next`."""
+"""The Zenoh bus: one session per process, liveliness in and out, one queue of all that arrives."""
 
 import json
 import queue
@@ -6,13 +6,14 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import psutil
 import zenoh
 
-from transport.protocol.admission.gate import Gate, Sample
+from transport.protocol.admission.gate import Accepted, Gate, Sample
 from transport.protocol.network.endpoints import Endpoints
+from transport.protocol.network.joining import ASK_EVERY_S, Joining
 from transport.protocol.network.session import (
     BusError,
     fetch_answer,
@@ -20,16 +21,16 @@ from transport.protocol.network.session import (
     log_errors,
     open_session,
 )
+from transport.protocol.network.steady_clock import SteadyClock
 from transport.protocol.wire.codec import VERSION
 from transport.protocol.wire.errors import MessageError
-from transport.protocol.wire.keys import RECORDER, Keys
-from transport.protocol.wire.messages import Event, Message, Presence, Request
+from transport.protocol.wire.keys import RECORDER, Keys, Token
+from transport.protocol.wire.messages import Bundle, Event, Presence, Request
 from transport.protocol.wire.names import COORDINATOR, PLANT, agent_name
 
-# How often a process that joins asks for those that still take part in a run that has begun, and
-# says that it waits; how long one waits at the end of the run for those that leave before it: a
-# busy host may take seconds to read. s.
-ASK_EVERY_S, WAITING_S, LINGER_S = 0.5, 5.0, 10.0
+# Time that a process waits at the end of the run for those that leave before it, s: a busy host may
+# take seconds to read.
+LINGER_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +42,7 @@ class Interrupted:
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """Event for the recorder.
-
-    A process has sent its last message, and all it has sent have arrived.
-    """
+    """Event for the recorder: a process has sent its last message, and all have arrived."""
 
     name: str
 
@@ -53,163 +51,197 @@ BusEvent = Event | Sample | Interrupted | Left
 _Item = zenoh.Sample | zenoh.Query | Interrupted | Request
 
 
+class Arrival(NamedTuple):
+    """An event, its time of arrival (ns since 1970), and the bundle it came in, if any."""
+
+    event: BusEvent
+    arrived_ns: int
+    bundle: Bundle | None = None
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
-    """A process's place in a run."""
+    """A process's place in a run.
+
+    Attributes:
+        incarnation: Number of this start of the process.
+        join_timeout_s: Time to wait for the other processes, or of a client for its router, s.
+    """
 
     run: str
     endpoints: Endpoints
-    incarnation: int = 0  # which start of this process
-    join_timeout_s: float = (
-        30.0  # how long it waits for the other processes, or a client for its router
-    )
+    incarnation: int = 0
+    join_timeout_s: float = 30.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusOptions:
+    """Properties of a process's connection.
+
+    Attributes:
+        serves: Whether its node answers requests; every process answers for its health.
+        patience_s: Time that sending waits for a peer that does not read, before its link is
+            closed, s.
+        gather_s: Time that an arrival may wait for more, s: one wake-up for many messages costs
+            less.
+        tell_every_s: Time between two lines of a process that waits for others, s.
+    """
+
+    serves: bool = False
+    patience_s: float = 1.0
+    gather_s: float = 0.0
+    tell_every_s: float = 5.0
 
 
 class Bus:
     """Connection of one process to one run.
 
     Processes with different digests of the scenario refuse each other.
+
+    Attributes:
+        before_wait: Called when no message of a bundle is left to be read.
+        alive: Incarnations of the processes that are up, by name.
+        gate: Checks of the received messages.
     """
 
     def __init__(
-        self,
-        name: str,
-        place: Place,
-        digest: str,
-        gate: Gate,
-        *,
-        serves: bool = False,  # whether its node answers requests; every process answers for its health
-        patience_s: float = 1.0,  # how long sending waits for a peer that does not read, before its link is closed
-        gather_s: float = 0.0,  # how long an arrival may wait for more: one wake-up for many messages costs less
+        self, name: str, place: Place, digest: str, gate: Gate, options: BusOptions | None = None
     ) -> None:
-        self.arrived_ns = (
-            0  # wall-clock time of arrival of the last event that `next` returned, ns since 1970
-        )
-        self.before_wait: Callable[[], None] = lambda: (
-            None
-        )  # called when no message of a bundle is left to be read
-        self.alive: dict[str, int] = {}  # incarnations of the processes that are up, by name
-        self.gate = gate  # has the bundle that the last event came in
-        self.name, self.incarnation, self._digest, self._place = (
-            name,
-            place.incarnation,
-            digest,
-            place,
-        )
+        self.name = name
+        self.incarnation = place.incarnation
+        self.gate = gate
+        self.before_wait: Callable[[], None] = lambda: None
+        self.alive: dict[str, int] = {}
+
+        self._place = place
+        self._digest = digest
+        self._options = options or BusOptions()
         self._keys = Keys(place.run)
-        self._gather_s, self._serves = gather_s, serves
+        self._clock = SteadyClock()
         self._left: set[str] = set()  # processes that were up, and are not any more
-        self._accepted: Iterator[Message | Sample] = iter(())  # in the bytes that arrived last
-        self._inbox: queue.SimpleQueue[tuple[int, _Item]] = (
-            queue.SimpleQueue()
-        )  # with the time of arrival
+        self._inbox: queue.SimpleQueue[tuple[int, _Item]] = queue.SimpleQueue()
+        # Accepted messages in the bytes that arrived last, and the time of their arrival.
+        self._accepted: Iterator[Accepted] = iter(())
+        self._arrived_ns = 0
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
+
         log_errors(to_output=name != RECORDER)
         self._session = open_session(
-            place.endpoints, patience_s, name, self._keys, place.join_timeout_s
+            place.endpoints, self._options.patience_s, name, self._keys, place.join_timeout_s
         )
-        # Subscribers before the token: a process that sees the token may send at once, and nothing
-        # is lost. Their callback runs on the thread that receives, which must be brief, but saves a
-        # second thread.
+        self._declared = self._subscribe()
+
+    def _subscribe(self) -> list[Any]:
+        """Declare all that receives.
+
+        Before the token: a process that sees the token may send at once, and nothing is lost.
+        """
+        # The callback runs on the thread that receives, which must be brief, but saves a second
+        # thread.
         arrived: zenoh.handlers.Callback[zenoh.Sample] = zenoh.handlers.Callback(
             self._put, indirect=False
         )
-        self._declared: list[Any] = [
-            self._session.declare_subscriber(key, arrived) for key in self._keys.subscriptions(name)
+        declared: list[Any] = [
+            self._session.declare_subscriber(key, arrived)
+            for key in self._keys.subscriptions(self.name)
         ]
-        self._declared.append(
-            self._session.declare_queryable(self._keys.request(name, "*"), self._put)
-        )
-        self._declared += [
-            self._session.liveliness().declare_subscriber(
-                f"{self._keys.prefix}/{kind}/**", self._put, history=True
-            )
-            for kind in ("alive", "ready")
-        ]
+        requests = self._keys.request(self.name, "*")
+        declared.append(self._session.declare_queryable(requests, self._put))
+        liveliness = self._session.liveliness()
+        for kind in ("alive", "ready"):
+            tokens = f"{self._keys.prefix}/{kind}/**"
+            declared.append(liveliness.declare_subscriber(tokens, self._put, history=True))
+        return declared
 
     def join(
         self, expected: Collection[str], on_wait: Callable[[str], object] = lambda _: None
     ) -> Interrupted | None:
-        """Announce this process and wait until all expected ones are up, or for an interruption, which is returned.
+        """Announce this process and wait until all expected ones are up, or for an interruption.
 
-        Raises: BusError: a process did not appear, runs another scenario or protocol, or has this
-            name already.
+        Returns: The interruption, if one came. Raises: BusError: a process did not appear, runs
+            another scenario or protocol, or has this name already.
         """
         self._declare_token(self._keys.alive(self.name, self.incarnation, self._digest, VERSION))
-        timeout_s, ends = self._place.join_timeout_s, self._place.endpoints
-        deadline, sign_s = time.monotonic() + timeout_s, time.monotonic() + WAITING_S
-        awaited, is_begun, ask_s = set(expected) - {self.name}, False, 0.0
-        early: list[tuple[int, _Item]] = []
+        others = set(expected) - {self.name}
+        timeout_s = self._place.join_timeout_s
+        joining = Joining(others, time.monotonic(), timeout_s, self._options.tell_every_s)
+        early: list[tuple[int, _Item]] = []  # requests for the node, which is not ready
+
         while True:
-            now_s, missing = time.monotonic(), awaited - self.alive.keys()
-            # When all are up, or the coordinator is ready, which has seen all, it is asked who
-            # takes part.
-            if self.name != COORDINATOR and now_s >= ask_s and (is_begun or not missing):
-                awaited, ask_s = self._taking_part(expected) or awaited, now_s + ASK_EVERY_S
-                missing = awaited - self.alive.keys()
+            now_s = time.monotonic()
+            if self.name != COORDINATOR and joining.should_ask(now_s, self.alive):
+                joining.restrict(self._taking_part(expected), now_s + ASK_EVERY_S)
+            missing = joining.missing(self.alive)
             if not missing:
                 break
-            if now_s >= deadline and self._inbox.empty():
-                at = (
-                    ", ".join(ends.listen) or "nothing",
-                    ", ".join(ends.connect) or "none: others connect to it",
-                )
-                absent = ", ".join(sorted(missing - self._left or missing))
-                text = f"{self.name}: no sign of {absent} within {timeout_s:g} s"
-                raise BusError(f"{text}; listening on {at[0]}, connecting to {at[1]}")
-            if now_s >= sign_s:
-                sign_s += WAITING_S
-                on_wait(
-                    f"waiting for {', '.join(sorted(missing))}; gives up in {deadline - now_s:.0f} s"
-                )
-            until_s = min(deadline, sign_s, ask_s if is_begun else deadline)
+            if joining.is_over(now_s) and self._inbox.empty():
+                raise self._alone(missing)
+            if joining.should_tell(now_s):
+                on_wait(joining.words(missing, now_s))
+
             try:
-                at_ns, item = self._inbox.get(timeout=max(0.0, until_s - now_s))
+                at_ns, item = self._inbox.get(timeout=joining.pause_s(now_s))
             except queue.Empty:
                 continue
             if isinstance(item, Interrupted):
                 return item
-            key = self._keys.end(str(item.key_expr)) if isinstance(item, zenoh.Sample) else ""
-            is_begun |= key.startswith(f"ready/{COORDINATOR}/")
-            if isinstance(item, zenoh.Sample) and key.startswith("alive/"):
-                self._note(item, joins=True)
-            elif request := self._request(item) if isinstance(item, zenoh.Query) else item:
+            request = self._early_request(item, joining)
+            if request is not None:
                 early.append((at_ns, request))
+
         self._declare_token(self._keys.ready(self.name, self.incarnation))
         for stamped in early:
             self._inbox.put(stamped)
         return None
 
+    def _early_request(
+        self, item: zenoh.Sample | zenoh.Query | Request, joining: Joining
+    ) -> _Item | None:
+        """Take in what arrives while this process joins; return a request for its node."""
+        if isinstance(item, zenoh.Query):
+            return self._request(item)
+        if not isinstance(item, zenoh.Sample):
+            return item
+        key = self._keys.end(str(item.key_expr))
+        if key.startswith(f"ready/{COORDINATOR}/"):
+            joining.is_begun = True
+        if key.startswith("alive/"):
+            self._note(item, joins=True)
+        return None
+
+    def _alone(self, missing: Collection[str]) -> BusError:
+        """Return the error of a process that waits for others in vain."""
+        endpoints = self._place.endpoints
+        listening = ", ".join(endpoints.listen) or "nothing"
+        connecting = ", ".join(endpoints.connect) or "none: others connect to it"
+        absent = ", ".join(sorted(set(missing) - self._left or missing))
+        within = f"no sign of {absent} within {self._place.join_timeout_s:g} s"
+        return BusError(
+            f"{self.name}: {within}; listening on {listening}, connecting to {connecting}"
+        )
+
     def _note(self, sample: zenoh.Sample, *, joins: bool = False) -> Presence | None:
         """Return the event in a token.
 
-        A process takes part from "ready" on, is gone with "alive". Raises: `join`.
+        A process takes part from "ready" on, is gone with "alive". Raises: BusError: as `join`.
         """
-        key, here = str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
+        key = str(sample.key_expr)
+        is_there = sample.kind == zenoh.SampleKind.PUT
         try:
             token = self._keys.token(key)
         except MessageError as error:
-            if here:
+            if is_there:
                 self.gate.rejections.add(self._keys.end(key), error)
             return None
-        if token.digest is None:
-            return Presence(token.name, token.incarnation, alive=True) if here else None
-        if joins and here:
-            if token.name == self.name and token.incarnation != self.incarnation:
-                raise BusError(
-                    f"{self.name} is already running in this run (incarnation {token.incarnation})"
-                )
-            if token.version != VERSION:
-                spoken = f"{token.name} speaks version {token.version} of the protocol, {self.name} version {VERSION}"
-                raise BusError(f"{spoken}: install the same release on all hosts")
-            if token.digest != self._digest:
-                raise BusError(
-                    f"{token.name} runs another scenario: start all processes from the same file"
-                )
+
+        if token.digest is None:  # a "ready" token
+            return Presence(token.name, token.incarnation, alive=True) if is_there else None
+        if joins and is_there:
+            self._check_peer(token)
         if token.digest != self._digest or token.version != VERSION:
-            return None  # a process of another scenario finds out by itself that it does not belong here
-        if here:
+            return None  # it finds out by itself that it does not belong here
+        if is_there:
             self.alive[token.name] = token.incarnation
             self._left.discard(token.name)
             self.gate.announce(token.name, token.incarnation)
@@ -219,10 +251,24 @@ class Bus:
             self._left.add(token.name)
         return Presence(token.name, token.incarnation, alive=False)
 
+    def _check_peer(self, token: Token) -> None:
+        """Refuse to join beside a process that does not fit. Raises: BusError: as `join`."""
+        if token.name == self.name and token.incarnation != self.incarnation:
+            raise BusError(
+                f"{self.name} is already running in this run (incarnation {token.incarnation})"
+            )
+        if token.version != VERSION:
+            versions = f"version {token.version} of the protocol, {self.name} version {VERSION}"
+            remedy = "install the same release on all hosts"
+            raise BusError(f"{token.name} speaks {versions}: {remedy}")
+        if token.digest != self._digest:
+            remedy = "start all processes from the same file"
+            raise BusError(f"{token.name} runs another scenario: {remedy}")
+
     def _taking_part(self, expected: Collection[str]) -> set[str] | None:
         """Return the others that take part in a run that has begun, and its observers.
 
-        None if it has not.
+        None if the run has not begun.
         """
         status = self.ask(COORDINATOR, "status", timeout_s=1.0)
         if status is None or status.get("tick", -1) < 0:
@@ -232,7 +278,9 @@ class Bus:
 
     def renew(self, incarnation: int) -> None:
         """Announce a new incarnation of this process, which is ready at once."""
-        old, self._tokens, self.incarnation = self._tokens, [], incarnation
+        old = self._tokens
+        self._tokens = []
+        self.incarnation = incarnation
         self.gate.announce(self.name, incarnation)
         self._declare_token(self._keys.alive(self.name, incarnation, self._digest, VERSION))
         self._declare_token(self._keys.ready(self.name, incarnation))
@@ -256,37 +304,42 @@ class Bus:
             )
         self._publishers[key].put(data)
 
-    def next(self, timeout_s: float | None) -> BusEvent | None:
-        """Return the next event, or None after the timeout (None.
+    def next(self, timeout_s: float | None) -> Arrival | None:
+        """Return the next event, or None after the timeout; without a timeout wait for ever.
 
-        No timeout). Refused messages are only counted.
+        Refused messages are only counted.
         """
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
-            for message in self._accepted:
-                return message
+            accepted = next(self._accepted, None)
+            if accepted is not None:
+                return Arrival(accepted.message, self._arrived_ns, accepted.bundle)
+
             self.before_wait()
-            if self._gather_s > 0.0 and self._inbox.empty():
-                time.sleep(self._gather_s)
+            if self._options.gather_s > 0.0 and self._inbox.empty():
+                time.sleep(self._options.gather_s)
             try:
                 left_s = None if deadline is None else max(0.0, deadline - time.monotonic())
-                self.arrived_ns, item = self._inbox.get(timeout=left_s)
+                self._arrived_ns, item = self._inbox.get(timeout=left_s)
             except queue.Empty:
                 return None
-            if (event := self._event(item)) is not None:
-                return event
+            event = self._event(item)
+            if event is not None:
+                return Arrival(event, self._arrived_ns)
 
     def leave(self, after: Collection[str] = ()) -> None:
-        """Say that the last message was sent.
+        """Say that the last message was sent, and wait for the recorder and others to leave.
 
-        Wait for the recorder and others: closing drops what is not read yet.
+        Closing drops what they have not read.
         """
         self.put(self._keys.left(self.name), b"")
         deadline = time.monotonic() + LINGER_S
-        while {RECORDER, *after} & set(self.alive) and (
-            left_s := deadline - time.monotonic()
-        ) > 0.0:
-            if isinstance(self.next(left_s), Interrupted):
+        while {RECORDER, *after} & set(self.alive):
+            left_s = deadline - time.monotonic()
+            if left_s <= 0.0:
+                return
+            arrival = self.next(left_s)
+            if arrival is not None and isinstance(arrival.event, Interrupted):
                 return
 
     def interrupt(self, reason: str) -> None:
@@ -304,9 +357,9 @@ class Bus:
         self._tokens.append(self._session.liveliness().declare_token(token))
 
     def _request(self, query: zenoh.Query) -> Request | None:
-        """Return a request from the network as an event, or None if it is answered here.
+        """Return a request from the network as an event.
 
-        Bad ones, and health.
+        None if it is answered here: bad ones, and those for the health of the process.
         """
         key = str(query.key_expr)
         what = key.removeprefix(self._keys.request(self.name, ""))
@@ -319,38 +372,45 @@ class Bus:
         with suppress(ValueError, RecursionError, zenoh.ZError):
             given = json.loads(query.payload.to_string() if query.payload else "{}")
         if not isinstance(given, dict) or "/" in what or "*" in what:
-            self.gate.rejections.add(
-                self._keys.end(key), MessageError("malformed", "not a request")
-            )
+            error = MessageError("malformed", "not a request")
+            self.gate.rejections.add(self._keys.end(key), error)
             reply({"error": "expected a JSON object under the key of one request"})
-        elif what == "health":
-            own = psutil.Process()
-            known = {"name": self.name, "incarnation": self.incarnation, "protocol": VERSION}
-            known |= {"tick": self.gate.tick, "refused": self.gate.rejections.total}
-            used = {
-                "memory_bytes": own.memory_info().rss,
-                "threads": own.num_threads(),
-                "open_files": own.num_fds(),
-            }
-            reply({**known, **used, "cpu_s": time.process_time()})
-        elif self._serves:
-            return Request(what, given, reply)
-        else:
-            reply(
-                {
-                    "error": f"what: expected health, the only request that {self.name} answers, got {what[:40]!r}"
-                }
-            )
-        return None
+            return None
+        if what == "health":
+            reply(self._health())
+            return None
+        if not self._options.serves:
+            expected = f"expected health, the only request that {self.name} answers"
+            reply({"error": f"what: {expected}, got {what[:40]!r}"})
+            return None
+        return Request(what, given, reply)
+
+    def _health(self) -> dict[str, Any]:
+        """Return the resource use of this process, and how many messages it has refused."""
+        process = psutil.Process()
+        return {
+            "name": self.name,
+            "incarnation": self.incarnation,
+            "protocol": VERSION,
+            "tick": self.gate.tick,
+            "refused": self.gate.rejections.total,
+            "memory_bytes": process.memory_info().rss,
+            "threads": process.num_threads(),
+            "open_files": process.num_fds(),
+            "cpu_s": time.process_time(),
+        }
 
     def _put(self, item: _Item) -> None:
-        self._inbox.put((time.time_ns(), item))
+        """Queue what arrives, with its time; on any thread."""
+        self._inbox.put((self._clock.now_ns(), item))
 
     def _event(self, item: _Item) -> BusEvent | None:
+        """Return the event in an item of the queue; the messages in it follow by `next`."""
         if isinstance(item, Interrupted | Request):  # a request came while this process joined
             return item
         if isinstance(item, zenoh.Query):
             return self._request(item)
+
         key = str(item.key_expr)
         if self._keys.end(key).startswith(("alive/", "ready/")):
             return self._note(item)

@@ -16,10 +16,7 @@ DEFAULT_BASE_PORT = 7447
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Endpoints:
-    """Where a process listens, and which others it connects to.
-
-    Zenoh endpoints such as "tcp/127.0.0.1:7447".
-    """
+    """Zenoh endpoints of a process, such as "tcp/127.0.0.1:7447"."""
 
     listen: Sequence[str]  # none for an observer or a client
     connect: Sequence[str]  # each pair of processes is connected once
@@ -27,21 +24,29 @@ class Endpoints:
     security: Security | None = None  # None: every process that can connect may send everything
 
     def checked(self, name: str, scenario: Scenario) -> "Endpoints":
-        """Return these endpoints, or raise SecurityError.
+        """Return these endpoints if a process may use them.
 
-        Unusable keys, or none, not `insecure`, beyond loopback.
+        Raises: SecurityError: unusable keys, or none beyond loopback without `network.insecure`.
         """
         if self.security is not None:
-            self.security.check(name)
-            scheme = f"{self.security.scheme}/"
-            if wrong := [at for at in (*self.listen, *self.connect) if not at.startswith(scheme)]:
-                raise SecurityError(
-                    f"network.keys: expected {scheme}... with these keys, got {wrong[0]}"
-                )
-        if (at := exposed(self.listen)) and not scenario.network.insecure:
-            expected = "expected a loopback address, or network.keys, or network.insecure = true to be open to all"
-            raise SecurityError(f"network.host: {expected}, got {at}")
+            self._check_scheme(self.security, name)
+        open_to_all = exposed(self.listen)
+        if open_to_all and not scenario.network.insecure:
+            expected = (
+                "expected a loopback address, or network.keys, or network.insecure = true to be "
+                "open to all"
+            )
+            raise SecurityError(f"network.host: {expected}, got {open_to_all}")
         return self
+
+    def _check_scheme(self, security: Security, name: str) -> None:
+        """Refuse endpoints without the protocol of the keys. Raises: SecurityError."""
+        security.check(name)
+        scheme = f"{security.scheme}/"
+        for endpoint in (*self.listen, *self.connect):
+            if not endpoint.startswith(scheme):
+                expected = f"expected {scheme}... with these keys"
+                raise SecurityError(f"network.keys: {expected}, got {endpoint}")
 
 
 def process_names(scenario: Scenario) -> list[str]:
@@ -52,36 +57,34 @@ def process_names(scenario: Scenario) -> list[str]:
 def security_of(scenario: Scenario) -> Security | None:
     """Return the keys of this host and the processes that may use them; None without keys."""
     keys = scenario.network.keys
-    return (
-        None
-        if keys is None
-        else Security(Path(keys).resolve(), (*process_names(scenario), RECORDER))
-    )
+    if keys is None:
+        return None
+    return Security(Path(keys).resolve(), (*process_names(scenario), RECORDER))
 
 
 def mesh(scenario: Scenario, names: Sequence[str], ports: Sequence[int]) -> dict[str, Endpoints]:
     """Return the endpoints of processes with a port each.
 
-    Clients of the router, or each connected to those before.
+    They are clients of the router if there is one; otherwise each connects to those before.
     """
-    network, security = scenario.network, security_of(scenario)
+    network = scenario.network
+    security = security_of(scenario)
     if network.router is not None:
         client = Endpoints(listen=[], connect=[network.router], mode="client", security=security)
         return dict.fromkeys(names, client)
+
     scheme = "tcp" if security is None else security.scheme
-    at = [f"{scheme}/{network.host}:{port}" for port in ports]
+    places = [f"{scheme}/{network.host}:{port}" for port in ports]
     return {
-        name: Endpoints(listen=[at[i]], connect=at[:i], security=security)
+        name: Endpoints(listen=[places[i]], connect=places[:i], security=security)
         for i, name in enumerate(names)
     }
 
 
 def default_mesh(scenario: Scenario) -> dict[str, Endpoints]:
-    """Return the endpoints of processes that are started by hand.
-
-    Consecutive ports from the base port.
-    """
-    names, base = process_names(scenario), scenario.network.base_port or DEFAULT_BASE_PORT
+    """Return the endpoints of processes started by hand: consecutive ports from the base port."""
+    names = process_names(scenario)
+    base = scenario.network.base_port or DEFAULT_BASE_PORT
     return mesh(scenario, names, range(base, base + len(names)))
 
 
@@ -93,18 +96,18 @@ def endpoints_of(
 ) -> Endpoints:
     """Return the endpoints of a process started by itself.
 
-    As given, of its scenario, or connected to all.
+    As given, by default those of its scenario; an observer connects to all processes.
     """
-    usual = default_mesh(scenario)
-    everywhere = [at for endpoints in usual.values() for at in endpoints.listen]
-    observer = replace(
-        usual[COORDINATOR], listen=[], connect=everywhere or usual[COORDINATOR].connect
-    )
-    found = usual.get(name, observer)
-    if listen is not None or connect is not None:
-        listens = found.listen if listen is None else listen
-        calls = found.connect if connect is None and listen is None else connect or []
-        found = replace(
-            found, listen=listens, connect=calls, mode="peer" if listens else found.mode
-        )
-    return found.checked(name, scenario)
+    team = default_mesh(scenario)
+    everywhere = [place for endpoints in team.values() for place in endpoints.listen]
+    reached = everywhere or team[COORDINATOR].connect
+    observer = replace(team[COORDINATOR], listen=[], connect=reached)
+
+    usual = team.get(name, observer)
+    if listen is None and connect is None:
+        return usual.checked(name, scenario)
+    listens = usual.listen if listen is None else listen
+    connects = usual.connect if connect is None and listen is None else connect or []
+    mode = "peer" if listens else usual.mode
+    given = replace(usual, listen=listens, connect=connects, mode=mode)
+    return given.checked(name, scenario)

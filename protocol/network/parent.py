@@ -1,6 +1,5 @@
 """Contract between parent and child process: environment, start signal, end."""
 
-import ctypes
 import os
 import signal
 import sys
@@ -27,26 +26,35 @@ _PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
 
 
 def ending_signals() -> list[signal.Signals]:
-    """Return the signals that end a process in order, without SIGHUP where the user has it ignored (nohup)."""
-    is_ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-    return [signal.SIGINT, signal.SIGTERM, *([] if is_ignored else [signal.SIGHUP])]
+    """Return the signals that end a process in order.
+
+    Without SIGHUP where the user has it ignored (nohup).
+    """
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    return numbers
 
 
 def python(module: str) -> list[str]:
-    """Return the command that starts a module of this project, which a `model.py` in the current folder cannot hide."""
+    """Return the command that starts a module of this project.
+
+    The current folder is not on its path: a `model.py` there hides nothing.
+    """
     return [sys.executable, "-P", "-m", module]
 
 
 def wake_with_its_end() -> None:
-    """Let the death of a parent continue this process if it is stopped.
-
-    Otherwise it would never notice. Linux only.
-    """
+    """Let the death of a parent continue this process if it is stopped. Linux only."""
     if os.environ.get(PARENT_PIPE):
+        import ctypes  # 10 ms that a command without a parent saves
+
         with suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGCONT, 0, 0, 0)
 
 
 def stand_by() -> bool:
-    """Wait for the parent's start signal if there is to be one; return False if the parent is gone."""
-    return not os.environ.get(STANDBY) or bool(os.read(sys.stdin.fileno(), 1))
+    """Wait for the start signal if there is to be one; return whether the parent is there."""
+    if not os.environ.get(STANDBY):
+        return True
+    return bool(os.read(sys.stdin.fileno(), 1))

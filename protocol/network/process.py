@@ -1,7 +1,4 @@
-"""A node as a process: its messages, alone or in bundles.
-
-Signals, event loop, log lines, exit code.
-"""
+"""A node as a process: joining, event loop, signals, log lines, exit code."""
 
 import gc
 import json
@@ -10,161 +7,24 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence, Set
+from collections.abc import Callable, Collection, Sequence
 from contextlib import closing, suppress
 from types import FrameType
-from typing import Any
 
 import threadpoolctl
 
 from transport.protocol.admission.gate import Gate, Sample
-from transport.protocol.network.bus import Bus, Interrupted, Left, Place
+from transport.protocol.network.bus import Bus, BusOptions, Interrupted, Left, Place
+from transport.protocol.network.exchange import Exchange, exchange_of
 from transport.protocol.network.parent import PARENT_PIPE, ending_signals
 from transport.protocol.network.security import exposed
 from transport.protocol.scenario.faults import Fault, due
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire import messages as wire
-from transport.protocol.wire.codec import encode
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE
 from transport.protocol.wire.keys import Keys
-from transport.protocol.wire.names import AGENT, COORDINATOR, PLANT
-from transport.protocol.wire.node import Node, Outbox
-
-Put = Callable[[str, bytes], None]  # sends an encoded message under a key
-
-
-def exchange_of(setup: Setup, name: str, incarnation: int, keys: Keys, put: Put) -> "Exchange":
-    """Return the exchange of a process."""
-    kinds = {COORDINATOR: _Coordinator, PLANT: _Plant} if setup.shape.relayed else {}
-    return kinds.get(name, _Agent if kinds else Exchange)(name, incarnation, keys, put)
-
-
-class Exchange:
-    """Sends the messages of one process.
-
-    In real time each alone and at once, in lockstep also in bundles.
-
-    The coordinator sends the plans of tick k with tick k + 1: an agent sends one message per tick
-    and receives two.
-    """
-
-    bundled: tuple[type[wire.Message], ...] = ()  # kinds of messages that are kept for a bundle
-
-    def __init__(self, name: str, incarnation: int, keys: Keys, put: Put) -> None:
-        self._keys, self._put = keys, put
-        self._out = Outbox(name, incarnation)  # bundles have sequence numbers of their own
-        self._kept: list[
-            tuple[str, bytes]
-        ] = []  # keys without the prefix of the run, encoded messages
-        self._tick = 0  # of the newest message kept
-
-    def received(self, event: wire.Event, bundle: wire.Bundle | None) -> None:
-        """Note an event that the node has accepted, and the bundle it came in."""
-
-    def send(self, message: wire.Message) -> None:
-        """Send a message, or keep it for a bundle; proposals of a negotiation are sent at once."""
-        key, data = self._keys.of(message), encode(message)
-        if not isinstance(message, self.bundled) or getattr(message, "negotiation", False):
-            self._put(key, data)
-            return
-        if message.incarnation != self._out.incarnation:
-            self._out = Outbox(message.sender, message.incarnation)
-        self._kept.append((self._keys.end(key), data))
-        self._tick = message.tick
-
-    def flush(self) -> None:
-        """Send the bundle of the messages kept, whatever it waits for: before a process ends."""
-
-    def settle(self) -> None:
-        """Send the bundle if it need not wait any longer.
-
-        When all messages received together are handled.
-        """
-        self.flush()
-
-    def _send_bundle(
-        self, kind: type[wire.Bundle], entries: list[tuple[str, bytes]], **fields: int
-    ) -> None:
-        """Send messages, as they are kept, in a bundle, if there are any; forget those kept."""
-        self._kept = []
-        if entries:
-            keys, parts = zip(*entries, strict=True)
-            bundle = self._out.stamp(kind, tick=self._tick, keys=keys, parts=parts, **fields)
-            self._put(self._keys.of(bundle), encode(bundle))
-
-
-class _Agent(Exchange):
-    """Sends plan and report of a tick to the coordinator alone."""
-
-    bundled = (wire.Plan, wire.StepReport)
-
-    def flush(self) -> None:
-        self._send_bundle(wire.Answer, self._kept, agent=int(self._out.sender.removeprefix(AGENT)))
-
-
-class _Plant(Exchange):
-    """Sends the agents their measurements with the relayed plans.
-
-    State and measurements to the record afterwards.
-    """
-
-    bundled = (wire.Measurement, wire.PlantState, wire.ActualInputs)
-    _shared: tuple[
-        tuple[str, bytes], ...
-    ] = ()  # accepted plans for the agents since the last measurement
-
-    def received(self, event: wire.Event, bundle: wire.Bundle | None) -> None:
-        if isinstance(event, wire.Plan) and event.shared and bundle is not None:
-            key = self._keys.end(self._keys.of(event))
-            self._shared = *self._shared, (key, bundle.parts[bundle.keys.index(key)])
-
-    def flush(self) -> None:
-        recorded = self._kept
-        if measured := [entry for entry in recorded if entry[0].startswith(wire.Measurement.kind)]:
-            self._send_bundle(wire.Instant, [*self._shared, *measured])
-            self._shared = ()
-        self._send_bundle(wire.Record, recorded)
-
-
-class _Coordinator(Exchange):
-    """Relays the answers of a tick with the next one.
-
-    At once if all are here and no tick follows yet.
-    """
-
-    bundled = (wire.Tick,)
-
-    _answers: Mapping[int, wire.Answer] = {}  # accepted answers, by agent
-    _awaited: Set[int] = frozenset()  # agents that are to answer the open tick
-
-    def received(self, event: wire.Event, bundle: wire.Bundle | None) -> None:
-        if isinstance(event, wire.Plan) and isinstance(bundle, wire.Answer):
-            self._awaited -= {event.agent}
-            self._answers = {**self._answers, event.agent: bundle}
-            self._tick = bundle.tick
-
-    def send(self, message: wire.Message) -> None:
-        if isinstance(message, wire.Roster):
-            self._awaited &= set(message.agents)
-        if isinstance(message, wire.Control):
-            self.flush()
-        super().send(message)
-        if isinstance(message, wire.Tick):
-            self._awaited = set(message.members)
-            self.flush()
-
-    def flush(self) -> None:
-        answers = [answer for _, answer in sorted(self._answers.items())]
-        entries = [
-            entry for answer in answers for entry in zip(answer.keys, answer.parts, strict=True)
-        ]
-        self._answers = {}
-        self._send_bundle(wire.Relay, [*entries, *self._kept])
-
-    def settle(self) -> None:
-        if not self._awaited:
-            self.flush()
-
+from transport.protocol.wire.names import COORDINATOR
+from transport.protocol.wire.node import Node
 
 _COLLECT_EVERY = 256  # handled events between garbage collections
 # How long a peer that does not read may delay the others before the link to it is closed, by clock
@@ -193,85 +53,101 @@ def run_node(
     place: Place,
     setup: Setup,
     expected: Collection[str],
-    on_interrupt: Callable[[str], Any] | None = None,
+    on_interrupt: Callable[[str], Sequence[wire.Message]] = lambda _: (),
     linger_for: Collection[str] = (),
 ) -> int:
     """Join the run with the expected processes, drive the node until it is finished, leave.
 
-    Return the exit code.
-
     `on_interrupt` returns the node's last messages when a signal ends it; processes to `linger_for`
-    leave before it.
+    leave before this one.
+
+    Returns: The exit code.
     """
-    journal, keys = Journal(place.run, node.name), Keys(place.run)
+    journal = Journal(place.run, node.name)
+    keys = Keys(place.run)
     gate = Gate(node.name, keys, setup.shape, node.check_moment)
-    serves, patience_s = node.name == COORDINATOR, _PATIENCE_S[setup.scenario.clock.mode]
-    # A garbage collection in mid-step is a latency spike: reference counting frees nearly all that
-    # the loop makes, and the rest is collected between steps. Before this process joins, no other
-    # waits for it.
-    gc.collect()
-    gc.freeze()
-    gc.disable()
+    options = BusOptions(
+        serves=node.name == COORDINATOR, patience_s=_PATIENCE_S[setup.scenario.clock.mode]
+    )
+    _collect_between_steps_only()
+
     with (
         threadpoolctl.threadpool_limits(1),
-        closing(
-            Bus(
-                node.name,
-                place,
-                setup.scenario.digest(),
-                gate,
-                serves=serves,
-                patience_s=patience_s,
-            )
-        ) as bus,
+        closing(Bus(node.name, place, setup.scenario.digest(), gate, options)) as bus,
     ):
         _watch_signals(bus)
-        if place.endpoints.security is None and place.endpoints.listen:
-            who = "host with access" if exposed(place.endpoints.listen) else "process on this host"
-            journal.log("open", means=f"any {who} can read and send all messages (docs/deploy.md)")
-        journal.log("listening", cpu_s=time.process_time(), at=", ".join(place.endpoints.listen))
+        _log_opening(journal, place)
         exchange = exchange_of(setup, node.name, place.incarnation, keys, bus.put)
-
-        def settle() -> None:
-            begun_ns = time.monotonic_ns()
-            exchange.settle()
-            node.publish_ns += time.monotonic_ns() - begun_ns
-
-        bus.before_wait = settle
-        interruption = bus.join(expected, lambda text: journal.log("waiting", text=text))
+        interruption = _join(node, bus, exchange, expected, journal)
         if interruption is None:
-            journal.log("joined", peers=len(expected))
             interruption = _drive(node, bus, exchange, setup.faults)
+
         if interruption is not None and node.finished is None:
             journal.log("interrupted", reason=interruption.reason)
-            for message in on_interrupt(interruption.reason) if on_interrupt else ():
+            for message in on_interrupt(interruption.reason):
                 exchange.send(message)
         exchange.flush()
         for notice in gate.notices(node.incarnation):
             exchange.send(notice)
-        for entry in gate.rejections:
-            journal.log(
-                "rejected",
-                sender=entry.sender,
-                reason=entry.reason,
-                count=entry.count,
-                example=entry.example,
-            )
-        if (end := node.finished) is not None:
-            journal.log(
-                "finished",
-                outcome=end.outcome,
-                reason=end.reason,
-                tick=end.tick,
-                cpu_s=time.process_time(),
-            )
+        _log_rejections(journal, gate)
+
+        end = node.finished
+        if end is not None:
+            ended = {"outcome": end.outcome, "reason": end.reason, "tick": end.tick}
+            journal.log("finished", **ended, cpu_s=time.process_time())
             bus.leave(linger_for)
             return end.exit_code
-    return (
-        EXIT_UNREACHABLE
-        if interruption is None or interruption.reason == _ORPHANED
-        else EXIT_INTERRUPTED
-    )
+    is_orphan = interruption is None or interruption.reason == _ORPHANED
+    return EXIT_UNREACHABLE if is_orphan else EXIT_INTERRUPTED
+
+
+def _collect_between_steps_only() -> None:
+    """Switch off automatic garbage collections: one in mid-step is a latency spike.
+
+    Reference counting frees nearly all that the loop makes, and the rest is collected between
+    steps. Before this process joins, no other waits for it.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+
+
+def _log_opening(journal: Journal, place: Place) -> None:
+    """Log where this process listens, and whether others than the run can send messages."""
+    endpoints = place.endpoints
+    if endpoints.security is None and endpoints.listen:
+        who = "host with access" if exposed(endpoints.listen) else "process on this host"
+        journal.log("open", means=f"any {who} can read and send all messages (docs/deploy.md)")
+    journal.log("listening", cpu_s=time.process_time(), at=", ".join(endpoints.listen))
+
+
+def _log_rejections(journal: Journal, gate: Gate) -> None:
+    """Log the refused messages, a line for each sender and reason."""
+    for entry in gate.rejections:
+        journal.log(
+            "rejected",
+            sender=entry.sender,
+            reason=entry.reason,
+            count=entry.count,
+            example=entry.example,
+        )
+
+
+def _join(
+    node: Node, bus: Bus, exchange: Exchange, expected: Collection[str], journal: Journal
+) -> Interrupted | None:
+    """Wait for the other processes; return an interruption, if one ended the wait."""
+
+    def settle() -> None:
+        begun_ns = time.monotonic_ns()
+        exchange.settle()
+        node.publish_ns += time.monotonic_ns() - begun_ns
+
+    bus.before_wait = settle
+    interruption = bus.join(expected, lambda text: journal.log("waiting", text=text))
+    if interruption is None:
+        journal.log("joined", peers=len(expected))
+    return interruption
 
 
 def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) -> Interrupted | None:
@@ -281,35 +157,49 @@ def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) ->
     """
     handled = 0
     while node.finished is None:
-        event = bus.next(
-            None if node.wake_ns is None else max(0, node.wake_ns - time.monotonic_ns()) / 1e9
-        )
+        arrival = bus.next(_timeout_s(node))
+        event = None if arrival is None else arrival.event
         if isinstance(event, Interrupted):
             return event
         if isinstance(event, Left | Sample):
             continue  # for recorders
         if isinstance(event, wire.Message):
             _fail_if_due(faults, node.name, event, exchange)
+
         now_ns = time.monotonic_ns()
         messages = node.poll(now_ns) if event is None else node.receive(event, now_ns)
-        if event is not None:
-            exchange.received(event, bus.gate.bundle)
+        if event is not None and arrival is not None:
+            exchange.received(event, arrival.bundle)
         if node.incarnation != bus.incarnation:
             bus.renew(node.incarnation)
         for notice in bus.gate.notices(node.incarnation, now_ns):
             exchange.send(notice)
-        if not messages:
-            continue
-        publishing_ns = time.monotonic_ns()
-        for message in messages:
-            if message.sender == COORDINATOR:
-                _fail_if_due(faults, node.name, message, exchange)
-            exchange.send(message)
-        node.publish_ns = time.monotonic_ns() - publishing_ns
-        handled += 1
-        if handled % _COLLECT_EVERY == 0:
-            gc.collect(1)
+
+        if messages:
+            _send(node, messages, exchange, faults)
+            handled += 1
+            if handled % _COLLECT_EVERY == 0:
+                gc.collect(1)
     return None
+
+
+def _timeout_s(node: Node) -> float | None:
+    """Return the time until a node has to be polled, s; None while only events matter."""
+    if node.wake_ns is None:
+        return None
+    return max(0, node.wake_ns - time.monotonic_ns()) / 1e9
+
+
+def _send(
+    node: Node, messages: Sequence[wire.Message], exchange: Exchange, faults: Sequence[Fault]
+) -> None:
+    """Send the messages of a node, and measure the time it takes."""
+    begun_ns = time.monotonic_ns()
+    for message in messages:
+        if message.sender == COORDINATOR:
+            _fail_if_due(faults, node.name, message, exchange)
+        exchange.send(message)
+    node.publish_ns = time.monotonic_ns() - begun_ns
 
 
 def _fail_if_due(
@@ -319,7 +209,8 @@ def _fail_if_due(
 
     Earlier messages are sent before.
     """
-    if fault := due(faults, name, message):
+    fault = due(faults, name, message)
+    if fault is not None:
         exchange.flush()
         os.kill(os.getpid(), signal.SIGKILL if fault == "kill" else signal.SIGSTOP)
 
@@ -330,9 +221,8 @@ def _watch_signals(bus: Bus) -> None:
 
     def interrupt(number: int, _: FrameType | None) -> None:
         received.append(number)
-        if (
-            len(received) > 2
-        ):  # the parent of this process passes on the first one, and ends it by the second
+        # The parent of this process passes on the first signal, and ends it by the second.
+        if len(received) > 2:
             os._exit(EXIT_INTERRUPTED)
         bus.interrupt(f"interrupted ({signal.Signals(number).name})")
 

@@ -1,7 +1,4 @@
-"""Authentication and access control.
-
-The folder of keys, and Zenoh's rules made from the table of key expressions.
-"""
+"""Authentication and access control: the folder of keys, Zenoh's rules from the key expressions."""
 
 import ipaddress
 import os
@@ -20,8 +17,10 @@ AUTHORITY = "ca.pem"  # of a folder of keys; besides it NAME.pem and NAME.key fo
 SHARED = "secret.txt"  # the one secret of a run: a line "user:password", as Zenoh reads it
 
 # All kinds of messages in Zenoh's access control.
-_PUBLISHING, _OBSERVING = ("put", "delete"), ("declare_liveliness_subscriber", "liveliness_query")
-_ANSWERING, _JOINING = ("declare_queryable", "reply"), ("liveliness_token",)
+_PUBLISHING = ("put", "delete")
+_OBSERVING = ("declare_liveliness_subscriber", "liveliness_query")
+_ANSWERING = ("declare_queryable", "reply")
+_JOINING = ("liveliness_token",)
 _ALL = (*_PUBLISHING, *_OBSERVING, *_ANSWERING, *_JOINING, "declare_subscriber", "query")
 
 
@@ -40,9 +39,9 @@ class Security:
 
     @property
     def scheme(self) -> str:
-        """Protocol of every endpoint.
+        """Protocol of every endpoint: tls with certificates, tcp with a secret.
 
-        Tls with certificates, tcp with a secret. Raises: SecurityError: without both.
+        Raises: SecurityError: there is neither.
         """
         for file, scheme in ((AUTHORITY, "tls"), (SHARED, "tcp")):
             if os.access(self.folder / file, os.F_OK):
@@ -60,59 +59,76 @@ class Security:
     def configure(self, configuration: dict[str, Any], name: str, prefix: str) -> None:
         """Add security to Zenoh's configuration of a process.
 
-        `prefix` is that of its keys. Raises: as `check`.
+        `prefix` is that of its keys. Raises: SecurityError: as `check`.
         """
+        transport = configuration["transport"]
         if self.scheme == "tcp":
-            file = self.folder / SHARED
-            try:
-                user, password = file.read_text(encoding="utf-8").strip().split(":", 1)
-            except (OSError, ValueError) as error:
-                raise SecurityError(
-                    f"network.keys: {file}: expected a line USER:SECRET ({error})"
-                ) from error
-            shared = {"user": user, "password": password, "dictionary_file": str(file)}
-            configuration["transport"]["auth"] = {"usrpwd": shared}
+            transport["auth"] = {"usrpwd": self._shared_secret()}
             return
-        authority, certificate, key = (
-            self.folder / file for file in (AUTHORITY, f"{name}.pem", f"{name}.key")
-        )
-        try:
-            _shake_hands(authority, certificate, key)
-        except FileNotFoundError as error:
-            expected = f"the files {certificate} and {key.name}, got only one or none"
-            raise SecurityError(
-                f"network.keys: expected {expected} (transport deploy keys)"
-            ) from error
-        except (OSError, ssl.SSLError) as error:
-            expected = f"expected a certificate of {authority.name} that is valid now, and its key"
-            problem = getattr(error, "verify_message", "") or error
-            raise SecurityError(
-                f"network.keys: {certificate}: {expected}, got {problem}"
-            ) from error
-        configuration["transport"]["link"]["protocols"] = ["tls"]
-        configuration["transport"]["link"]["tls"] = {
+
+        authority = self.folder / AUTHORITY
+        certificate = self.folder / f"{name}.pem"
+        key = self.folder / f"{name}.key"
+        _check_certificate(name, authority, certificate, key)
+        transport["link"]["protocols"] = ["tls"]
+        transport["link"]["tls"] = {
             "root_ca_certificate": str(authority),
             "enable_mtls": True,
             "verify_name_on_connect": True,
             "close_link_on_expiration": True,
-            **{f"{end}_certificate": str(certificate) for end in ("listen", "connect")},
-            **{f"{end}_private_key": str(key) for end in ("listen", "connect")},
+            "listen_certificate": str(certificate),
+            "listen_private_key": str(key),
+            "connect_certificate": str(certificate),
+            "connect_private_key": str(key),
         }
         configuration["access_control"] = access_control(self.names, prefix)
 
+    def _shared_secret(self) -> dict[str, str]:
+        """Return Zenoh's settings of the one secret of a run. Raises: SecurityError."""
+        file = self.folder / SHARED
+        try:
+            user, password = file.read_text(encoding="utf-8").strip().split(":", 1)
+        except (OSError, ValueError) as error:
+            expected = f"expected a line USER:SECRET ({error})"
+            raise SecurityError(f"network.keys: {file}: {expected}") from error
+        return {"user": user, "password": password, "dictionary_file": str(file)}
+
+
+def _check_certificate(name: str, authority: Path, certificate: Path, key: Path) -> None:
+    """Refuse a certificate that peers would refuse, or that is of another process.
+
+    Raises: SecurityError: naming the file, expected and got.
+    """
+    try:
+        named = _shake_hands(authority, certificate, key)
+    except FileNotFoundError as error:
+        expected = f"the files {certificate} and {key.name}, got only one or none"
+        remedy = "transport deploy keys"
+        raise SecurityError(f"network.keys: expected {expected} ({remedy})") from error
+    except (OSError, ssl.SSLError) as error:
+        expected = f"expected a certificate of {authority.name} that is valid now, and its key"
+        problem = getattr(error, "verify_message", "") or error
+        raise SecurityError(f"network.keys: {certificate}: {expected}, got {problem}") from error
+    if named != name:  # the rights are those of the name in the certificate
+        expected = f"expected a certificate of {name}, got one of {named or 'no name'}"
+        raise SecurityError(f"network.keys: {certificate}: {expected}")
+
 
 def access_control(names: Sequence[str], prefix: str) -> dict[str, Any]:
-    """Return Zenoh's access control, which allows each name only the key expressions of `protocol.wire.keys`.
+    """Return Zenoh's access control: each name has the key expressions of `protocol.wire.keys`.
 
     Outgoing messages are not checked: the rights of the receiver were checked when it subscribed.
     """
-    subjects = [*dict.fromkeys([*names, WATCHER, OPERATOR, ROUTER])]
-    rules, policies = [_rule("out", "egress", _ALL, [f"{prefix}/**"])], []
+    rules = [_rule("out", "egress", _ALL, [f"{prefix}/**"])]
+    policies = []
+    subjects = dict.fromkeys([*names, WATCHER, OPERATOR, ROUTER])
     for name in subjects:
-        rights = enumerate(_rights(Keys.below(prefix), name))
-        own = [_rule(f"{name}.{place}", "ingress", *right) for place, right in rights]
+        own = [
+            _rule(f"{name}.{number}", "ingress", kinds, keys)
+            for number, (kinds, keys) in enumerate(_rights(Keys.below(prefix), name))
+        ]
         rules += own
-        policies.append({"rules": ["out", *[rule["id"] for rule in own]], "subjects": [name]})
+        policies.append({"rules": ["out", *(rule["id"] for rule in own)], "subjects": [name]})
     return {
         "enabled": True,
         "default_permission": "deny",
@@ -123,7 +139,7 @@ def access_control(names: Sequence[str], prefix: str) -> dict[str, Any]:
 
 
 def exposed(endpoints: Sequence[str]) -> str | None:
-    """Return the first Zenoh endpoint that is not encrypted and that other hosts can reach, or None."""
+    """Return the first endpoint that is not encrypted and that other hosts can reach, or None."""
     for endpoint in endpoints:
         protocol, _, address = endpoint.partition("/")
         host = address.rpartition(":")[0].strip("[]")
@@ -135,12 +151,14 @@ def exposed(endpoints: Sequence[str]) -> str | None:
     return None
 
 
-def _shake_hands(authority: Path, certificate: Path, key: Path) -> None:
+def _shake_hands(authority: Path, certificate: Path, key: Path) -> str:
     """Check a certificate as a peer would, by a handshake with itself.
 
-    Raises: ssl.SSLError, OSError.
+    Returns: The common name in the certificate, empty without one. Raises: ssl.SSLError, OSError.
     """
-    there, back, ends = ssl.MemoryBIO(), ssl.MemoryBIO(), []
+    there = ssl.MemoryBIO()
+    back = ssl.MemoryBIO()
+    ends = []
     for protocol, incoming, outgoing in (
         (ssl.PROTOCOL_TLS_CLIENT, back, there),
         (ssl.PROTOCOL_TLS_SERVER, there, back),
@@ -158,12 +176,18 @@ def _shake_hands(authority: Path, certificate: Path, key: Path) -> None:
         with suppress(ssl.SSLWantReadError):
             end.do_handshake()
 
+    shown = ends[0].getpeercert() or {}
+    subject: Any = shown.get("subject", ())
+    names = [value for part in subject for kind, value in part if kind == "commonName"]
+    return names[0] if names else ""
+
 
 def _rights(keys: Keys, name: str) -> Iterator[tuple[Sequence[str], list[str]]]:
-    """Yield the rights of a name: kinds of messages in Zenoh's access control, and key expressions."""
+    """Yield the rights of a name: kinds of messages of Zenoh's access control, key expressions."""
     if name == ROUTER:
         yield _ALL, [f"{keys.prefix}/**"]
         return
+
     observes = name in (WATCHER, OPERATOR)
     yield _OBSERVING, [f"{keys.prefix}/{kind}/**" for kind in ("alive", "ready")]
     yield ("declare_subscriber",), [f"{keys.prefix}/**"] if observes else keys.subscriptions(name)
@@ -171,13 +195,16 @@ def _rights(keys: Keys, name: str) -> Iterator[tuple[Sequence[str], list[str]]]:
     yield ("query",), [keys.request("*", what) for what in questions]
     if observes:
         return
-    if published := keys.publications(name):
+
+    published = keys.publications(name)
+    if published:
         yield _PUBLISHING, published
     yield _JOINING, [f"{keys.prefix}/{kind}/{name}/**" for kind in ("alive", "ready")]
     yield _ANSWERING, [keys.request(name, "*")]
 
 
 def _rule(name: str, flow: str, messages: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:
+    """Return a rule of Zenoh's access control."""
     return {
         "id": name,
         "permission": "allow",

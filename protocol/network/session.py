@@ -6,7 +6,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import zenoh
 
@@ -33,15 +34,18 @@ def check_usable() -> None:
     """Raise BusError in a process that was forked from one that has opened a session."""
     if _first_user not in (0, os.getpid()):
         raise BusError(
-            "this process was forked from one that has used the network, whose threads do not survive a fork: start it "
-            "by 'spawn' (multiprocessing.get_context('spawn')), or run in memory"
+            "this process was forked from one that has used the network, whose threads do not "
+            "survive a fork: start it by 'spawn' (multiprocessing.get_context('spawn')), or run in "
+            "memory"
         )
 
 
 def open_session(
     endpoints: Endpoints, patience_s: float, name: str, keys: Keys, reach_s: float
 ) -> zenoh.Session:
-    """Open the session of a process, which waits `patience_s` for peers that do not read, `reach_s` for a router.
+    """Open the session of a process.
+
+    It waits `patience_s` for peers that do not read, and a client `reach_s` for its router.
 
     Raises: BusError: the endpoint cannot be listened on, or the router not reached. SecurityError:
         unusable keys.
@@ -49,31 +53,39 @@ def open_session(
     global _first_user
     check_usable()
     _first_user = os.getpid()
-    text = json.dumps(configuration(endpoints, patience_s, name, keys), ensure_ascii=False)
+    settings = configuration(endpoints, patience_s, name, keys)
+    text = json.dumps(settings, ensure_ascii=False)
     deadline = time.monotonic() + reach_s
     while True:
         try:
             return zenoh.open(zenoh.Config.from_json5(text))
         except zenoh.ZError as error:
-            where, problem = ", ".join(endpoints.listen), f"cannot listen ({error!s:.200})"
-            if endpoints.mode == "client":
-                if time.monotonic() <= deadline:
-                    continue
-                where, problem = (
-                    name,
-                    f"no router accepts a connection at {', '.join(endpoints.connect)}",
-                )
-            elif "in use" in str(error):
-                problem = "address already in use; choose another base port, or end the process that has it"
-            raise BusError(f"{where}: {problem}") from error
+            is_client = endpoints.mode == "client"
+            if is_client and time.monotonic() <= deadline:
+                continue
+            problem = _no_router(name, endpoints) if is_client else _cannot_listen(endpoints, error)
+            raise BusError(problem) from error
+
+
+def _no_router(name: str, endpoints: Endpoints) -> str:
+    """Return the text of the error of a client without a router."""
+    return f"{name}: no router accepts a connection at {', '.join(endpoints.connect)}"
+
+
+def _cannot_listen(endpoints: Endpoints, error: zenoh.ZError) -> str:
+    """Return the text of the error of a process that cannot listen."""
+    problem = f"cannot listen ({error!s:.200})"
+    if "in use" in str(error):
+        problem = "address already in use; choose another base port, or end the process that has it"
+    return f"{', '.join(endpoints.listen)}: {problem}"
 
 
 def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys) -> dict[str, Any]:
-    """Return Zenoh's configuration of a process.
+    """Return Zenoh's configuration of a process with fixed endpoints and without discovery.
 
-    Fixed endpoints, no discovery, retries until `Bus.join` gives up.
+    It tries to connect until `Bus.join` gives up.
     """
-    found: dict[str, Any] = {
+    settings: dict[str, Any] = {
         "mode": endpoints.mode,
         "listen": {"endpoints": list(endpoints.listen), "exit_on_failure": True},
         "connect": {
@@ -101,40 +113,51 @@ def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
     }
     if endpoints.security is not None:
-        endpoints.security.configure(found, name, keys.prefix)
-    return found
+        endpoints.security.configure(settings, name, keys.prefix)
+    return settings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reach:
+    """How a process is reached from outside its run.
+
+    Attributes:
+        connect: Endpoints; a single one may be of the process or of a router.
+        security: Keys of the client.
+        timeout_s: Time to find the process, and again for its answer, s.
+    """
+
+    connect: Sequence[str]
+    security: Security | None = None
+    timeout_s: float = 5.0
 
 
 def ask(
-    run: str,
-    connect: Sequence[str],
-    name: str,
-    what: str,
-    given: Mapping[str, Any],
-    timeout_s: float = 5.0,
-    security: Security | None = None,
+    run: str, reach: Reach, name: str, what: str, given: Mapping[str, Any]
 ) -> Mapping[str, Any]:
-    """Send a request to a process from outside its run (docs/protocol.md), as operator or, for status, as watcher.
+    """Send a request to a process from outside its run (docs/protocol.md), and return the answer.
+
+    The client is an operator or, for requests that change nothing, a watcher.
 
     Raises: BusError: there is no such process, or it does not answer in time.
     """
-    keys, deadline, whom = Keys(run), time.monotonic() + timeout_s, f"{name} of run {run}"
+    keys = Keys(run)
+    timeout_s = reach.timeout_s
+    deadline = time.monotonic() + timeout_s
+    whom = f"{name} of run {run}"
+    client = OPERATOR if what in ACTING else WATCHER
     log_errors(to_output=False)
-    # One endpoint may be a process or a router; a client can connect to either.
-    endpoints = Endpoints(
-        listen=[],
-        connect=connect,
-        mode="client" if len(connect) == 1 else "peer",
-        security=security,
-    )
+
+    # A client can connect to a process or to a router.
+    mode: Literal["client", "peer"] = "client" if len(reach.connect) == 1 else "peer"
+    endpoints = Endpoints(listen=[], connect=reach.connect, mode=mode, security=reach.security)
     try:
-        with _session(
-            endpoints, OPERATOR if what in ACTING else WATCHER, keys, timeout_s
-        ) as session:
+        with _session(endpoints, client, keys, timeout_s) as session:
             token = f"{keys.prefix}/alive/{name}/**"
             while not any(reply.ok for reply in session.liveliness().get(token, timeout=1.0)):
                 if time.monotonic() > deadline:
-                    raise BusError(f"no sign of it within {timeout_s:g} s at {', '.join(connect)}")
+                    places = ", ".join(reach.connect)
+                    raise BusError(f"no sign of it within {timeout_s:g} s at {places}")
                 time.sleep(0.02)
             answer = fetch_answer(session, keys.request(name, what), given, timeout_s)
     except BusError as error:
@@ -154,6 +177,7 @@ def ask(
 def _session(
     endpoints: Endpoints, name: str, keys: Keys, reach_s: float
 ) -> Iterator[zenoh.Session]:
+    """Open a session of a client or a router, and close it in bounded time."""
     session = open_session(endpoints, 1.0, name, keys, reach_s)
     try:
         yield session
@@ -171,9 +195,9 @@ def route(endpoints: Endpoints) -> AbstractContextManager[zenoh.Session]:
 
 
 def log_errors(*, to_output: bool) -> None:
-    """Let Zenoh write its errors to standard output.
+    """Let Zenoh write its errors to standard output, or only what the variable RUST_LOG asks for.
 
-    A command whose results go there leaves it to RUST_LOG.
+    A command whose results go there needs the second.
     """
     if to_output:
         zenoh.init_log_from_env_or("error")
@@ -182,7 +206,10 @@ def log_errors(*, to_output: bool) -> None:
 
 
 def in_bounded_time(*closing: Callable[[], Any]) -> None:
-    """Call closing functions; return after `CLOSE_S` even if a peer that does not read blocks them."""
+    """Call closing functions; return after `CLOSE_S` even if they are blocked.
+
+    A peer that does not read blocks them.
+    """
 
     def run() -> None:
         with suppress(zenoh.ZError):  # "timed out"

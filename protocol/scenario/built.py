@@ -10,7 +10,8 @@ from transport.model.maneuver import Maneuver, Phase
 from transport.model.obstacles import Obstacle, Solid
 from transport.model.parameters import Payload, System, Uav
 from transport.protocol.scenario.errors import building
-from transport.protocol.scenario.schema import ObstacleSection, PhaseSection, Scenario, UavSection
+from transport.protocol.scenario.maneuver_sections import ObstacleSection, PhaseSection
+from transport.protocol.scenario.schema import Scenario, UavSection
 
 _WALL_M = 1e5  # width of the walls beside a gap: no path comes near their ends
 

@@ -13,13 +13,16 @@ from transport.model.arrays import Array
 from transport.model.hover import Hover, failed_hover, with_released
 from transport.model.linearisation import Model
 from transport.model.maneuver import Maneuver
-from transport.model.obstacles import Obstacle, bodies, clearances
+from transport.model.obstacles import Obstacle
 from transport.model.parameters import ParameterError, System, resting_height
 from transport.mpc.reference import Reference
 from transport.mpc.settings import ControllerSettings
+from transport.protocol.scenario.clearance import first_blocked
 from transport.protocol.scenario.faults import Fault, failures
+from transport.protocol.scenario.feasibility import exceeded, least_slowing
+from transport.protocol.scenario.path_instants import maneuver_instants
 from transport.protocol.scenario.plant_sections import PlantSection
-from transport.protocol.scenario.targets import ON_GROUND_M, exceeded, least_slowing
+from transport.protocol.scenario.target_planning import ON_GROUND_M
 
 Problems = Iterator[tuple[str, str]]  # field of a scenario; expected and got
 
@@ -97,18 +100,20 @@ def off_limits(
     released = [fault for fault in failures(faults) if fault.do == "release"]
     field = "maneuver.profile"
     try:
-        path = reference.maneuver.jets(reference.times_s)
+        instants_s = checked_instants(reference)
+        path = reference.maneuver.jets(instants_s)
         for count in range(len(released) + 1):
-            first = 0
+            since_s = 0.0
             field = "maneuver.phase"
             if count:
-                first = released[count - 1].tick
+                since_s = released[count - 1].tick * settings.sampling_period_s
                 field = "faults.event"
             gone = frozenset(fault.uav for fault in released[:count])
             left = with_released(system, gone)
             at_rest = failed_hover(system, gone, gone) if gone else hover
 
-            problem = exceeded(path[:, first:], left, at_rest, settings, gone)
+            after = instants_s >= since_s
+            problem = exceeded(path[:, after], left, at_rest, settings, gone)
             if problem:
                 # After slowing, the release may be anywhere on the path.
                 factor = least_slowing(path, left, at_rest, settings, gone)
@@ -125,16 +130,12 @@ def _slower(factor: float | None) -> str:
 
 
 def blocked(
-    reference: Reference, obstacles: Sequence[Obstacle], system: System, times_s: Array
+    reference: Reference, obstacles: Sequence[Obstacle], system: System
 ) -> tuple[int, str] | None:
     """Return the number, from 1, of the first obstacle that is too near, and the problem."""
-    names = bodies(system.N)
-    for number, obstacle in enumerate(obstacles, start=1):
-        clear_m = clearances(system, obstacle, reference.states(times_s))
-        margins_m = obstacle.margins(system.N)
-        row, body = np.unravel_index(np.argmin(clear_m - margins_m), clear_m.shape)
-        if clear_m[row, body] < margins_m[body]:
-            between = f"{names[body]} and the {obstacle.name} along the reference"
-            got = f"{max(float(clear_m[row, body]), 0.0):.3g} m at {times_s[row]:g} s"
-            return number, f"expected {margins_m[body]:g} m between {between}, got {got}"
-    return None
+    return first_blocked(system, obstacles, reference.states, checked_instants(reference))
+
+
+def checked_instants(reference: Reference) -> Array:
+    """Return the sampling instants, and those between them at which a path is checked, (k,), s."""
+    return np.union1d(reference.times_s, maneuver_instants(reference.maneuver))

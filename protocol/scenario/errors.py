@@ -1,7 +1,7 @@
-"""Errors of scenarios: one line with file, field, what was expected and what came, also from pydantic's problems."""
+"""Errors of scenarios: one line with source, field, expected and got."""
 
 import difflib
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,17 +12,24 @@ from transport.model.parameters import ParameterError
 from transport.mpc.feedback import FeedbackError
 from transport.mpc.settings import SettingsError
 from transport.protocol.scenario.keys import names_of, out_of_range, section_in
+from transport.protocol.scenario.origins import Origin, source_of
 from transport.protocol.wire.errors import MessageError, TransportError
 from transport.protocol.wire.exit_codes import EXIT_SCENARIO
 
 T = TypeVar("T")
 S = TypeVar("S", bound=BaseModel)
 
+# Keys whose name has changed, by their old one.
+RENAMED = {"samples": "samples_s"}
+
+_LONGEST_SHOWN = 80  # characters of a value that an error repeats
+_SIMILAR = 0.5  # similarity from which on a known name is offered for a mistyped one
+
 
 class ScenarioError(TransportError, ValueError):
-    """An invalid scenario: `file or option.
+    """An invalid scenario: `source: field: expected ..., got ...`.
 
-    Dotted key, with list entries from 1: expected ..., got ...`.
+    The source is a file or an option, the field a dotted key with list entries from 1.
     """
 
     exit_code = EXIT_SCENARIO
@@ -30,33 +37,42 @@ class ScenarioError(TransportError, ValueError):
     def __init__(self, source: str, field: str, problem: str) -> None:
         text = ": ".join(part for part in (source, field, problem) if part)
         super().__init__(" ".join(text.splitlines()))
-        self.field, self.problem = field, problem
+        self.source = source
+        self.field = field
+        self.problem = problem
+
+    def traced(self, origins: Sequence[Origin]) -> "ScenarioError":
+        """Return the same error with the source that gave the field, of a merged scenario."""
+        return ScenarioError(source_of(self.field, self.source, origins), self.field, self.problem)
 
     def blaming(self, settings: Sequence[str]) -> "ScenarioError":
-        """Return the same error, with the settings in place of the file if they gave the field or part of it."""
-        own = f"{self.field}."
-        given = [
-            s
-            for s in settings
-            if own.startswith(f"{key_of(s)}.") or f"{key_of(s)}.".startswith(own)
-        ]
+        """Return the same error with settings as source if they gave the field or part of it."""
+        given = [setting for setting in settings if _overlap(key_of(setting), self.field)]
         if not given:
             return self
-        field = "" if [key_of(setting) for setting in given] == [self.field] else self.field
-        return ScenarioError(" ".join(map(option, given)), field, self.problem)
+
+        is_named = [key_of(setting) for setting in given] == [self.field]
+        source = " ".join(option(setting) for setting in given)
+        return ScenarioError(source, "" if is_named else self.field, self.problem)
 
 
 class RequestError(TransportError, MessageError):
-    """A change of links or a target that is refused; the text says what was expected and what came."""
+    """A change of links or a target that is refused; the text has expected and got."""
 
     def __init__(self, text: str) -> None:
         super().__init__("out_of_range", text)
 
 
+class PythonSetting(str):
+    """A setting given in Python: it has its value, and errors name no command-line option."""
+
+    value: Any
+
+
 def building(source: str, field: str, build: Callable[[], T]) -> T:
     """Return a model object built from a scenario's values.
 
-    Its errors become a `ScenarioError` of that field.
+    Raises: ScenarioError: of that field, for the errors of the model.
     """
     try:
         return build()
@@ -69,76 +85,97 @@ def key_of(setting: str) -> str:
     return setting.partition("=")[0].strip()
 
 
-class PythonSetting(str):
-    """A setting that was given in Python.
-
-    It has its value, and errors name no option of the command line.
-    """
-
-    value: Any
-
-
 def option(setting: str) -> str:
-    """Return a setting as it was given on the command line or in Python, shortened when it is long."""
+    """Return a setting as it was given, on the command line or in Python, shortened if long."""
     text = _short(setting) or repr(setting)
     return text if isinstance(setting, PythonSetting) else f"--set {text}"
 
 
 def hint(name: str, known: Collection[str]) -> str:
-    """Return the known name that a mistyped one may stand for, or all."""
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known) or 'none'}"
+    """Return the new name of a renamed key, the name that a mistyped one may stand for, or all."""
+    section, _, key = name.rpartition(".")
+    renamed = f"{section}.{RENAMED.get(key, key)}".lstrip(".")
+    if renamed in known and renamed != name:
+        return f"it is now {renamed!r}"
 
-
-def _short(text: str) -> str:
-    return text if len(text) <= 80 else text[:77] + "..."
+    similar = difflib.get_close_matches(name, known, n=1, cutoff=_SIMILAR)
+    if similar:
+        return f"did you mean {similar[0]!r}?"
+    return f"known: {', '.join(known) or 'none'}"
 
 
 def validated(section: type[S], tree: Any, source: str = "", folder: Path | None = None) -> S:
-    """Return a section of plain data, with files relative to a folder.
+    """Return a section made of plain data, with files relative to a folder.
 
-    Raise ScenarioError with the first problem.
+    Raises: ScenarioError: with the first problem.
     """
     try:
-        found = section.model_validate(tree, context=folder)
+        made = section.model_validate(tree, context=folder)
     except ValidationError as error:
         # An unknown key first: a mistyped one is also missing.
         problem = min(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
-        raise ScenarioError(source, *_problem(problem, section)) from error
-    for field, text in out_of_range(found):
+        keys, innermost = _keys_of(problem, section)
+        text = _problem_text(problem, innermost)
+        raise ScenarioError(source, ".".join(keys), text) from error
+
+    for field, text in out_of_range(made):
         raise ScenarioError(source, field, text)
-    return found
+    return made
 
 
 def requested(section: type[S], tree: Any) -> S:
-    """Return what a request asks for. Raises: RequestError: it is not valid, whatever the run."""
+    """Return the section of a request.
+
+    Raises: RequestError: it is not valid, whatever the run.
+    """
     try:
         return validated(section, tree)
     except ScenarioError as error:
         raise RequestError(str(error)) from error
 
 
-def _problem(problem: Any, section: type[BaseModel]) -> tuple[str, str]:
-    """Return the field of one of pydantic's problems, and the problem."""
-    kind, message, value = problem["type"], problem["msg"], problem["input"]
-    last = problem["loc"][-1] if problem["loc"] else ""
-    field: list[str] = []
-    for part in problem[
-        "loc"
-    ]:  # pydantic also names the branch of a union that it tried, which is no key
+def _overlap(key: str, field: str) -> bool:
+    """Return whether a key is a field, or one of them is within the other."""
+    return f"{field}.".startswith(f"{key}.") or f"{key}.".startswith(f"{field}.")
+
+
+def _keys_of(
+    problem: Mapping[str, Any], section: type[BaseModel]
+) -> tuple[list[str], type[BaseModel]]:
+    """Return the keys that lead to one of pydantic's problems, and the innermost section."""
+    place = problem["loc"]
+    keys: list[str] = []
+    for part in place:
         names = names_of(section)
+        is_unknown_key = problem["type"] == "extra_forbidden" and part is place[-1]
+
         if part in names:
             section = section_in(section.model_fields[names[part]].annotation) or section
+
         if isinstance(part, int):
-            field.append(str(part + 1))
-        elif part in names or (kind == "extra_forbidden" and part is last):
-            field.append(part)
+            keys.append(str(part + 1))
+        elif part in names or is_unknown_key:
+            keys.append(part)  # the branch of a union, which pydantic also names, is no key
+    return keys, section
+
+
+def _problem_text(problem: Mapping[str, Any], section: type[BaseModel]) -> str:
+    """Return one of pydantic's problems within a section in words."""
+    kind = problem["type"]
     if kind == "extra_forbidden":
-        return ".".join(field), f"unknown key; {hint(str(last), names_of(section))}"
+        return f"unknown key; {hint(str(problem['loc'][-1]), names_of(section))}"
     if kind == "missing":
-        return ".".join(field), "expected a value, got nothing"
+        return "expected a value, got nothing"
     if kind == "value_error":  # of a validator, whose text says all
-        return ".".join(field), str(problem["ctx"]["error"])
-    expected = message.replace("Input should be", "expected")
-    shown = list(value) if isinstance(value, tuple) else value  # lists of numbers become tuples
-    return ".".join(field), f"{expected[0].lower()}{expected[1:]}, got {_short(repr(shown))}"
+        return str(problem["ctx"]["error"])
+
+    expected = problem["msg"].replace("Input should be", "expected")
+    value = problem["input"]
+    if isinstance(value, tuple):  # lists of numbers become tuples
+        value = list(value)
+    return f"{expected[0].lower()}{expected[1:]}, got {_short(repr(value))}"
+
+
+def _short(text: str) -> str:
+    """Return a text of at most `_LONGEST_SHOWN` characters."""
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 3]}..."

@@ -1,4 +1,7 @@
-"""Scripted faults of processes, which kill or stop themselves and are brought back by their parent, and of UAVs."""
+"""Scripted faults of processes and of UAVs.
+
+A process ends or stops itself, and its parent restarts or continues it.
+"""
 
 import math
 from collections.abc import Sequence
@@ -9,11 +12,14 @@ from transport.protocol.scenario.schema import Scenario
 from transport.protocol.wire.messages import Measurement, Message, Tick
 
 OF_UAVS = ("motor_off", "release", "degrade")  # applied by the plant
+_FOR_GOOD = ("motor_off", "release")
+
+_ROUNDING = 1e-9  # of a time in sampling periods: a whole number must not become one more
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault of a process when the tick opens for it, its return before that, or a fault of a UAV from then on."""
+    """A fault or return of a process when a tick opens for it, or a fault of a UAV from then on."""
 
     tick: int
     do: Literal["kill", "stop", "continue", "start", "motor_off", "release", "degrade"]
@@ -28,40 +34,44 @@ class Fault:
 
 def failures(faults: Sequence[Fault]) -> list[Fault]:
     """Return the failures of UAVs for good, in the order of time."""
-    return [fault for fault in faults if fault.do in ("motor_off", "release")]
+    return [fault for fault in faults if fault.do in _FOR_GOOD]
 
 
 def scripted(scenario: Scenario) -> tuple[Fault, ...]:
     """Return the faults of a scenario in the order of time.
 
-    A restart is a kill, unless already down, and a start.
+    A restart is a kill, unless the process is already down, and a start at least one tick later.
     """
-    found: list[Fault] = []
-    down: dict[str, int] = {}  # processes that do not run, and since which tick
+    period_s = scenario.controller.sampling_period_s
+    faults: list[Fault] = []
+    down_since: dict[str, int] = {}  # tick from which on a process does not run
+
     for event in sorted(scenario.faults.event, key=lambda event: event.at_s):
-        tick, target = (
-            math.ceil(event.at_s / scenario.controller.sampling_period_s - 1e-9),
-            event.target,
-        )
+        target = event.target
+        tick = math.ceil(event.at_s / period_s - _ROUNDING)
+
         if event.do == "restart" or event.do == "continue":
-            if target not in down:
-                found.append(Fault(tick, "kill", target))
-            tick = max(tick, down.pop(target, tick) + 1)  # at the earliest
-            found.append(Fault(tick, "start" if event.do == "restart" else "continue", target))
-        else:
-            found.append(Fault(tick, event.do, target, event.efficiency or 1.0))
-            if event.do not in OF_UAVS:
-                down.setdefault(target, tick)
-    return tuple(sorted(found, key=lambda fault: fault.tick))
+            if target not in down_since:
+                faults.append(Fault(tick, "kill", target))
+            earliest = down_since.pop(target, tick) + 1
+            do: Literal["start", "continue"] = "start" if event.do == "restart" else "continue"
+            faults.append(Fault(max(tick, earliest), do, target))
+            continue
+
+        faults.append(Fault(tick, event.do, target, event.efficiency or 1.0))
+        if event.do not in OF_UAVS:
+            down_since.setdefault(target, tick)
+
+    return tuple(sorted(faults, key=lambda fault: fault.tick))
 
 
 def due(faults: Sequence[Fault], name: str, message: Message) -> Literal["kill", "stop"] | None:
-    """Return the fault a process is to inject into itself on a message received or about to be sent, if any."""
-    for fault in faults if isinstance(message, Measurement | Tick) else ():
-        if (
-            fault.target == name
-            and fault.tick == message.tick
-            and (fault.do == "kill" or fault.do == "stop")
-        ):
+    """Return the fault that a process injects into itself on a message, received or to be sent."""
+    if not isinstance(message, Measurement | Tick):
+        return None
+
+    for fault in faults:
+        is_due = fault.target == name and fault.tick == message.tick
+        if is_due and (fault.do == "kill" or fault.do == "stop"):
             return fault.do
     return None

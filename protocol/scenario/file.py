@@ -3,10 +3,11 @@
 import importlib.resources
 import os
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
+from transport.protocol.scenario.bounded_files import TooLargeError, read_text
 from transport.protocol.scenario.budget import check_budget
 from transport.protocol.scenario.errors import (
     PythonSetting,
@@ -31,18 +32,20 @@ __all__ = [
 
 
 def find_scenario(name: str, package: str = "scenarios") -> Path:
-    """Return the file of a scenario or of another package.
+    """Return the file of a scenario, or of another package, by its path or its ready-made name.
 
-    A path, or the name of a ready one, else ScenarioError.
+    Raises: ScenarioError: neither.
     """
     path = Path(name)
-    if os.path.exists(name) or path.suffix == ".toml" or "/" in name:  # noqa: PTH110 - false for impossible names
+    is_there = os.path.exists(name)  # noqa: PTH110 - false for impossible names
+    if is_there or path.suffix == ".toml" or "/" in name:
         return path
+
     folder = Path(str(importlib.resources.files(f"transport.{package}"))).resolve()
-    known = sorted(file.stem for file in folder.glob("*.toml"))
-    if name not in known:
+    ready = sorted(file.stem for file in folder.glob("*.toml"))
+    if name not in ready:
         expected = f"expected a {package[:-1]} file or the name of a ready one"
-        raise ScenarioError(name, "", f"{expected}; {hint(name, known)}")
+        raise ScenarioError(name, "", f"{expected}; {hint(name, ready)}")
     return folder / f"{name}.toml"
 
 
@@ -53,33 +56,38 @@ def read_scenario(
 
     Entries of lists count from 1.
 
-    Raises: ScenarioError: naming file, or the setting that gave the field, field, expected and got.
+    Raises: ScenarioError: naming the file or the setting that gave the field, field, expected, got.
     """
     return with_settings(read_tree(path), settings, str(path), allow_large=allow_large)
 
 
 def read_tree(path: Path) -> dict[str, Any]:
-    """Return the content of a TOML file. Raises: ScenarioError: it cannot be read."""
+    """Return the content of a TOML file.
+
+    Raises: ScenarioError: it cannot be read.
+    """
+    source = str(path)
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        problem = (
-            "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error})"
-        )
-        raise ScenarioError(str(path), "", problem) from error
-    except (
-        ValueError,
-        RecursionError,
-    ) as error:  # also of integers of thousands of digits, and of deep nesting
-        raise ScenarioError(str(path), "", f"not valid TOML: {error}") from error
+        return tomllib.loads(read_text(path))
+    except FileNotFoundError as error:
+        raise ScenarioError(source, "", "no such file") from error
+    except (OSError, TooLargeError) as error:
+        raise ScenarioError(source, "", f"cannot be read ({error})") from error
+    except (ValueError, RecursionError) as error:  # also thousands of digits, and deep nesting
+        raise ScenarioError(source, "", f"not valid TOML: {error}") from error
 
 
 def with_settings(
     tree: dict[str, Any], settings: Sequence[str], source: str, *, allow_large: bool = False
 ) -> Scenario:
-    """Return the scenario in a tree of plain data, which is changed, with settings on top as in `read_scenario`."""
+    """Return the scenario in a tree of plain data, which is changed, with settings on top.
+
+    Raises: ScenarioError: as `read_scenario`.
+    """
     for setting in settings:
         _apply(tree, setting)
+    _pace(tree, [key_of(setting) for setting in settings])
+
     try:
         scenario = validate(tree, source)
         if not allow_large:
@@ -99,29 +107,45 @@ def validate(tree: dict[str, Any], source: str) -> Scenario:
     return scenario
 
 
+def _pace(tree: dict[str, Any], changed: Collection[str]) -> None:
+    """Set speed 1 where a change asks for real time alone: the tree's 0 is that of lockstep."""
+    clock = tree.get("clock")
+    if "clock.mode" not in changed or "clock.speed" in changed or not isinstance(clock, dict):
+        return
+    if clock.get("mode") == "realtime" and clock.get("speed", 0.0) == 0.0:
+        clock["speed"] = 1.0
+
+
 def _apply(tree: dict[str, Any], setting: str) -> None:
+    """Set one value in a tree of plain data."""
     *parents, last = key_of(setting).split(".")
-    node: Any = tree
+
+    section: Any = tree
     for part in parents:
-        child = (
-            node[_index(node, part, setting)]
-            if isinstance(node, list)
-            else node.setdefault(part, {})
-        )
-        if not isinstance(child, dict | list):
-            raise ScenarioError(
-                option(setting), "", f"expected {part!r} to be a section, got the value {child!r}"
-            )
-        node = child
-    node[_index(node, last, setting) if isinstance(node, list) else last] = anchored(
-        _value(setting), last
-    )
+        section = _child(section, part, setting)
+
+    place = _index(section, last, setting) if isinstance(section, list) else last
+    section[place] = anchored(_value(setting), last)
+
+
+def _child(section: Any, part: str, setting: str) -> Any:
+    """Return a section or list within another one, by name, made if missing, or by number."""
+    if isinstance(section, list):
+        return section[_index(section, part, setting)]
+
+    child = section.setdefault(part, {})
+    if not isinstance(child, dict | list):
+        problem = f"expected {part!r} to be a section, got the value {child!r}"
+        raise ScenarioError(option(setting), "", problem)
+    return child
 
 
 def _value(setting: str) -> Any:
-    key, separator, text = setting.partition("=")
+    """Return the value of a setting: TOML, or else a text."""
     if isinstance(setting, PythonSetting):
         return setting.value
+
+    key, separator, text = setting.partition("=")
     if not separator or not key.strip():
         raise ScenarioError(option(setting), "", "expected key=value")
     try:
@@ -132,9 +156,9 @@ def _value(setting: str) -> Any:
         raise ScenarioError(option(setting), "", f"not valid TOML: {error}") from error
 
 
-def _index(node: list[Any], part: str, setting: str) -> int:
-    if not (part.isdecimal() and 1 <= int(part) <= len(node)):
-        raise ScenarioError(
-            option(setting), "", f"expected an entry from 1 to {len(node)}, got {part!r}"
-        )
+def _index(entries: list[Any], part: str, setting: str) -> int:
+    """Return the index of an entry of a list, given from 1."""
+    if not (part.isdecimal() and 1 <= int(part) <= len(entries)):
+        expected = f"expected an entry from 1 to {len(entries)}"
+        raise ScenarioError(option(setting), "", f"{expected}, got {part!r}")
     return int(part) - 1

@@ -1,26 +1,43 @@
-"""Files that a scenario names, tables of paths and of measured delays, which become part of it when it is read."""
+"""Files that a scenario names: tables of paths and of measured delays.
 
+Their content becomes part of the scenario when it is read.
+"""
+
+import math
+import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from transport.protocol.scenario.bounded_files import read_text
 from transport.protocol.wire.errors import TransportError
+
+# Keys whose text is a file.
+_FILE_KEYS = ("samples_s", "trace", "file")
+
+# Whole numbers joined by commas: one number with a decimal comma, or several.
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+(,\d+)+")
+
+_LONGEST_SHOWN = 60  # characters of a file that an error repeats
+
+LOST_S = -1.0  # delay of a lost message in a trace
 
 
 class TableError(TransportError, ValueError):
-    """An invalid file of a scenario: the text has file, expected and got."""
+    """An invalid file of a scenario: the text has file, row, column, expected and got."""
 
 
 def anchored(value: Any, key: str) -> Any:
-    """Return a part of a scenario's tree whose files are relative to the current folder, with their absolute paths."""
+    """Return a part of a scenario's tree with absolute paths.
+
+    Its files are relative to the current folder.
+    """
     if isinstance(value, list):
         return [anchored(entry, key) for entry in value]
     if isinstance(value, dict):
         return {name: anchored(entry, name) for name, entry in value.items()}
-    return (
-        str(Path.cwd() / value) if key in ("samples", "file") and isinstance(value, str) else value
-    )
+    if isinstance(value, str) and key in _FILE_KEYS:
+        return str(Path.cwd() / value)
+    return value
 
 
 def delays_of(path: Path) -> list[float]:
@@ -28,14 +45,42 @@ def delays_of(path: Path) -> list[float]:
 
     Raises: TableError: it cannot be read.
     """
+    delays_s: list[float] = []
+    for row, line in enumerate(_lines(path), start=1):
+        for word in line.split():
+            entries = word.strip(",")
+            if _DECIMAL_COMMA.fullmatch(entries):
+                expected = (
+                    "expected delays in seconds with a decimal point, separated by blanks or lines"
+                )
+                raise TableError(f"{path}: row {row}: {expected}, got {_shown(entries)}")
+            delays_s += [_number(text, path, f"row {row}") for text in entries.split(",") if text]
+    return sorted(delays_s)
+
+
+def trace_of(path: Path) -> list[list[float]]:
+    """Return times and delays of a recorded link, s, a negative delay for a lost message.
+
+    A CSV file with the columns t_s,delay_s, whose second one may be `lost`.
+
+    Raises: TableError: it cannot be read.
+    """
+    heading = "t_s,delay_s"
     try:
-        return sorted(map(float, path.read_text(encoding="utf-8").replace(",", " ").split()))
+        columns, *lines = path.read_text(encoding="utf-8").replace(" ", "").splitlines() or [""]
+        if columns != heading:
+            raise ValueError(f"expected the heading {heading}, got {columns[:60]!r}")
+        rows = [line.split(",") for line in lines if line]
+        return [[float(t), LOST_S if delay == "lost" else float(delay)] for t, delay in rows]
     except (OSError, ValueError) as error:
-        raise TableError(f"{path}: expected delays in seconds ({error})") from error
+        raise TableError(f"{path}: expected a trace of a link ({error})") from error
 
 
 def way_of(path: Path) -> list[list[float]]:
-    """Return rows of time and position, relative to the first, of a CSV file. Raises: TableError."""
+    """Return rows of time and position, relative to the first, of a CSV file.
+
+    Raises: TableError: it cannot be read.
+    """
     _, rows = _table(path, "t_s,x_m,y_m,z_m")
     return [[value - first for value, first in zip(row, rows[0], strict=True)] for row in rows]
 
@@ -43,23 +88,67 @@ def way_of(path: Path) -> list[list[float]]:
 def points_of(path: Path) -> tuple[list[list[float]], list[float] | None]:
     """Return way points, m, and any times, s, of a CSV file with columns x,y,z or t,x,y,z.
 
-    Raises: TableError.
+    Raises: TableError: it cannot be read.
     """
     columns, rows = _table(path, "x,y,z", "t,x,y,z")
-    return [row[-3:] for row in rows], [row[0] for row in rows] if columns.startswith("t") else None
+    points_m = [row[-3:] for row in rows]
+    times_s = [row[0] for row in rows] if columns[0] == "t" else None
+    return points_m, times_s
 
 
-def _table(path: Path, *headings: str) -> tuple[str, list[list[float]]]:
-    """Return the heading of a CSV file, one of those given, and its rows of numbers, at least one."""
+def _table(path: Path, *headings: str) -> tuple[list[str], list[list[float]]]:
+    """Return the columns of a CSV file, one of the headings, and its rows, at least one."""
+    first, *lines = _lines(path) or [""]
+    heading = first.replace(" ", "")
+    if heading not in headings:
+        expected = f"expected the heading {' or '.join(headings)}"
+        raise TableError(f"cannot read {path} ({expected}, got {_shown(heading)})")
+
+    columns = heading.split(",")
+    rows = [
+        _row(line, columns, path, number)
+        for number, line in enumerate(lines, start=2)  # the heading is row 1, as in a spreadsheet
+        if line.strip()
+    ]
+    if not rows:
+        raise TableError(f"cannot read {path} (expected rows of numbers {heading}, got none)")
+    return columns, rows
+
+
+def _row(line: str, columns: list[str], path: Path, number: int) -> list[float]:
+    """Return the numbers of one row of a table."""
+    cells = line.split(",")
+    if len(cells) != len(columns):
+        expected = f"row {number}: expected {len(columns)} numbers {','.join(columns)}"
+        raise TableError(f"{path}: {expected}, got {len(cells)} cells {_shown(line)}")
+
+    return [
+        _number(cell, path, f"row {number}, column {column}")
+        for cell, column in zip(cells, columns, strict=True)
+    ]
+
+
+def _number(text: str, path: Path, place: str) -> float:
+    """Return the finite number in a cell."""
     try:
-        columns, *lines = path.read_text(encoding="utf-8").replace(" ", "").splitlines() or [""]
-        if columns not in headings:
-            raise ValueError(f"expected the heading {' or '.join(headings)}, got {columns[:60]!r}")
-        rows = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.zeros((0, 0))
-        if rows.shape[1] != columns.count(",") + 1 or not np.isfinite(rows).all():
-            raise ValueError(f"expected rows of finite numbers {columns}")
+        number = float(text) if "_" not in text else math.nan  # Python's own notation
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise TableError(f"{path}: {place}: expected a finite number, got {_shown(text)}")
+    return number
+
+
+def _lines(path: Path) -> list[str]:
+    """Return the lines of a text file."""
+    try:
+        return read_text(path).splitlines()
     except (OSError, ValueError) as error:
-        raise TableError(
-            f"cannot read {path} ({getattr(error, 'strerror', '') or error})"
-        ) from error
-    return columns, rows.tolist()
+        reason = getattr(error, "strerror", None) or error
+        raise TableError(f"cannot read {path} ({reason})") from error
+
+
+def _shown(text: str) -> str:
+    """Return a text of a file as an error shows it."""
+    stripped = text.strip()
+    return repr(stripped[:_LONGEST_SHOWN]) if stripped else "nothing"

@@ -3,6 +3,7 @@
 import ast
 import inspect
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from itertools import pairwise
 from math import inf
 from typing import Any, get_args
@@ -13,31 +14,46 @@ from pydantic.fields import FieldInfo
 from transport.mpc.settings import Key
 from transport.protocol.scenario.schema import Scenario
 
-# Unit, smallest magnitude apart from zero, and largest, by the ending of the key; the longest one that fits counts.
-# Beyond these ranges, far wider than anything that flies, float64 overflows or loses all digits somewhere.
-UNITS: Mapping[str, tuple[str, float, float]] = {
-    "": ("", 1e-12, 1e12),
-    "_s": ("s", 1e-9, 1e9),  # decades, still countable in ticks and nanoseconds
-    "_hz": ("1/s", 1e-9, 1e9),
-    "_m": ("m", 1e-12, 1e6),
-    "_mps": ("m/s", 1e-12, 1e4),
-    "_mps2": ("m/s²", 1e-6, 1e4),
-    "_rad": ("rad", 1e-12, 1e4),
-    "_rads": ("rad/s", 1e-12, 1e4),
-    "_rads2": ("rad/s²", 1e-12, 1e6),
-    "_deg": ("deg", 1e-12, 1e12),
-    "_kg": ("kg", 1e-9, 1e6),
-    "_kgm2": ("kg m²", 1e-12, 1e9),
-    "_kgps": ("kg/s", 1e-12, 1e12),
-    "_N": ("N", 1e-12, 1e12),
-    "_N_s": ("N/s", 1e-12, 1e12),
-    "_Nm": ("N m", 1e-12, 1e12),
-    "_Nm_s": ("N m/s", 1e-12, 1e12),
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """Unit of keys with the same ending, and the magnitudes that they may have."""
+
+    symbol: str  # SI; empty for none
+    least: float  # apart from zero
+    most: float
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Smallest magnitude apart from zero, and largest."""
+        return self.least, self.most
+
+
+# By the ending of the key; the longest one that fits counts. Beyond these ranges, far wider than
+# anything that flies, float64 overflows or loses all digits somewhere.
+UNITS: Mapping[str, Unit] = {
+    "": Unit("", 1e-12, 1e12),
+    "_s": Unit("s", 1e-9, 1e9),  # decades, still countable in ticks and nanoseconds
+    "_hz": Unit("1/s", 1e-9, 1e9),
+    "_m": Unit("m", 1e-12, 1e6),
+    "_mps": Unit("m/s", 1e-12, 1e4),
+    "_mps2": Unit("m/s²", 1e-6, 1e4),
+    "_rad": Unit("rad", 1e-12, 1e4),
+    "_rads": Unit("rad/s", 1e-12, 1e4),
+    "_rads2": Unit("rad/s²", 1e-12, 1e6),
+    "_deg": Unit("deg", 1e-12, 1e12),
+    "_kg": Unit("kg", 1e-9, 1e6),
+    "_kgm2": Unit("kg m²", 1e-12, 1e9),
+    "_kgps": Unit("kg/s", 1e-12, 1e12),
+    "_N": Unit("N", 1e-12, 1e12),
+    "_N_s": Unit("N/s", 1e-12, 1e12),
+    "_Nm": Unit("N m", 1e-12, 1e12),
+    "_Nm_s": Unit("N m/s", 1e-12, 1e12),
 }
 
 
 def key_of(field: FieldInfo) -> Key:
-    """Return what the annotation of a field tells about its key."""
+    """Return the properties of a key in the annotation of its field."""
     return next((entry for entry in field.metadata if isinstance(entry, Key)), Key())
 
 
@@ -49,79 +65,106 @@ def ending_of(name: str) -> str:
 def unit_of(name: str, field: FieldInfo) -> str:
     """Return the unit of a key, SI; empty for none."""
     given = key_of(field).unit
-    return UNITS[ending_of(name)][0] if given is None else given
+    return UNITS[ending_of(name)].symbol if given is None else given
 
 
 def section_in(annotation: Any) -> type[BaseModel] | None:
-    """Return the class of the section, or of the sections in a list, that a field has; None for a value."""
+    """Return the class of a field's section, or of the sections in its list; None for a value."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next(filter(None, map(section_in, get_args(annotation))), None)
+
+    inner = (section_in(argument) for argument in get_args(annotation))
+    return next((section for section in inner if section is not None), None)
 
 
 def names_of(section: type[BaseModel]) -> dict[str, str]:
-    """Return the fields of a section by their keys, which differ where a key is a word of Python."""
+    """Return the fields of a section by their keys, different where a key is a Python keyword."""
     return {field.alias or name: name for name, field in section.model_fields.items()}
 
 
 def walk(
     section: type[BaseModel] = Scenario, path: str = ""
 ) -> Iterator[tuple[str, str, type[BaseModel], FieldInfo]]:
-    """Yield every key and section: the dotted path of the section around it, its name, that class, its field."""
+    """Yield every key and section below a section.
+
+    Each has the dotted path and the class of the section around it, and its own name and field, in
+    the order path, name, class, field.
+    """
     for key, name in names_of(section).items():
         field = section.model_fields[name]
         yield path, key, section, field
-        if (inner := section_in(field.annotation)) is not None:
-            yield from walk(inner, f"{path}.{key}".lstrip("."))
+
+        inner = section_in(field.annotation)
+        if inner is not None:
+            yield from walk(inner, _joined(path, key))
 
 
 def fields() -> dict[str, FieldInfo]:
-    """Return the fields of all keys and sections of a scenario by dotted key, without the numbers of list entries."""
-    return {f"{path}.{key}".lstrip("."): field for path, key, _, field in walk()}
+    """Return the fields of all keys and sections by dotted key, without numbers of list entries."""
+    return {_joined(path, key): field for path, key, _, field in walk()}
 
 
 def short_names() -> dict[str, str]:
     """Return the dotted keys that have a short name in Python, by that name."""
-    found: dict[str, str] = {}
-    for (
-        key,
-        field,
-    ) in (
-        fields().items()
-    ):  # links from and to the plant have the keys of `links`, which come first, again
-        found.setdefault(key_of(field).short, key)
-    return {short: key for short, key in found.items() if short}
+    keys: dict[str, str] = {}
+    for key, field in fields().items():
+        short = key_of(field).short
+        if short:
+            # Links from and to the plant have the keys of `links`, which come first, again.
+            keys.setdefault(short, key)
+    return keys
 
 
 def meanings(section: type[BaseModel]) -> dict[str, str]:
-    """Return the meaning of each key of a section: the docstring of its field, which pydantic would always read."""
-    found: dict[str, str] = {}
-    for owner in reversed(
-        [owner for owner in section.__mro__ if issubclass(owner, BaseModel)][:-1]
-    ):
-        (body,) = ast.parse(inspect.getsource(owner)).body
-        for field, text in pairwise(getattr(body, "body", [])):
-            if (
-                isinstance(field, ast.AnnAssign)
-                and isinstance(text, ast.Expr)
-                and isinstance(text.value, ast.Constant)
-            ):
-                found[ast.unparse(field.target)] = " ".join(str(text.value.value).split())
-    return {key: found[name] for key, name in names_of(section).items() if name in found}
+    """Return the meaning of each key of a section: the docstring of its field.
+
+    Pydantic could read them as well, but would do so at every start.
+    """
+    sections = [owner for owner in section.__mro__ if issubclass(owner, BaseModel)][:-1]
+    texts: dict[str, str] = {}
+    for owner in reversed(sections):
+        texts |= _docstrings(owner)
+    return {key: texts[name] for key, name in names_of(section).items() if name in texts}
+
+
+def _docstrings(section: type[BaseModel]) -> dict[str, str]:
+    """Return the docstrings of the fields that a class itself declares."""
+    (declared,) = ast.parse(inspect.getsource(section)).body
+    texts: dict[str, str] = {}
+    for field, text in pairwise(getattr(declared, "body", [])):
+        if not (isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr)):
+            continue
+        if isinstance(text.value, ast.Constant):
+            texts[ast.unparse(field.target)] = " ".join(str(text.value.value).split())
+    return texts
 
 
 def out_of_range(
     value: object, place: str = "", within: tuple[float, float] = (0.0, inf)
 ) -> Iterator[tuple[str, str]]:
-    """Yield field, and expected and got, of each number given in a section or list that is beyond its range."""
+    """Yield field, and expected with got, of each number of a section or list out of its range."""
     if isinstance(value, BaseModel):
-        for key, name in names_of(type(value)).items():
-            if name in value.model_fields_set:
-                limits = key_of(type(value).model_fields[name]).within or UNITS[ending_of(key)][1:]
-                yield from out_of_range(getattr(value, name), f"{place}.{key}".lstrip("."), limits)
+        yield from _section_out_of_range(value, place)
     elif isinstance(value, list | tuple):
         for number, entry in enumerate(value, start=1):
             yield from out_of_range(entry, f"{place}.{number}", within)
-    elif isinstance(value, float) and value != 0.0 and not within[0] <= abs(value) <= within[1]:
-        bound = f"most {within[1]:g}" if abs(value) > within[1] else f"least {within[0]:g}"
-        yield place, f"expected a magnitude of at {bound}, got {value:g}"
+    elif isinstance(value, float) and value != 0.0:
+        least, most = within
+        if abs(value) > most:
+            yield place, f"expected a magnitude of at most {most:g}, got {value:g}"
+        elif not abs(value) >= least:
+            yield place, f"expected a magnitude of at least {least:g}, got {value:g}"
+
+
+def _section_out_of_range(section: BaseModel, place: str) -> Iterator[tuple[str, str]]:
+    """Yield the numbers out of their ranges among the given keys of a section."""
+    for key, name in names_of(type(section)).items():
+        if name in section.model_fields_set:
+            own = key_of(type(section).model_fields[name]).within
+            within = UNITS[ending_of(key)].range if own is None else own
+            yield from out_of_range(getattr(section, name), _joined(place, key), within)
+
+
+def _joined(path: str, key: str) -> str:
+    """Return the dotted key of a key within a section; the scenario itself has an empty path."""
+    return f"{path}.{key}".lstrip(".")

@@ -1,9 +1,11 @@
-"""Sections of the links: impairments, exceptions for single links, partitions, changes during a run."""
+"""Sections of the links: impairments, exceptions, partitions, changes during a run."""
 
+from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Interval
 from pydantic import (
+    AfterValidator,
     BeforeValidator,
     Field,
     SerializerFunctionWrapHandler,
@@ -13,25 +15,44 @@ from pydantic import (
 )
 
 from transport.mpc.settings import Key, NotNegative, Positive, Section
-from transport.protocol.scenario.files import delays_of
+from transport.protocol.scenario.files import delays_of, trace_of
 from transport.protocol.wire.names import PLANT
 
 Probability = Annotated[float, Interval(ge=0.0, le=1.0)]
+
+# Longest delay in seconds that is taken for one without question: delays in ms are mostly larger.
+LONGEST_SAMPLE_S = 10.0
 
 _PROCESS = "agent1, agent2, ..., plant"
 
 
 def _read(value: Any, info: ValidationInfo) -> Any:
-    """Return the content of a file of a scenario, which has a folder; a change during a run has none."""
+    """Return the content of a scenario's file; a change during a run has no folder and no file."""
+    if isinstance(value, str) and info.context is not None:
+        return delays_of(info.context / value)
+    return value
+
+
+def _read_trace(value: Any, info: ValidationInfo) -> Any:
+    """Return the content of a trace, as `_read` does of samples."""
     return (
-        delays_of(info.context / value)
+        trace_of(info.context / value)
         if isinstance(value, str) and info.context is not None
         else value
     )
 
 
+def _is_trace(rows: list[list[float]]) -> list[list[float]]:
+    times_s = [row[0] for row in rows if len(row) == 2]
+    if len(times_s) < max(2, len(rows)):
+        raise ValueError("expected at least two rows of a time and a delay")
+    if times_s[0] < 0.0 or any(b <= a for a, b in pairwise(times_s)):
+        raise ValueError("expected rising times from 0 on")
+    return rows
+
+
 class GilbertElliottSection(Section):
-    """Bursts of loss: a chain between a good state without and a bad state with loss, one step per tick."""
+    """Bursts of loss: a chain of a good state and a bad one with loss, one step per tick."""
 
     enter: Probability
     """probability per tick of going bad"""
@@ -42,7 +63,7 @@ class GilbertElliottSection(Section):
 
 
 class LinkSection(Section):
-    """Impairments of a link, in scenario time, independent for each message but for bursts; none by default."""
+    """Impairments of a link, in scenario time; apart from bursts independent for each message."""
 
     delay_s: Annotated[
         NotNegative, Key(label="delay of plans", shown="ms", option="--delay", short="delay_s")
@@ -51,18 +72,32 @@ class LinkSection(Section):
     jitter_s: Annotated[
         NotNegative, Key(label="jitter of plans", shown="ms", option="--jitter", short="jitter_s")
     ] = 0.0
-    """scale of the random part of the delay: width (uniform, centred on `delay_s`), standard deviation (normal,
-    lognormal), mean (exponential); delays below 0 become 0"""
+    """scale of the random part of the delay: width (uniform, centred on `delay_s`), standard
+    deviation (normal, lognormal), mean (exponential); delays below 0 become 0"""
     distribution: Annotated[
         Literal["uniform", "normal", "exponential", "lognormal", "empirical"],
         Key(label="delay distribution", option="--distribution"),
     ] = "uniform"
-    """distribution of the random part of the delay; empirical draws whole delays from `samples`"""
-    samples: Annotated[
+    """distribution of the random part of the delay; empirical draws whole delays from
+    `samples_s`"""
+    samples_s: Annotated[
         list[NotNegative] | None, BeforeValidator(_read), Key(type="file, or list of numbers >= 0")
     ] = None
-    """measured delays for empirical, or a file of them, separated by blanks or commas, relative to the scenario's
-    folder (in `--set`: to the current one), which becomes part of the scenario when that is read"""
+    """measured delays for empirical, or a file of them, separated by blanks or commas, relative to
+    the scenario's folder (in `--set`: to the current one), which becomes part of the scenario when
+    that is read"""
+    longest_sample_s: Annotated[Positive | None, Key(type="number > 0")] = None
+    """largest delay that `samples_s` may have. If omitted, 10 s: longer ones are mostly
+    milliseconds"""
+    trace: Annotated[
+        list[list[float]] | None,
+        BeforeValidator(_read_trace),
+        AfterValidator(lambda rows: rows if rows is None else _is_trace(rows)),
+        Key(type="file, or rows of 2 numbers", unit="s"),
+    ] = None
+    """recorded delays in the place of `delay_s` and `distribution`: rows of a time and the delay of a message sent from
+    then on, negative if it was lost, or a CSV file of them, `t_s,delay_s`, with `lost` for a lost one
+    ([radio.md](radio.md#a-recorded-link)); it begins with the run and is repeated"""
     loss: Annotated[
         Probability, Key(label="loss of plans", shown="%", option="--loss", short="loss")
     ] = 0.0
@@ -83,20 +118,31 @@ class LinkSection(Section):
     rate_hz: Annotated[
         Positive | None, Key(label="plans per second on a link", option="--rate")
     ] = None
-    """messages per second of scenario time that the link carries, evenly spread: half of 1 / T_s drops every other"""
+    """messages per second of scenario time that the link carries, evenly spread: half of 1 / T_s
+    drops every other"""
 
     @model_validator(mode="after")
     def _has_samples(self) -> Self:
-        if self.distribution == "empirical" and not self.samples:
-            raise ValueError("samples: expected measured delays, got nothing")
+        if self.distribution == "empirical" and not self.samples_s:
+            raise ValueError("samples_s: expected measured delays, got nothing")
+        return self
+
+    @model_validator(mode="after")
+    def _has_samples_in_seconds(self) -> Self:
+        """Refuse delays with the magnitude of another unit, unless they are said to be meant."""
+        longest_s = max(self.samples_s or [0.0])
+        limit_s = self.longest_sample_s or LONGEST_SAMPLE_S
+        if longest_s > limit_s:
+            expected = f"samples_s: expected delays in seconds, at most {limit_s:g}"
+            remedy = "divide milliseconds by 1000; if seconds are meant, set longest_sample_s"
+            raise ValueError(f"{expected}, got {longest_s:g}; {remedy} = {longest_s:g}")
         return self
 
     @property
     def perfect(self) -> bool:
         """Return whether every message arrives at once, once."""
-        return all(
-            getattr(self, key) == field.default for key, field in LinkSection.model_fields.items()
-        )
+        fields = LinkSection.model_fields
+        return all(getattr(self, key) == field.default for key, field in fields.items())
 
     def settings(self) -> dict[str, Any]:
         """Return the keys of a link that were given, as plain data."""
@@ -113,22 +159,35 @@ class LinkOverrideSection(LinkSection):
     to: Annotated[str | None, Key(type=_PROCESS)] = None
     """receiver; if omitted: any agent"""
 
+    @model_validator(mode="after")
+    def _has_two_ends(self) -> Self:
+        if self.to is not None and self.from_ == self.to:
+            raise ValueError(f"to: expected another process than the sender, got {self.to!r} twice")
+        return self
+
     def covers(self, sender: str, receiver: str) -> bool:
-        """Return whether it applies to the link from one process to another; the plant has to be named."""
-        ends = ((self.from_, sender), (self.to, receiver))
-        return all(name == end if name is not None else end != PLANT for name, end in ends)
+        """Return whether it applies to a link; to one of the plant only if it names the plant."""
+        return _is_end(self.from_, sender) and _is_end(self.to, receiver)
+
+
+def _is_end(name: str | None, process: str) -> bool:
+    """Return whether a process is a named end of a link, or any agent if no name is given."""
+    return process == name if name is not None else process != PLANT
 
 
 class LinkChangeSection(LinkOverrideSection):
-    """Change of links during a run: the keys given apply to messages sent from `at_s` on, the others stay."""
+    """Change of links during a run: its keys apply to messages sent from `at_s` on."""
 
     at_s: NotNegative
-    """time of the change: it applies to messages of the first tick not before it, and of later ticks"""
+    """time of the change: it applies to messages of the first tick not before it, and of later
+    ticks"""
 
     @model_serializer(mode="wrap")
     def _given(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Return only the keys given: a default written out would be a change."""
-        given = {*self.model_fields_set, *({"from"} if "from_" in self.model_fields_set else ())}
+        given = set(self.model_fields_set)
+        if "from_" in given:
+            given.add("from")
         return {key: value for key, value in dump(self).items() if key in given}
 
 
@@ -136,8 +195,8 @@ class PartitionSection(Section):
     """Interval in which no message passes between the named processes and the other agents."""
 
     between: Annotated[list[str], Field(min_length=1), Key(type=f"list of {_PROCESS}")]
-    """processes of one side: no message passes between them and those not in the list; the links to the plant change
-    only if it is in the list"""
+    """processes of one side: no message passes between them and those not in the list; the links to
+    the plant change only if it is in the list"""
     start_s: NotNegative
     """first time of sending"""
     end_s: Annotated[Positive, Key(type="number > `start_s`, s", unit="")]
@@ -145,7 +204,7 @@ class PartitionSection(Section):
 
 
 class LinksSection(LinkSection):
-    """The links between agents; measurement and actuation are those from and to the plant, ideal by default."""
+    """The links between agents, and, ideal by default, those from and to the plant."""
 
     measurement: LinkSection = LinkSection()
     actuation: LinkSection = LinkSection()

@@ -23,23 +23,25 @@ class MujocoSection(Section):
     """Bodies and integration of the engine "mujoco"."""
 
     step_s: Annotated[float, Interval(gt=0.0, le=0.01)] = 0.005
-    """longest integration step; a period is divided into equal steps. Contacts need steps of at most 0.01 s"""
+    """longest integration step; a period is divided into equal steps. Contacts need steps of at
+    most 0.01 s"""
     rod_mass_kg: Annotated[float, Interval(ge=1e-4, le=100.0)] = 0.001
-    """mass of each rod, unknown to the controllers; with the default the payload's path is that of massless rods within
-    a millimetre"""
+    """mass of each rod, unknown to the controllers; with the default the payload's path is that of
+    massless rods within a millimetre"""
     suspension: Literal["rods", "cables"] = "rods"
     """rods, or cables, which have no mass, pull at their full length and never push"""
 
 
 class RotorsSection(Section):
-    """Four equal rotors of every UAV, on arms at 45 deg to its axes, and the limits of their thrusts."""
+    """Four equal rotors of every UAV, on arms at 45 deg to its axes, and their limits."""
 
     arm_m: Positive
     """distance of each rotor from the centre of the UAV; arms at 45 deg to its axes"""
     drag_to_thrust_m: Positive
     """drag moment of a rotor over its thrust"""
     thrust_N: Range
-    """smallest and largest thrust of one rotor; a quarter of the hover thrust of each UAV must lie between them"""
+    """smallest and largest thrust of one rotor; a quarter of the hover thrust of each UAV must lie
+    between them"""
 
 
 class MotorsSection(Section):
@@ -50,8 +52,8 @@ class MotorsSection(Section):
     falling_lag_s: Annotated[
         Positive | None, Key(label="motor lag of falling thrust", shown="ms")
     ] = None
-    """time constant of a rotor whose thrust falls, `lag_s` is then that of rising thrust; default: `lag_s`. Needs
-    `lag_s` > 0 and `[plant.motors.rotors]`"""
+    """time constant of a rotor whose thrust falls, `lag_s` is then that of rising thrust; default:
+    `lag_s`. Needs `lag_s` > 0 and `[plant.motors.rotors]`"""
     thrust_step_N: Annotated[NotNegative, Key(label="thrust step")] = 0.0
     """the thrust of a UAV is rounded to multiples of this step; 0: any thrust"""
     rotors: RotorsSection | None = None
@@ -75,7 +77,7 @@ class WindSection(Section):
 
 
 class BiasSection(Section):
-    """Constant errors of each vehicle's sensors, with `plant.sensors` vehicle: standard deviations of their draws."""
+    """Standard deviations of constant sensor errors, with `plant.sensors` vehicle."""
 
     position_m: Annotated[NotNegative, Key(within=_NOISE)] = 0.0
     """standard deviation of the bias of positions"""
@@ -90,7 +92,7 @@ class BiasSection(Section):
 
 
 class DelaySection(Section):
-    """Ages of a vehicle's measurements, with `plant.sensors` vehicle, rounded to whole sampling periods."""
+    """Ages of a vehicle's measurements, with `plant.sensors` vehicle, in whole sampling periods."""
 
     position_s: Annotated[
         float, Interval(ge=0.0, le=1.0), Key(label="delay of positions", shown="ms")
@@ -107,7 +109,7 @@ class DelaySection(Section):
 
 
 class NoiseSection(Section):
-    """Errors of the measurements: white noise; with `plant.sensors` vehicle also bias and delay, of each UAV."""
+    """Errors of the measurements: white noise; with `plant.sensors` vehicle also bias and delay."""
 
     position_m: Annotated[
         NotNegative, Key(within=_NOISE, label="noise of payload position", shown="mm")
@@ -130,7 +132,7 @@ class NoiseSection(Section):
 
 
 class PlantSection(Section):
-    """Ground truth: its integration, its difference from the controller's model, limits beyond which a run diverged."""
+    """Ground truth: integration, differences from the controller's model, limits of divergence."""
 
     engine: Annotated[
         str, or_class("rods", "mujoco"), Key(type="rods, mujoco, package.module:Class")
@@ -138,13 +140,14 @@ class PlantSection(Section):
     """the controllers' own equations, MuJoCo ([engines.md](engines.md) compares them), or [your own
     class](bring-your-own.md#your-own-engine)"""
     ground_m: float | None = None
-    """z of a level ground, inertial frame (z down), for engines with contacts, so not rods. The payload is a box that
-    reaches to its attachment points, a UAV a sphere of 0.1 m"""
+    """z of a level ground, inertial frame (z down), for engines with contacts, so not rods. The
+    payload is a box that reaches to its attachment points, a UAV a sphere of 0.1 m"""
     mujoco: MujocoSection = MujocoSection()
     step_s: Annotated[Positive, Key(label="integration step", shown="ms")] = 0.01
     """longest integration step of rods; a period is divided into equal steps"""
     tolerance: Annotated[float, Interval(ge=1e-12, le=10.0), Key(unit="SI")] = 1e-9
-    """local error above which an integration step of rods is halved, [equations.md](equations.md) (13c)"""
+    """local error above which an integration step of rods is halved, [equations.md](equations.md)
+    (13c)"""
     max_attitude_deg: Annotated[float, Interval(gt=0.0, lt=90.0)] = 80.0
     """roll or pitch of the payload or a UAV beyond which the run counts as diverged"""
     max_error_m: Positive = 20.0
@@ -152,15 +155,17 @@ class PlantSection(Section):
     payload_mass_factor: Annotated[
         MassFactor, Key(label="actual over assumed payload mass", short="payload_mass_factor")
     ] = 1.0
-    """actual mass and inertia of the payload over those of `[system.payload]`, which the controller assumes"""
+    """actual mass and inertia of the payload over those of `[system.payload]`, which the controller
+    assumes"""
     uav_mass_factor: Annotated[MassFactor, Key(label="actual over assumed UAV mass")] = 1.0
     """actual mass and inertia of every UAV over those that the controller assumes"""
     inner_loop: Literal["model", "betaflight"] = "model"
-    """moments from commanded body rates, with `controller.inputs=rates`: by the loop that controllers predict with, or
-    the flight firmware Betaflight, a process for each UAV ([engines.md](engines.md#flight-firmware))"""
+    """moments from commanded body rates, with `controller.inputs=rates`: by the loop that
+    controllers predict with, or the flight firmware Betaflight, a process for each UAV
+    ([engines.md](engines.md#flight-firmware))"""
     motors: MotorsSection = MotorsSection()
     wind: WindSection = WindSection()
     sensors: Literal["state", "vehicle"] = "state"
-    """measurements of an agent: the states of payload, own UAVs and rods; or what an autopilot has of each own UAV
-    ([equations.md](equations.md#estimation-without-a-payload-sensor))"""
+    """measurements of an agent: the states of payload, own UAVs and rods; or what an autopilot has
+    of each own UAV ([equations.md](equations.md#estimation-without-a-payload-sensor))"""
     noise: NoiseSection = NoiseSection()

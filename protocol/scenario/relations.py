@@ -1,50 +1,67 @@
 """Relations between the fields of a scenario, checked once each field is valid by itself."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import pairwise
 from operator import attrgetter
 
+from transport.protocol.radio.standard import STANDARDS
 from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.faults import OF_UAVS
+from transport.protocol.scenario.fault_relations import Problems, fault_problems, processes_of
+from transport.protocol.scenario.maneuver_sections import PhaseSection
 from transport.protocol.scenario.plant_sections import MujocoSection
 from transport.protocol.scenario.schema import Scenario
-from transport.protocol.wire.names import COORDINATOR, PLANT, agent_name
 
-_SHORTEST_LAG = (
-    0.01  # of motors, sampling periods: the discretisation takes exponentials of its reciprocal
-)
+# Least lag of motors, in sampling periods: the discretisation takes exponentials of its reciprocal.
+_LEAST_LAG = 0.01
 
-_OTHER = object()  # any value but the default
-# Key and value, then a key and the value that they need.
+_ANY = object()  # any value but the default
+_DEFAULTS = ("mpc", None)
+
+
+@dataclass(frozen=True, slots=True)
+class Need:
+    """A value of one key that needs a value of another key."""
+
+    cause: str
+    value: object
+    key: str
+    needed: object
+
+    def is_there(self, given: object) -> bool:
+        """Return whether a value of the cause is the one that needs something."""
+        if self.value is _ANY:
+            return given not in _DEFAULTS
+        return given == self.value
+
+
 _NEEDS = (
-    ("controller.terminal", "riccati", "controller.weights.penalised_input", "deviation"),
-    ("controller.share", "on_change", "controller.prediction", "closed_loop"),
-    ("controller.share", "on_change", "controller.received_plans", "by_age"),
-    ("controller.share", "on_change", "controller.received_states", "predicted"),
-    ("controller.share", "on_change", "controller.negotiation_iterations", 1),
-    ("controller.estimator", "measured", "plant.sensors", "state"),
-    ("controller.estimator", "kalman", "plant.sensors", "vehicle"),
-    ("controller.estimator", "kalman", "controller.prediction", "closed_loop"),
-    ("controller.estimator", "kalman", "controller.received_states", "predicted"),
-    ("controller.estimator", "kalman", "controller.share", "always"),
-    ("agents.controller", _OTHER, "controller.share", "always"),
-    ("agents.controller", _OTHER, "controller.negotiation_iterations", 1),
-    ("agents.controller", _OTHER, "plant.sensors", "state"),
-    ("controller.tension", _OTHER, "controller.motor_lag_s", 0.0),
-    ("clock.mode", "realtime", "controller.negotiation_iterations", 1),
-    ("clock.mode", "realtime", "plant.inner_loop", "model"),
-    ("plant.engine", "rods", "plant.ground_m", None),
-    ("plant.engine", "rods", "plant.mujoco", MujocoSection()),
-    ("plant.inner_loop", "betaflight", "controller.inputs", "rates"),
-    ("maneuver.reference", "flat", "controller.prediction", "closed_loop"),
-    ("maneuver.reference", "flat", "controller.linearisation", "along"),
-    ("maneuver.reference", "flat", "controller.terminal", "riccati"),
-    ("maneuver.reference", "flat", "controller.preview", True),
-    ("maneuver.reference", "flat", "controller.motor_lag_s", 0.0),
-    ("maneuver.reference", "flat", "controller.constraint", ()),
+    Need("controller.terminal", "riccati", "controller.weights.penalised_input", "deviation"),
+    Need("controller.share", "on_change", "controller.prediction", "closed_loop"),
+    Need("controller.share", "on_change", "controller.received_plans", "by_age"),
+    Need("controller.share", "on_change", "controller.received_states", "predicted"),
+    Need("controller.share", "on_change", "controller.negotiation_iterations", 1),
+    Need("controller.estimator", "measured", "plant.sensors", "state"),
+    Need("controller.estimator", "kalman", "plant.sensors", "vehicle"),
+    Need("controller.estimator", "kalman", "controller.prediction", "closed_loop"),
+    Need("controller.estimator", "kalman", "controller.received_states", "predicted"),
+    Need("controller.estimator", "kalman", "controller.share", "always"),
+    Need("agents.controller", _ANY, "controller.share", "always"),
+    Need("agents.controller", _ANY, "controller.negotiation_iterations", 1),
+    Need("agents.controller", _ANY, "plant.sensors", "state"),
+    Need("controller.tension", _ANY, "controller.motor_lag_s", 0.0),
+    Need("clock.mode", "realtime", "controller.negotiation_iterations", 1),
+    Need("clock.mode", "realtime", "plant.inner_loop", "model"),
+    Need("plant.engine", "rods", "plant.ground_m", None),
+    Need("plant.engine", "rods", "plant.mujoco", MujocoSection()),
+    Need("plant.inner_loop", "betaflight", "controller.inputs", "rates"),
+    Need("maneuver.reference", "flat", "controller.prediction", "closed_loop"),
+    Need("maneuver.reference", "flat", "controller.linearisation", "along"),
+    Need("maneuver.reference", "flat", "controller.terminal", "riccati"),
+    Need("maneuver.reference", "flat", "controller.preview", True),
+    Need("maneuver.reference", "flat", "controller.motor_lag_s", 0.0),
+    Need("maneuver.reference", "flat", "controller.constraint", ()),
 )
-
-Problems = Iterator[tuple[str, str, object]]  # field, what was expected there, and what came
 
 
 def check_relations(scenario: Scenario, source: str) -> None:
@@ -52,187 +69,210 @@ def check_relations(scenario: Scenario, source: str) -> None:
 
     Raises: ScenarioError: with the first problem.
     """
-    for check in (
+    checks = (
         _needs,
         _ownership,
         _links,
+        _radio,
         _controller,
         _clock,
-        _faults,
+        fault_problems,
         _plant,
         _phases,
         _obstacles,
-    ):
+    )
+    for check in checks:
         for field, expected, got in check(scenario):
             raise ScenarioError(source, field, f"expected {expected}, got {got}")
 
 
 def _needs(scenario: Scenario) -> Problems:
-    for cause, value, key, needed in _NEEDS:
-        given, got = attrgetter(cause)(scenario), attrgetter(key)(scenario)
-        if (given == value or (value is _OTHER and given not in ("mpc", None))) and got != needed:
-            expected = repr(needed) if isinstance(needed, str | int | float) else "no value"
-            yield key, f"{expected} with {cause} = {given!r:.60}", f"{got!r:.60}"
+    """Yield keys whose value does not go with that of another key."""
+    for need in _NEEDS:
+        given = attrgetter(need.cause)(scenario)
+        got = attrgetter(need.key)(scenario)
+        if need.is_there(given) and got != need.needed:
+            is_value = isinstance(need.needed, str | int | float)
+            expected = repr(need.needed) if is_value else "no value"
+            yield need.key, f"{expected} with {need.cause} = {given!r:.60}", f"{got!r:.60}"
 
 
 def _ownership(scenario: Scenario) -> Problems:
+    """Yield wrong ids of UAVs, and UAVs without or with several owners."""
     ids = [uav.id for uav in scenario.system.uav]
     if ids != list(range(1, len(ids) + 1)):
         yield "system.uav.id", f"1, 2, ... {len(ids)} in order", ids
+
     owned = sorted(uav for group in scenario.owned for uav in group)
     if owned != ids:
         yield "agents.owned", f"each UAV of {ids} once", owned
 
 
 def _links(scenario: Scenario) -> Problems:
-    links, names = scenario.links, _processes(scenario)
-    ends: list[tuple[str, str | None]] = []
-    for key, sections in (("override", links.override), ("change", links.change)):
-        for i, section in enumerate(sections, start=1):
-            ends += [(f"links.{key}.{i}.from", section.from_), (f"links.{key}.{i}.to", section.to)]
-    for i, partition in enumerate(links.partition, start=1):
-        ends += [(f"links.partition.{i}.between", name) for name in partition.between]
+    """Yield empty partitions, and ends of links that are no processes of the run."""
+    names = processes_of(scenario)
+    for i, partition in enumerate(scenario.links.partition, start=1):
         if partition.end_s <= partition.start_s:
-            yield (
-                f"links.partition.{i}.end_s",
-                f"more than start_s {partition.start_s}",
-                partition.end_s,
-            )
-    for field, name in ends:
+            expected = f"more than start_s {partition.start_s}"
+            yield f"links.partition.{i}.end_s", expected, partition.end_s
+
+    for field, name in _link_ends(scenario):
         if name is not None and name not in names:
             yield field, f"one of {', '.join(names)}", repr(name)
 
 
-def _processes(scenario: Scenario) -> list[str]:
-    return [PLANT, *(agent_name(agent) for agent in range(1, len(scenario.owned) + 1))]
+def _radio(scenario: Scenario) -> Problems:
+    """Yield what a radio needs: lockstep, several agents, a rate of its standard, time to compute."""
+    radio = scenario.radio
+    controller = scenario.controller
+    if radio is None:
+        return
+    if scenario.clock.mode == "realtime":
+        yield "radio", "no such section with clock.mode = 'realtime': the network is real", "one"
+    if len(scenario.owned) == 1:
+        yield "radio", "several agents with it: one agent sends no plans", "one agent"
+
+    rates_mbps = STANDARDS[radio.standard].rates_mbps
+    if radio.rate_mbps not in rates_mbps:
+        shown = ", ".join(f"{rate:g}" for rate in rates_mbps)
+        yield "radio.rate_mbps", f"one of {shown} with {radio.standard}", f"{radio.rate_mbps:g}"
+
+    exchange_s = controller.sampling_period_s / controller.negotiation_iterations
+    computed_s = radio.computation_mean_s + 3.0 * radio.computation_deviation_s
+    if radio.offsets == "slots" and computed_s >= exchange_s:
+        expected = f"mean and three deviations below {exchange_s:g} s, the time of an exchange"
+        yield "radio.computation_mean_s", f"{expected}, with offsets 'slots'", f"{computed_s:g} s"
+
+
+def _link_ends(scenario: Scenario) -> Iterator[tuple[str, str | None]]:
+    """Yield the fields that name an end of a link, and the names."""
+    links = scenario.links
+    for key, sections in (("override", links.override), ("change", links.change)):
+        for i, section in enumerate(sections, start=1):
+            yield f"links.{key}.{i}.from", section.from_
+            yield f"links.{key}.{i}.to", section.to
+    for i, partition in enumerate(links.partition, start=1):
+        for name in partition.between:
+            yield f"links.partition.{i}.between", name
 
 
 def _controller(scenario: Scenario) -> Problems:
-    section, motors = scenario.controller, scenario.plant.motors
-    if section.preview and section.prediction == "open_loop" and section.terminal == "multiple":
-        expected = (
-            "controller.prediction = 'closed_loop' or controller.terminal = 'riccati' with it"
-        )
-        yield "controller.preview", expected, "neither"
-    shortest_s = _SHORTEST_LAG * section.sampling_period_s
+    """Yield a preview without a control law, and lags that no model of motors can have."""
+    section = scenario.controller
+    is_without_law = section.prediction == "open_loop" and section.terminal == "multiple"
+    if section.preview and is_without_law:
+        remedies = "controller.prediction = 'closed_loop' or controller.terminal = 'riccati'"
+        yield "controller.preview", f"{remedies} with it", "neither"
+
+    least_s = _LEAST_LAG * section.sampling_period_s
     for key in ("controller.motor_lag_s", "plant.motors.lag_s", "plant.motors.falling_lag_s"):
-        if 0.0 < (lag_s := attrgetter(key)(scenario) or 0.0) < shortest_s:
-            yield key, f"0 or at least a hundredth of the sampling period, {shortest_s:g}", lag_s
+        lag_s = attrgetter(key)(scenario) or 0.0
+        if 0.0 < lag_s < least_s:
+            expected = f"0 or at least a hundredth of the sampling period, {least_s:g}"
+            yield key, expected, lag_s
+
+    motors = scenario.plant.motors
     if motors.falling_lag_s is not None and (motors.rotors is None or not motors.lag_s):
-        got = f"lag_s {motors.lag_s:g}, {'no ' if motors.rotors is None else ''}rotors"
+        rotors = "no rotors" if motors.rotors is None else "rotors"
+        got = f"lag_s {motors.lag_s:g}, {rotors}"
         yield "plant.motors.falling_lag_s", "lag_s > 0 and rotors with it", got
 
 
 def _clock(scenario: Scenario) -> Problems:
-    if scenario.clock.mode == "realtime" and scenario.clock.speed == 0.0:
+    """Yield keys of lockstep in real time."""
+    clock = scenario.clock
+    if clock.mode != "realtime":
+        return
+    if clock.speed == 0.0:
         yield "clock.speed", "a number > 0 with mode realtime, such as 1", 0
-    if scenario.clock.mode == "realtime" and scenario.clock.actuation == "immediate":
-        yield (
-            "clock.actuation",
-            "'next_tick' with mode realtime, where a step takes time",
-            "'immediate'",
-        )
-
-
-def _faults(scenario: Scenario) -> Problems:
-    processes, uavs = (
-        [COORDINATOR, *_processes(scenario)],
-        [f"uav{section.id}" for section in scenario.system.uav],
-    )
-    last: dict[str, str] = {}  # action on each target
-    for i, event in sorted(
-        enumerate(scenario.faults.event, start=1), key=lambda entry: entry[1].at_s
-    ):
-        field, do, target = f"faults.event.{i}", event.do, event.target
-        possible = uavs if do in OF_UAVS else processes[2:] if do == "restart" else processes
-        if target not in possible:
-            yield f"{field}.target", f"one of {', '.join(possible)}", repr(target)
-        if (do == "degrade") != (event.efficiency is not None):
-            expected = "an efficiency" if do == "degrade" else "no efficiency without 'degrade'"
-            yield f"{field}.efficiency", expected, event.efficiency or "nothing"
-        if do == "motor_off" and scenario.maneuver.reference == "flat":
-            yield f"{field}.do", "'release' with maneuver.reference = 'flat'", "'motor_off'"
-        before = last.get(target, "start")
-        if before == "release" or (do == "continue" and before != "stop"):
-            yield f"{field}.do", f"an action possible for {target} after its {before}", repr(do)
-        last[target] = do
-    of_motors = {
-        event.target for event in scenario.faults.event if event.do in ("motor_off", "release")
-    }
-    grounded = scenario.plant.ground_m is not None and all(
-        last.get(uav) == "release" for uav in uavs
-    )
-    if not grounded and of_motors.issuperset(uavs):
-        yield (
-            "faults.event",
-            "at least one UAV that keeps its motors",
-            f"motor_off or release for all {len(uavs)}",
-        )
+    if clock.actuation == "immediate":
+        expected = "'next_tick' with mode realtime, where a step takes time"
+        yield "clock.actuation", expected, "'immediate'"
 
 
 def _plant(scenario: Scenario) -> Problems:
-    plant, period_s = scenario.plant, scenario.controller.sampling_period_s
-    if plant.mujoco.suspension == "cables" and any(
-        event.do == "release" for event in scenario.faults.event
-    ):
+    """Yield cables that release, and drag that would reverse the motion it brakes."""
+    plant = scenario.plant
+    is_released = any(event.do == "release" for event in scenario.faults.event)
+    if plant.mujoco.suspension == "cables" and is_released:
         yield "plant.mujoco.suspension", "'rods' with a fault 'release'", "'cables'"
-    # Drag is held over a period, so above this bound it would reverse the motion it brakes; only in
-    # wind.
-    wind, system = plant.wind, scenario.system
-    lightest_kg = plant.uav_mass_factor * min(uav.mass_kg for uav in system.uav)
-    payload_kg = plant.payload_mass_factor * system.payload.mass_kg
-    for key, mass in (("drag_payload_kgps", payload_kg), ("drag_uav_kgps", lightest_kg)):
-        if getattr(wind, key) * period_s > mass and any([*wind.speed_mps, *wind.gust_mps]):
-            yield (
-                f"plant.wind.{key}",
-                f"at most mass over sampling period {mass / period_s:g}",
-                getattr(wind, key),
-            )
+
+    wind = plant.wind
+    if not any([*wind.speed_mps, *wind.gust_mps]):
+        return
+
+    # Drag is held over a period: dv = -(c / m) T_s v must not exceed v.
+    period_s = scenario.controller.sampling_period_s
+    uav_kg = plant.uav_mass_factor * min(uav.mass_kg for uav in scenario.system.uav)
+    payload_kg = plant.payload_mass_factor * scenario.system.payload.mass_kg
+    for key, drag_kgps, mass_kg in (
+        ("drag_payload_kgps", wind.drag_payload_kgps, payload_kg),
+        ("drag_uav_kgps", wind.drag_uav_kgps, uav_kg),
+    ):
+        if drag_kgps * period_s > mass_kg:
+            expected = f"at most mass over sampling period {mass_kg / period_s:g}"
+            yield f"plant.wind.{key}", expected, drag_kgps
 
 
 def _phases(scenario: Scenario) -> Problems:
+    """Yield phases whose fields contradict each other, or the rest of the maneuver."""
     maneuver = scenario.maneuver
     for i, phase in enumerate(maneuver.phase, start=1):
-        field, times, points = f"maneuver.phase.{i}", phase.times_s, phase.points_m or []
-        x, y, z = phase.displacement_m
+        field = f"maneuver.phase.{i}"
         if phase.kind in ("take_off", "land"):
-            if scenario.plant.ground_m is None:
-                yield f"{field}.kind", "plant.ground_m with it", f"{phase.kind!r} without a ground"
-            sign, direction = (
-                (-1.0, "up, negative z") if phase.kind == "take_off" else (1.0, "down, positive z")
-            )
-            if x != 0.0 or y != 0.0 or sign * z <= 0.0:
-                yield f"{field}.displacement_m", f"a path straight {direction}", [x, y, z]
-        if phase.kind != "move" and phase.way is not None:
-            yield f"{field}.kind", "'move' with a path from a file", repr(phase.kind)
-        if phase.kind == "spline" and not points:
-            yield f"{field}.points_m", "way points with kind 'spline'", "none"
-        if times is not None and (
-            len(times) != len(points) or any(b <= a for a, b in pairwise(times))
-        ):
-            yield f"{field}.times_s", f"{len(points)} rising times, one for each way point", times
-        if phase.curve() is not None and phase.ramp_s > phase.duration_s / 2.0:
-            yield (
-                f"{field}.ramp_s",
-                f"at most half the duration, {phase.duration_s / 2.0:g} s",
-                phase.ramp_s,
-            )
+            yield from _vertical(phase, field, has_ground=scenario.plant.ground_m is not None)
+        yield from _curve(phase, field)
+
         if phase.formation and maneuver.reference == "hover":
             yield f"{field}.formation", "maneuver.reference = 'flat' with it", "'hover'"
         is_last = not any(later.formation for later in maneuver.phase[i:])
         if phase.formation and is_last and phase.formation[-1][1:] != (1.0, 1.0):
-            yield (
-                f"{field}.formation",
-                "1, 1 at the end of the maneuver",
-                list(phase.formation[-1][1:]),
-            )
+            got = list(phase.formation[-1][1:])
+            yield f"{field}.formation", "1, 1 at the end of the maneuver", got
+
+
+def _vertical(phase: PhaseSection, field: str, *, has_ground: bool) -> Problems:
+    """Yield what is wrong with a take-off or landing."""
+    if not has_ground:
+        yield f"{field}.kind", "plant.ground_m with it", f"{phase.kind!r} without a ground"
+
+    x, y, z = phase.displacement_m
+    is_take_off = phase.kind == "take_off"
+    is_right_way = z < 0.0 if is_take_off else z > 0.0
+    if x != 0.0 or y != 0.0 or not is_right_way:
+        direction = "up, negative z" if is_take_off else "down, positive z"
+        yield f"{field}.displacement_m", f"a path straight {direction}", [x, y, z]
+
+
+def _curve(phase: PhaseSection, field: str) -> Problems:
+    """Yield what is wrong with the table, the way points or the ramps of a phase."""
+    if phase.kind != "move" and phase.way is not None:
+        yield f"{field}.kind", "'move' with a path from a file", repr(phase.kind)
+
+    points = phase.points_m or []
+    if phase.kind == "spline" and not points:
+        yield f"{field}.points_m", "way points with kind 'spline'", "none"
+
+    times = phase.times_s
+    if times is not None:
+        is_rising = all(earlier < later for earlier, later in pairwise(times))
+        if len(times) != len(points) or not is_rising:
+            expected = f"{len(points)} rising times, one for each way point"
+            yield f"{field}.times_s", expected, times
+
+    longest_s = phase.duration_s / 2.0
+    if phase.curve() is not None and phase.ramp_s > longest_s:
+        yield f"{field}.ramp_s", f"at most half the duration, {longest_s:g} s", phase.ramp_s
 
 
 def _obstacles(scenario: Scenario) -> Problems:
+    """Yield sizes that an obstacle of its kind lacks or does not have."""
     sizes = {"radius_m": ("sphere", "cylinder"), "size_m": ("box",), "width_m": ("gap",)}
     for i, section in enumerate(scenario.obstacle, start=1):
         for key, kinds in sizes.items():
             given = getattr(section, key)
-            if (given is None) == (section.kind in kinds):
-                expected = f"{'a' if given is None else 'no such'} size with kind {section.kind!r}"
+            is_missing = given is None
+            if is_missing == (section.kind in kinds):
+                article = "a" if is_missing else "no such"
+                expected = f"{article} size with kind {section.kind!r}"
                 yield f"obstacle.{i}.{key}", expected, given or "nothing"

@@ -126,15 +126,11 @@ class Setup:
         building(source, "maneuver.target", lambda: check_scripted(self))
 
     def _off_obstacles(self) -> Problems:
-        """Yield the obstacle whose margins the reference does not keep at the sampling instants."""
-        first = self.blocked(self.reference.times_s)
+        """Yield the obstacle whose margins the reference does not keep, between instants too."""
+        first = blocked(self.reference, self.obstacles, self.system)
         if first is not None:
             number, problem = first
             yield f"obstacle.{number}", f"{problem}; {_REMEDY}"
-
-    def blocked(self, times_s: Array) -> tuple[int, str] | None:
-        """Return the number, from 1, of the first obstacle that is too near, and the problem."""
-        return blocked(self.reference, self.obstacles, self.system, times_s)
 
     @cached_property
     def obstacles(self) -> tuple[Obstacle, ...]:

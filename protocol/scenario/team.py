@@ -1,22 +1,33 @@
 """A team of any size: UAVs in a ring over a payload of the paper's shape.
 
-All else is that of a scenario.
+All other values are those of a scenario.
 """
 
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from transport.model.parameters import table_1
 from transport.mpc.settings import Key, Positive, Section
-from transport.protocol.scenario.errors import validated
+from transport.protocol.scenario.errors import ScenarioError, validated
 from transport.protocol.scenario.file import find_scenario, read_tree, validate
+from transport.protocol.scenario.origins import Origin, origins_in
 from transport.protocol.scenario.schema import Inertia, Scenario
 from transport.protocol.wire.names import MAX_UAVS
 
-FEWEST, MOST = 2, MAX_UAVS  # one rod leaves the payload free to turn about it
-_DECIMALS = (
-    6  # of lengths and inertias, m and kg m^2: readable, and fine enough not to affect a run
+FEWEST = 2  # one rod leaves the payload free to turn about it
+MOST = MAX_UAVS
+
+# Decimals of lengths and inertias, m and kg m^2: readable, and fine enough not to affect a run.
+_DECIMALS = 6
+
+# Limits that a hover may exceed with a payload of another mass.
+_LIMITS_OF_HOVER = (
+    "controller.limits.thrust_N",
+    "controller.tension.minimum_N",
+    "plant.motors.rotors.thrust_N",
+    "system.uav",
 )
 
 
@@ -41,14 +52,73 @@ class Vehicle(Section):
     controller: dict[str, Any] = {}
     plant: dict[str, Any] = {}
 
+    @property
+    def keys(self) -> dict[str, Any]:
+        """The keys of a scenario."""
+        return {"controller": self.controller, "plant": self.plant}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Team:
+    """The team that a scenario is made for."""
+
+    uavs: int  # `FEWEST` to `MOST`
+    group: int | None = None  # UAVs per agent; None: as the template's first agent, or all
+    name: str | None = None  # of the scenario; None: that of the template with the number of UAVs
+    vehicle: str | None = None  # file or name; None: the paper's UAV
+    load_kg: float | None = None  # mass of the payload; None: half that of the UAVs
+
+    @property
+    def load_in_words(self) -> str:
+        """The load as errors name it."""
+        return f"load_kg={self.load_kg:g}"
+
+    @property
+    def name_in_words(self) -> str:
+        """The name as errors name it."""
+        return f"name={self.name!r}"
+
+    def origins(self) -> tuple[Origin, ...]:
+        """Return the sources of the values that are not those of the template."""
+        origins: list[Origin] = []
+        if self.vehicle is not None:
+            file = str(find_scenario(self.vehicle, "vehicles"))
+            origins += origins_in(read_vehicle(self.vehicle).keys, file)
+            origins.append(Origin(key="system.uav", source=file))
+        if self.load_kg is not None:
+            origins.append(Origin(key="system.payload", source=self.load_in_words))
+        if self.name is not None:
+            origins.append(Origin(key="name", source=self.name_in_words))
+        return tuple(origins)
+
+    def blamed(self, error: ScenarioError) -> ScenarioError:
+        """Return an error of this team's scenario with the source of the refused value."""
+        is_of_hover = error.field in _LIMITS_OF_HOVER and "hover" in error.problem
+        if is_of_hover and self.load_kg is not None:
+            return ScenarioError(self.load_in_words, error.field, error.problem)
+        return error.traced(self.origins())
+
 
 def read_vehicle(name: str) -> Vehicle:
-    """Return a vehicle: of a file, or a ready one by its name.
+    """Return a vehicle, of a file or a ready one by its name.
 
     Raises: ScenarioError: as `read_scenario`.
     """
     path = find_scenario(name, "vehicles")
     return validated(Vehicle, read_tree(path), str(path))
+
+
+def papers_airframe() -> AirframeSection:
+    """Return the UAV of the paper and its distance from its neighbours, Table I."""
+    paper = table_1()
+    uav = paper.uavs[0]
+    radius_m = math.hypot(*uav.rho[:2].tolist())
+    return AirframeSection(
+        mass_kg=uav.mass,
+        inertia_kgm2=uav.inertia.diagonal().tolist(),
+        rod_length_m=uav.rod_length,
+        spacing_m=2.0 * radius_m * math.sin(math.pi / paper.N),
+    )
 
 
 def ring(
@@ -57,74 +127,91 @@ def ring(
     airframe: AirframeSection | None = None,
     load_kg: float | None = None,
 ) -> dict[str, Any]:
-    """Return the section `system` of N UAVs, 2 or more, in a ring over a payload of the paper's shape.
+    """Return the section `system` of N UAVs, 2 or more, in a ring.
 
     By default UAVs, their distance and the load of each, half its mass, are the paper's: four are
     Table I. Source: docs/scenario.md.
     """
     paper = table_1()
-    uav, payload = paper.uavs[0], paper.payload
-    x, y, z = uav.rho.tolist()
-    paper_radius = math.hypot(x, y)
-    own = airframe or AirframeSection(
-        mass_kg=uav.mass,
-        inertia_kgm2=uav.inertia.diagonal().tolist(),
-        rod_length_m=uav.rod_length,
-        spacing_m=2.0 * paper_radius * math.sin(math.pi / paper.N),
-    )
-    mass = payload.mass * N / paper.N * (own.mass_kg / uav.mass) if load_kg is None else load_kg
-    radius = own.spacing_m / (2.0 * math.sin(math.pi / N))
-    scale = radius / paper_radius
-    inertia = payload.inertia.diagonal() * (mass / payload.mass * scale**2)
-    angles = [math.pi / N * (1 - 2 * i) for i in range(N)]
-    rho_m = [_rounded([radius * math.cos(a), radius * math.sin(a), scale * z]) for a in angles]
-    same: dict[str, Any] = {
-        "mass_kg": own.mass_kg,
-        "inertia_kgm2": own.inertia_kgm2,
-        "rod_length_m": own.rod_length_m,
-    }
+    uav = paper.uavs[0]
+    own = airframe or papers_airframe()
+
+    # Neighbours on a circle of radius r are 2 r sin(pi / N) apart.
+    x_m, y_m, z_m = uav.rho.tolist()
+    radius_m = own.spacing_m / (2.0 * math.sin(math.pi / N))
+    scale = radius_m / math.hypot(x_m, y_m)
+
+    mass_kg = load_kg
+    if mass_kg is None:
+        mass_kg = paper.payload.mass * N / paper.N * (own.mass_kg / uav.mass)
+
+    # The payload keeps its shape: J ~ m r^2.
+    inertia_kgm2 = paper.payload.inertia.diagonal() * (mass_kg / paper.payload.mass * scale**2)
+
     return {
         "gravity_mps2": gravity_mps2,
-        "payload": {"mass_kg": mass, "inertia_kgm2": _rounded(inertia)},
-        "uav": [{"id": i, "rho_m": place, **same} for i, place in enumerate(rho_m, start=1)],
+        "payload": {"mass_kg": mass_kg, "inertia_kgm2": _rounded(inertia_kgm2)},
+        "uav": [
+            {
+                "id": number,
+                "rho_m": _rounded(_on_circle(number, N, radius_m, scale * z_m)),
+                "mass_kg": own.mass_kg,
+                "inertia_kgm2": own.inertia_kgm2,
+                "rod_length_m": own.rod_length_m,
+            }
+            for number in range(1, N + 1)
+        ],
     }
 
 
-def resized(
-    template: Scenario,
-    uavs: int,
-    *,
-    group: int | None,
-    name: str | None,
-    source: str,
-    vehicle: str | None = None,
-    load_kg: float | None = None,
-) -> Scenario:
-    """Return a scenario for a ring of `FEWEST` to `MOST` UAVs, with the keys of their vehicle and of the template.
+def resized(template: Scenario, team: Team, source: str) -> Scenario:
+    """Return a scenario for a team, with the keys of its vehicle and otherwise of the template.
 
-    By default the group, UAVs per agent, is that of the template's first agent, or all; the name is
-    the template's with the number of UAVs; the vehicle, a file or name, is the paper's; the load
-    has half the mass of the UAVs. `source`
-    names the template in errors. Raises: ScenarioError: the template names agents that are gone, or
-        a value is invalid.
+    Errors name the source of the refused value: vehicle, load, name, or `source` of the template.
+
+    Raises: ScenarioError: the template names agents that are gone, or a value is invalid.
     """
-    chosen = None if vehicle is None else read_vehicle(vehicle)
-    group = group or (uavs if len(template.owned) == 1 else len(template.owned[0]))
-    ids, basis, tree = list(range(1, uavs + 1)), template.name, given(template)
-    if chosen is not None:
-        tree = _merged(tree, {"controller": chosen.controller, "plant": chosen.plant})
-        basis = f"{template.name}-{chosen.name}"
-    tree["name"] = f"{basis}-{uavs}" if name is None else name
-    tree["system"] = ring(
-        uavs, template.system.gravity_mps2, chosen.uav if chosen else None, load_kg
-    )
-    tree["agents"] = {"owned": [ids[i : i + group] for i in range(0, uavs, group)]}
-    return validate(tree, source)
+    vehicle = None if team.vehicle is None else read_vehicle(team.vehicle)
+
+    basis = template.name
+    tree = given(template)
+    if vehicle is not None:
+        basis = f"{template.name}-{vehicle.name}"
+        tree = _merged(tree, vehicle.keys)
+
+    airframe = None if vehicle is None else vehicle.uav
+    tree["name"] = f"{basis}-{team.uavs}" if team.name is None else team.name
+    tree["system"] = ring(team.uavs, template.system.gravity_mps2, airframe, team.load_kg)
+    tree["agents"] = {"owned": _owned(template, team)}
+
+    try:
+        return validate(tree, source)
+    except ScenarioError as error:
+        raise team.blamed(error) from error.__cause__
 
 
 def given(scenario: Scenario) -> dict[str, Any]:
     """Return a scenario as plain data, with the given values only."""
     return scenario.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude_none=True)
+
+
+def _owned(template: Scenario, team: Team) -> list[list[int]]:
+    """Return the UAVs of each agent, by default as many as of the template's first agent."""
+    is_centralized = len(template.owned) == 1
+    usual = team.uavs if is_centralized else len(template.owned[0])
+    group = usual if team.group is None else team.group
+
+    ids = list(range(1, team.uavs + 1))
+    return [ids[first : first + group] for first in range(0, team.uavs, group)]
+
+
+def _on_circle(number: int, N: int, radius_m: float, z_m: float) -> list[float]:
+    """Return the attachment point of a UAV, from 1.
+
+    The first is to the right of the x axis, the others follow counter-clockwise.
+    """
+    angle_rad = math.pi / N * (3 - 2 * number)
+    return [radius_m * math.cos(angle_rad), radius_m * math.sin(angle_rad), z_m]
 
 
 def _merged(tree: Any, changes: Any) -> Any:
@@ -135,4 +222,5 @@ def _merged(tree: Any, changes: Any) -> Any:
 
 
 def _rounded(values: Iterable[float]) -> list[float]:
-    return [round(float(value), _DECIMALS) + 0.0 for value in values]  # + 0.0: no -0.0 in the file
+    """Return numbers as a file has them."""
+    return [round(float(value), _DECIMALS) + 0.0 for value in values]  # + 0.0: no -0.0

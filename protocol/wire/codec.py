@@ -1,9 +1,7 @@
-"""Messages as bytes (docs/protocol.md).
-
-One version byte, then MessagePack [kind, field, field, ...].
+"""Messages as bytes (docs/protocol.md): one version byte, then MessagePack [kind, field, ...].
 
 An array is extension type 1: number of axes and three lengths as little-endian uint32, then
-    float64, row by row.
+float64, row by row.
 """
 
 import math
@@ -58,16 +56,16 @@ def decode(data: bytes) -> Message:
     try:
         message: Message = _decoded(data, _DECODER)
         message.check()
-        return message
     except MessageError as error:
         with suppress(MessageError):
             sender = header_of(data).sender
             error.sender = sender if is_name(sender) else ""
         raise
+    return message
 
 
 def header_of(data: bytes) -> Header:
-    """Return the header of a message. Raises: MessageError: no message of this version begins so."""
+    """Return the header of a message. Raises: MessageError: it is none of this version."""
     return cast("Header", _decoded(data, _HEADER_DECODER))
 
 
@@ -90,11 +88,15 @@ def _decoded(data: bytes, decoder: Any) -> Any:
 
 
 def _refusal(text: str, data: bytes) -> MessageError:
-    """Return the error of a message that msgspec refuses with a text such as "Expected `int` >= 0 - at `$[3]`"."""
+    """Return the error of a message that msgspec refuses.
+
+    Its text is such as "Expected `int` >= 0 - at `$[3]`".
+    """
     text, _, place = text.partition(" - at `$[")
     if text.startswith("Invalid value"):
         return MessageError("unknown_kind", f"unknown message kind {text[14:54]}")
-    number, field = int(place.split("]")[0]) if place else 0, ""
+    number = int(place.split("]")[0]) if place else 0  # of the field, 0 for the kind
+    field = ""
     reason: Reason = "wrong_shape"
     if number:
         if any(word in text for word in (" length ", " <= ", " >= ", "enum")):
@@ -108,6 +110,7 @@ def _refusal(text: str, data: bytes) -> MessageError:
 
 
 def _pack(value: Any) -> Any:
+    """Return an array or a number of NumPy in the types of MessagePack."""
     if isinstance(value, np.generic):
         return value.item()
     if not isinstance(value, np.ndarray) or value.ndim > _AXES:
@@ -118,6 +121,7 @@ def _pack(value: Any) -> Any:
 
 
 def _unpack_array(code: int, data: memoryview) -> Array:
+    """Return the array in an extension. Raises: MessageError: it is none."""
     if code != _ARRAY or len(data) < _HEADER.size:
         raise MessageError("malformed", f"unknown extension type {code} of {len(data)} bytes")
     axes, *lengths = _HEADER.unpack_from(data)
@@ -126,11 +130,11 @@ def _unpack_array(code: int, data: memoryview) -> Array:
         raise MessageError(
             "malformed", f"array of {axes} axes, lengths {lengths}, in {len(data)} bytes"
         )
-    return np.ndarray(
-        shape, _FLOAT64, bytes(data), _HEADER.size
-    )  # a copy is aligned, and does not keep its bundle
+    # A copy is aligned, and does not keep its bundle.
+    return np.ndarray(shape, _FLOAT64, bytes(data), _HEADER.size)
 
 
 _ENCODER = msgspec.msgpack.Encoder(enc_hook=_pack)
 _DECODER: Any = msgspec.msgpack.Decoder(reduce(or_, CLASSES.values()), ext_hook=_unpack_array)
-_HEADER_DECODER, _KIND_DECODER = msgspec.msgpack.Decoder(Header), msgspec.msgpack.Decoder(_Kind)
+_HEADER_DECODER = msgspec.msgpack.Decoder(Header)
+_KIND_DECODER = msgspec.msgpack.Decoder(_Kind)

@@ -1,4 +1,7 @@
-"""Key expressions (docs/protocol.md) of messages, from the `Route` of their class, of tokens and of requests."""
+"""Key expressions (docs/protocol.md) of messages, tokens and requests.
+
+Those of messages follow from the `Route` of their class.
+"""
 
 import re
 from dataclasses import dataclass
@@ -33,7 +36,8 @@ _TOKEN = re.compile(r"(alive|ready)/([^/]+)/([0-9]{1,15})(?:/([^/]+)/([0-9]{1,5}
 _CLASSES = (*KINDS.values(), *BUNDLES.values())
 
 # Requests that any client may send, and those that change the run.
-READING, ACTING = ("status", "health"), ("link", "fault", "target")
+READING = ("status", "health")
+ACTING = ("link", "fault", "target")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +51,9 @@ class Token:
 
 
 class Keys:
-    """Key expressions of a run, whose name has letters, digits, underscore, dot and dash.
+    """Key expressions of a run, all of which begin with `prefix`.
 
-    `prefix` begins all keys.
+    The name of a run has letters, digits, underscore, dot and dash.
     """
 
     def __init__(self, run: str) -> None:
@@ -57,14 +61,12 @@ class Keys:
             raise TransportError(
                 f"run name: expected at most 80 letters, digits, '_', '.', '-', got {run!r}"
             )
-        self.run, self.prefix = run, f"transport/{run}"
+        self.run = run
+        self.prefix = f"transport/{run}"
 
     @classmethod
     def below(cls, prefix: str) -> "Keys":
-        """Return key expressions below a prefix for several runs, `transport/*`.
-
-        Nothing is sent under them.
-        """
+        """Return key expressions for several runs, below `transport/*`: nothing is sent there."""
         keys = cls("any")
         keys.prefix = prefix
         return keys
@@ -77,42 +79,48 @@ class Keys:
     def of(self, message: Message) -> str:
         """Return the key a message travels under."""
         route = message.route
-        unshared = route.unshared_key and not getattr(message, "shared", True)
-        key = route.unshared_key if unshared else route.key or message.kind
-        return (
-            f"{self.prefix}/{key}/{getattr(message, route.each)}"
-            if route.each
-            else f"{self.prefix}/{key}"
-        )
+        key = route.key or message.kind
+        if route.unshared_key and not getattr(message, "shared", True):
+            key = route.unshared_key
+        if not route.each:
+            return f"{self.prefix}/{key}"
+        return f"{self.prefix}/{key}/{getattr(message, route.each)}"
 
     def subscriptions(self, name: str) -> list[str]:
         """Return the key expressions a process subscribes to."""
-        role, found = role_of(name), []
-        for cls in (cls for cls in _CLASSES if role in cls.route.receivers):
-            # An agent receives what other processes send to it, and from the other agents
-            # everything they share.
-            end = name.removeprefix(AGENT) if role == AGENT and cls.route.sender != AGENT else "*"
-            found += self._under(cls, end)[: 1 if role == AGENT else None]
-        return [*dict.fromkeys(found), *([self.left("*")] if role == RECORDER else [])]
+        role = role_of(name)
+        keys: list[str] = []
+        for cls in _CLASSES:
+            if role not in cls.route.receivers:
+                continue
+            if role == AGENT:
+                # An agent receives messages of other processes that are for it, and from the other
+                # agents all that they share.
+                end = "*" if cls.route.sender == AGENT else name.removeprefix(AGENT)
+                keys.append(self._under(cls, end)[0])
+            else:
+                keys += self._under(cls, "*")
+        if role == RECORDER:
+            keys.append(self.left("*"))
+        return [*dict.fromkeys(keys)]
 
     def publications(self, name: str) -> list[str]:
-        """Return the key expressions a process may publish under; recorder and watchers have none."""
-        role, found = role_of(name), []
+        """Return the keys a process may publish under; recorder and watchers have none."""
+        role = role_of(name)
         if role not in (COORDINATOR, PLANT, AGENT):
             return []
-        for cls in (cls for cls in _CLASSES if cls.route.sender in (role, None)):
-            end = (
-                name
-                if cls.route.each == "sender"
-                else name.removeprefix(AGENT)
-                if role == AGENT
-                else "*"
-            )
-            found += self._under(cls, end)
-        return [*dict.fromkeys(found), self.left(name)]
+        keys: list[str] = []
+        for cls in _CLASSES:
+            if cls.route.sender not in (role, None):
+                continue
+            end = name.removeprefix(AGENT) if role == AGENT else "*"
+            if cls.route.each == "sender":
+                end = name
+            keys += self._under(cls, end)
+        return [*dict.fromkeys(keys), self.left(name)]
 
     def _under(self, cls: type[Message], end: str) -> list[str]:
-        """Return the key expressions of a kind of message for one end or all, that of unshared ones last."""
+        """Return the keys of a kind of message for one end or all; that of unshared ones last."""
         keys = filter(None, (cls.route.key or cls.kind, cls.route.unshared_key))
         return [
             f"{self.prefix}/{key}/{end}" if cls.route.each else f"{self.prefix}/{key}"
@@ -120,14 +128,11 @@ class Keys:
         ]
 
     def left(self, name: str) -> str:
-        """Return the key under which a process says that it has sent its last message.
-
-        `*` for all processes.
-        """
+        """Return the key of a process's sign that it has sent its last message; `*` for all."""
         return f"{self.prefix}/left/{name}"
 
     def alive(self, name: str, incarnation: int, digest: str, version: int) -> str:
-        """Return the liveliness token of a process that is up, with scenario digest and protocol version."""
+        """Return the token of a process that is up, with scenario and protocol version."""
         return f"{self.prefix}/alive/{name}/{incarnation}/{digest}/{version}"
 
     def ready(self, name: str, incarnation: int) -> str:
@@ -143,10 +148,13 @@ class Keys:
 
         Raises: MessageError: it is none of this run.
         """
-        found = _TOKEN.fullmatch(self.end(key))
-        if found is None or (found[1] == "alive") != (found[4] is not None):
+        match = _TOKEN.fullmatch(self.end(key))
+        if match is None:
             raise MessageError("malformed", f"expected the key of a token, got {key}")
-        return Token(found[2], int(found[3]), found[4], int(found[5]) if found[5] else None)
+        kind, name, incarnation, digest, version = match.groups()
+        if (kind == "alive") != (digest is not None):
+            raise MessageError("malformed", f"expected the key of a token, got {key}")
+        return Token(name, int(incarnation), digest, int(version) if version else None)
 
     def end(self, key: str) -> str:
         """Return a key without the prefix of the run."""
@@ -154,20 +162,24 @@ class Keys:
 
     def check_sender(self, key: str, message: Message) -> None:
         """Raise MessageError for a message that travels under a key its sender does not own."""
-        sender, owner = message.sender, message.route.sender
+        sender = message.sender
         if key != self.of(message):
-            raise MessageError(
-                "wrong_sender", f"{message.kind} of {sender} under the key {key}", sender
-            )
+            text = f"{message.kind} of {sender} under the key {key}"
+            raise MessageError("wrong_sender", text, sender)
+
+        owner = message.route.sender
         if owner == AGENT:
-            owner = agent_name(getattr(message, "agent"))  # noqa: B009 - messages of agents have the field
+            agent: int = getattr(message, "agent")  # noqa: B009  # messages of agents have the field
+            owner = agent_name(agent)
         if owner not in (None, sender):  # without an owner the key ends with the sender
-            raise MessageError(
-                "wrong_sender", f"{message.kind} from {sender}, expected it from {owner}", sender
-            )
+            text = f"{message.kind} from {sender}, expected it from {owner}"
+            raise MessageError("wrong_sender", text, sender)
 
 
 def matches(expression: str, key: str) -> bool:
-    """Return whether a key expression of `Keys.subscriptions` covers a key (a trailing `*` is one chunk)."""
-    head, _, last = key.rpartition("/")
-    return key == expression or (f"{head}/*" == expression and bool(last))
+    """Return whether a key expression of `Keys.subscriptions` covers a key.
+
+    A trailing `*` is one chunk.
+    """
+    beginning, _, last = key.rpartition("/")
+    return key == expression or (f"{beginning}/*" == expression and bool(last))

@@ -24,11 +24,16 @@ from transport.protocol.wire.names import (
 )
 
 # Limits of a message; anything beyond them is refused, from any sender.
-MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS = 10_000, 20
+MAX_HORIZON = 10_000  # steps of a plan
+MAX_NEGOTIATION_ITERATIONS = 20
 MAX_TICK = 2**48
-MAX_TEXT, MAX_KEY, MAX_PARTS = 1_000, 80, 1_024
-MAX_NAMES, MAX_NAME = 64, 80  # numbers of a note, characters of their names
+MAX_TEXT = 1_000  # characters
+MAX_KEY = 80  # characters
+MAX_PARTS = 1_024  # messages of a bundle
+MAX_NAMES = 64  # numbers of a note
+MAX_NAME = 80  # characters of the name of a number
 MAX_POINTS = 256  # of a target
+MAX_ROWS = 65_536  # plans with news of the radio
 
 _LARGEST = sys.float_info.max
 Count = Annotated[int, Meta(ge=0, le=MAX_TICK)]
@@ -37,6 +42,7 @@ Agent = Annotated[int, Meta(ge=1, le=MAX_UAVS)]
 # Ids of agents or UAVs, 1-based, ascending.
 Ids = Annotated[tuple[Agent, ...], Meta(max_length=MAX_UAVS)]
 Counts = Annotated[tuple[Count, ...], Meta(max_length=MAX_UAVS)]
+Rows = Annotated[tuple[Count, ...], Meta(max_length=MAX_ROWS)]
 Ages = Annotated[tuple[Age, ...], Meta(max_length=MAX_UAVS)]
 PlanTicks = Annotated[
     tuple[Annotated[int, Meta(ge=-3, le=MAX_TICK)], ...], Meta(max_length=MAX_UAVS)
@@ -55,21 +61,26 @@ ShapeOf = Callable[[Any], tuple[int | None, ...]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Route:
-    """Keys, publishers, subscribers and order of a kind of message."""
+    """Keys, publishers, subscribers and order of a kind of message.
 
-    sender: str | None  # role that publishes it; None for any process
-    receivers: tuple[str, ...]  # roles that subscribe to it
-    key: str = ""  # beginning of its key: the kind, unless it shares the key of another kind
-    each: str = (
-        ""  # field that ends the key, "agent" or "sender"; empty where there is one key for all
-    )
-    unshared_key: str = (
-        ""  # beginning of the key if its field `shared` is false; agents do not subscribe to that
-    )
-    grows: str = (
-        "sequence"  # field that grows from message to message: "sequence", "tick" or one of its own
-    )
-    falls: str = ""  # field that falls while the other stays the same
+    Attributes:
+        sender: Role that publishes it; None for any process.
+        receivers: Roles that subscribe to it.
+        key: Beginning of its key: the kind, unless it shares the key of another kind.
+        each: Field that ends the key, "agent" or "sender"; empty where there is one key for all.
+        unshared_key: Beginning of the key if its field `shared` is false; agents do not subscribe
+            to that.
+        grows: Field that grows from message to message: "sequence", "tick" or one of its own.
+        falls: Field that falls while the other stays the same.
+    """
+
+    sender: str | None
+    receivers: tuple[str, ...]
+    key: str = ""
+    each: str = ""
+    unshared_key: str = ""
+    grows: str = "sequence"
+    falls: str = ""
 
 
 class Message(
@@ -93,36 +104,47 @@ class Message(
         Raises: MessageError: with field, expected and got.
         """
         for field in self.as_long[1:]:
-            first, given, got = (
-                self.as_long[0],
-                getattr(self, self.as_long[0]),
-                getattr(self, field),
-            )
-            if len(got) != len(given):
-                text = f"{field}: expected one for each of {len(given)} {first}, got {len(got)}"
-                raise MessageError("wrong_shape", text)
+            self._check_length(self.as_long[0], field)
         for field, shape_of in self.shapes.items():
             value: Array = getattr(self, field)
             expected = shape_of(self)
-            if len(value.shape) != len(expected) or any(
-                length not in (None, got) for got, length in zip(value.shape, expected, strict=True)
-            ):
+            if not _fits(value.shape, expected):
                 shown = ", ".join("any" if length is None else str(length) for length in expected)
-                raise MessageError(
-                    "wrong_shape", f"{field}: expected shape ({shown}), got {value.shape}"
-                )
+                text = f"{field}: expected shape ({shown}), got {value.shape}"
+                raise MessageError("wrong_shape", text)
             # The first test takes one pass, but overflows for large numbers.
             if not math.isfinite(np.vdot(value, value)) and not np.isfinite(value).all():
-                raise MessageError(
-                    "not_finite", f"{field}: expected finite numbers, got nan or infinity"
-                )
+                text = f"{field}: expected finite numbers, got nan or infinity"
+                raise MessageError("not_finite", text)
+
+    def _check_length(self, first: str, field: str) -> None:
+        """Refuse a list that is not as long as the first one."""
+        expected = len(getattr(self, first))
+        got = len(getattr(self, field))
+        if got != expected:
+            text = f"{field}: expected one for each of {expected} {first}, got {got}"
+            raise MessageError("wrong_shape", text)
 
     @property
     def place(self) -> tuple[int, int]:
-        """Value that grows from each message of its kind and sender to the next (docs/protocol.md)."""
-        route = self.route
-        return getattr(self, route.grows), -getattr(self, route.falls) if route.falls else 0
+        """Value that grows from each message of its kind and sender to the next.
 
+        Source: docs/protocol.md.
+        """
+        route = self.route
+        falling = getattr(self, route.falls) if route.falls else 0
+        return getattr(self, route.grows), -falling
+
+
+def _fits(shape: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
+    """Return whether an array has an expected shape, None for any length."""
+    if len(shape) != len(expected):
+        return False
+    pairs = zip(shape, expected, strict=True)
+    return all(length is None or got == length for got, length in pairs)
+
+
+NO_NEWS = -9.0  # in `Airtime.arrivals`
 
 Outcome = Literal["completed", "failed", "diverged", "aborted"]
 PlanStatus = Literal["solved", "infeasible", "limit", "numerical"]
@@ -179,10 +201,11 @@ class Roster(Message, tag="roster", frozen=True, kw_only=True):
 
     version: Count  # grows with every change
     agents: Ids  # agents on the roster
-    incarnations: (
-        Counts  # their incarnations, in the same order; messages of other incarnations are refused
-    )
-    off: Ids  # UAVs whose motors give no thrust and no moments, 1-based ids, ascending; the released ones too
+    # Their incarnations, in the same order; messages of other incarnations are refused.
+    incarnations: Counts
+    # UAVs whose motors give no thrust and no moments, 1-based ids, ascending; the released ones
+    # too.
+    off: Ids
     released: Ids  # UAVs that are no longer on their rods, 1-based ids, ascending
     reason: Text  # why it changed, for people
 
@@ -190,21 +213,23 @@ class Roster(Message, tag="roster", frozen=True, kw_only=True):
 class LinkChange(Message, tag="link", frozen=True, kw_only=True):
     """Coordinator to all: from this tick on links differ.
 
-    With the key of the roster it arrives before the next.
+    It has the key of the roster, so that it arrives before the next one.
     """
 
     route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL, key="roster")
 
-    number: Annotated[
-        int, Meta(ge=1)
-    ]  # of the change in its run: a process that joins late receives all of them again
+    # Of the change in its run: a process that joins late receives all of them again.
+    number: Annotated[int, Meta(ge=1)]
     source: str  # name of an end; empty for any agent
     target: str  # the same
     settings: Text  # keys of a link and their new values, a JSON object (docs/keys.md, `links`)
 
 
 class Target(Message, tag="target", frozen=True, kw_only=True):
-    """Coordinator to all: from this tick on the payload leaves its path for a target, or a curve that begins there."""
+    """Coordinator to all: from this tick on the payload leaves its path for a target.
+
+    Further points make a curve that begins at the target.
+    """
 
     route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL, key="roster")
     shapes: ClassVar[Mapping[str, ShapeOf]] = {
@@ -212,11 +237,11 @@ class Target(Message, tag="target", frozen=True, kw_only=True):
         "times": lambda one: (len(one.points),),
     }
 
-    number: Annotated[
-        int, Meta(ge=1)
-    ]  # of the target in its run; sent again to processes that join late
+    # Of the target in its run; sent again to processes that join late.
+    number: Annotated[int, Meta(ge=1)]
     points: Array  # the target and further way points, (k, 3), inertial frame, m
-    times: Array  # times of the points since the target is reached, (k,), s; zeros where one speed holds
+    # Times of the points since the target is reached, (k,), s; zeros where one speed holds.
+    times: Array
     approach_s: Finite  # time until the target is reached
     approach_ramp_s: Finite  # time of speeding up, and of slowing down; at most half of it
     way_s: Finite  # time from the target to the last point; 0 without further points
@@ -239,6 +264,34 @@ class Control(Message, tag="control", frozen=True, kw_only=True):
     outcome: Outcome
     reason: Text  # why, for people; empty when completed
     exit_code: Annotated[int, Meta(ge=0, le=255)]  # the code every process exits with
+
+
+class Airtime(Message, tag="airtime", frozen=True, kw_only=True):
+    """Coordinator to agents: what the radio of the team did with their plans until this tick, or an exchange of it.
+
+    The numbers of a frame count in seconds from the tick of its plan.
+    """
+
+    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=(AGENT, PLANT, RECORDER, WATCHER))
+    as_long: ClassVar[tuple[str, ...]] = "agents", "plan_ticks", "exchanges"
+    shapes: ClassVar[Mapping[str, ShapeOf]] = {
+        "sent": lambda one: (len(one.agents),),
+        "arrivals": lambda one: (len(one.agents), len(one.receivers)),
+    }
+
+    # Exchanges that follow within the tick, as in proposals of a negotiation; 0: the tick is open.
+    negotiation: Annotated[int, Meta(ge=0, le=MAX_NEGOTIATION_ITERATIONS - 1)]
+    agents: Rows  # sender of each plan with news, 1-based
+    plan_ticks: Rows  # its tick
+    exchanges: Rows  # its own `negotiation`
+    receivers: Ids  # the agents of the run, ascending
+    sent: Array  # instant at which its sender put it into the queue, (F,), s
+    # Instant of its arrival at each agent, (F, receivers), s, or why it was lost: -1 collision, -2 too
+    # weak, -3 queue full, -4 attempts exhausted; -9: nothing new, or the agent is no receiver.
+    arrivals: Array
+    busy_s: Finite  # air occupied since the last report, s
+    transmissions: Count  # of frames since the last report
+    repetitions: Count  # those of them that repeat a frame that was not acknowledged
 
 
 # The control loop
@@ -269,9 +322,9 @@ class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
 
 
 class Plan(Message, tag="plan", frozen=True, kw_only=True):
-    """Agent to plant and coordinator, if shared also to the other agents.
+    """Agent to plant and coordinator: states of its UAVs and inputs to apply.
 
-    States of its UAVs and inputs to apply.
+    To the other agents too, if it is shared.
     """
 
     route: ClassVar[Route] = Route(
@@ -290,9 +343,8 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
 
     agent: Agent  # the agent that planned
     start_tick: Count  # first sampling instant the inputs are for
-    negotiation: Annotated[
-        int, Meta(ge=0, le=MAX_NEGOTIATION_ITERATIONS - 1)
-    ]  # exchanges that follow within the tick
+    # Exchanges that follow within the tick.
+    negotiation: Annotated[int, Meta(ge=0, le=MAX_NEGOTIATION_ITERATIONS - 1)]
     shared: bool  # whether the other agents receive it: it travels under another key if not
     uavs: Ids  # owned UAVs, 1-based ids, ascending
     # Their states at `tick`, (owned, 12), SI; with `plant.sensors` vehicle the measurements and
@@ -300,7 +352,8 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
     # (`model.state.REPORTED`).
     uav_states: Array
     inputs: Array  # absolute inputs per step from `start_tick`, (N_p, 4 owned), N and N m or rad/s
-    corrections: Array  # corrections of these inputs to the shared control law, (N_p, 4 owned); no rows without one
+    # Corrections of these inputs to the shared control law, (N_p, 4 owned); no rows without one.
+    corrections: Array
     status: PlanStatus  # result of the solve; anything but "solved" means the shifted previous plan
 
     def check(self) -> None:
@@ -338,18 +391,20 @@ class StepReport(Message, tag="report", frozen=True, kw_only=True):
     iterations: Count
     residual: Finite  # the worst KKT residual, or -1 when there is none
     peers: Ids  # the other agents, ascending
-    plan_ages: Ages  # age in ticks of the newest plan used of each of `peers`; -1 where none was ever received
+    # Age in ticks of the newest plan used of each of `peers`; -1 where none was ever received.
+    plan_ages: Ages
     state_ages: Ages  # the same for the newest state of each
     measurement_age: Age  # the same for the newest measurement used
     delivered: Count  # plans of others that became usable at this tick
     lost: Count  # plans of earlier ticks that are known from now on to be lost on their link
     late: Count  # delivered plans that were older than one tick
     force: Array  # estimated, on the payload, inertial frame, (3,), N; or zero
-    times_ms: Array  # of `STAGES` by the wall clock, not reproducible, (8,); "publish" is that of the step before
+    # Of `STAGES` by the wall clock, not reproducible, (8,); "publish" is that of the step before.
+    times_ms: Array
 
 
 class Note(Message, tag="note", frozen=True, kw_only=True):
-    """Agent to the record: numbers of the user's controller or of the Kalman filter, or why a step has failed."""
+    """Agent to the record: numbers of a controller or filter, or why a step has failed."""
 
     route: ClassVar[Route] = Route(sender=AGENT, receivers=(RECORDER, WATCHER), each="agent")
     shapes: ClassVar[Mapping[str, ShapeOf]] = {"values": lambda message: (len(message.names),)}
@@ -361,7 +416,7 @@ class Note(Message, tag="note", frozen=True, kw_only=True):
 
 
 class PlantState(Message, tag="plant_state", frozen=True, kw_only=True):
-    """Plant to the record and the coordinator: the true state at tick k and the inputs until k + 1."""
+    """Plant to record and coordinator: the true state at tick k and the inputs until k + 1."""
 
     route: ClassVar[Route] = Route(
         sender=PLANT, receivers=(COORDINATOR, RECORDER, WATCHER), grows="tick"
@@ -373,13 +428,14 @@ class PlantState(Message, tag="plant_state", frozen=True, kw_only=True):
 
     x: Array  # (12 + 12 N,), SI
     u: Array  # commands over [t_k, t_{k+1}), (4 N,), SI
-    plan_ticks: PlanTicks  # of the plan each UAV followed: -1 before any plan, -2 for the fail-safe, -3 with motors off
+    # Of the plan each UAV followed: -1 before any plan, -2 for the fail-safe, -3 with motors off.
+    plan_ticks: PlanTicks
     local_error: Finite  # largest local error estimate of the integration over the interval, SI
     diverged: Text  # empty, or why the run ends after this interval
 
 
 class ActualInputs(Message, tag="actual_inputs", frozen=True, kw_only=True):
-    """Plant to the record: mean thrust and moments over [t_k, t_{k+1}), and the least tension of each cable.
+    """Plant to the record: mean thrust and moments over [t_k, t_{k+1}), least tensions of cables.
 
     Sent only in a run whose motors are not ideal, with commanded body rates or with cables.
     """
@@ -399,10 +455,7 @@ class ActualInputs(Message, tag="actual_inputs", frozen=True, kw_only=True):
 
 
 class FaultNote(Message, tag="fault", frozen=True, kw_only=True):
-    """Fault injected into a process, or a process that ended by itself.
-
-    Written to the log only, never sent.
-    """
+    """Fault injected into a process, or a process that ended by itself; in the log only."""
 
     route: ClassVar[Route] = Route(sender=RECORDER, receivers=())
 
@@ -412,18 +465,17 @@ class FaultNote(Message, tag="fault", frozen=True, kw_only=True):
 
 
 class Rejected(Message, tag="rejected", frozen=True, kw_only=True):
-    """Any process to the record.
+    """Any process to the record: it has refused messages.
 
-    It has refused messages; not reproducible. Sequence numbers count this kind alone.
+    Not reproducible; sequence numbers count this kind alone.
     """
 
     route: ClassVar[Route] = Route(sender=None, receivers=(RECORDER, WATCHER), each="sender")
 
     offender: Text  # sender according to the messages, or the key they came under
     reason: Reason  # why they were refused
-    count: Annotated[
-        int, Meta(ge=1, le=10_000_000)
-    ]  # how many since the last message about this offender and reason
+    # How many since the last message about this offender and reason.
+    count: Annotated[int, Meta(ge=1, le=10_000_000)]
     example: Text  # the error of the first of all of them, for people
 
 
@@ -432,10 +484,7 @@ class Rejected(Message, tag="rejected", frozen=True, kw_only=True):
 
 
 class Bundle(Message, frozen=True, kw_only=True):
-    """Messages as bytes, each with its key.
-
-    `carries` has the kinds that a kind of bundle may carry.
-    """
+    """Messages as bytes, each with its key; `carries` has the kinds that a bundle may carry."""
 
     carries: ClassVar[tuple[type[Message], ...]] = ()
     as_long: ClassVar[tuple[str, ...]] = "keys", "parts"
@@ -461,24 +510,21 @@ class Answer(Bundle, tag="answer", frozen=True, kw_only=True):
 
 
 class Relay(Bundle, tag="relay", frozen=True, kw_only=True):
-    """Coordinator to plant and record.
-
-    The answers of a tick, and the tick after it once that is open.
-    """
+    """Coordinator to plant and record: the answers of a tick, and the tick after it when open."""
 
     route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=(PLANT, RECORDER, WATCHER))
-    carries: ClassVar[tuple[type[Message], ...]] = (Plan, StepReport, Tick)
+    carries: ClassVar[tuple[type[Message], ...]] = (Plan, StepReport, Airtime, Tick)
 
 
 class Instant(Bundle, tag="instant", frozen=True, kw_only=True):
-    """Plant to agents: the shared plans of a tick, from the relay, and the measurements of the next tick."""
+    """Plant to agents: the shared plans of a tick, and the measurements of the next tick."""
 
     route: ClassVar[Route] = Route(sender=PLANT, receivers=(AGENT,))
-    carries: ClassVar[tuple[type[Message], ...]] = (Plan, Measurement)
+    carries: ClassVar[tuple[type[Message], ...]] = (Plan, Airtime, Measurement)
 
 
 class Record(Bundle, tag="record", frozen=True, kw_only=True):
-    """Plant to the record and the coordinator: the plant's state, and the measurements it has sent."""
+    """Plant to record and coordinator: the plant's state, and the measurements it has sent."""
 
     route: ClassVar[Route] = Route(sender=PLANT, receivers=(COORDINATOR, RECORDER, WATCHER))
     carries: ClassVar[tuple[type[Message], ...]] = (PlantState, ActualInputs, Measurement)

@@ -8,7 +8,8 @@ COORDINATOR = "coordinator"
 PLANT = "plant"
 AGENT = "agent"  # role of every process called agent1, agent2, ...
 RECORDER = "recorder"  # records a run and takes no other part in it
-WATCHER = "watcher"  # only reads: publishes nothing and declares no token, so no process of the run knows of it
+# Only reads: publishes nothing and declares no token, so no process of the run knows of it.
+WATCHER = "watcher"
 OPERATOR = "operator"  # a watcher that also asks for changes: links, faults, targets
 ROUTER = "router"  # forwards messages where hosts do not reach each other
 

@@ -1,7 +1,4 @@
-"""Interface of a node, a state machine without I/O.
-
-The numbering of its messages, and what they must fit.
-"""
+"""Interface of a node, a state machine without I/O: the numbering and shape of its messages."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,32 +16,29 @@ M = TypeVar("M", bound=Message)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunShape:
-    """What the messages of a run must fit, from its scenario (`protocol.scenario.setup.Setup.shape`)."""
+    """Shape of the messages of a run, from its scenario (`protocol.scenario.setup.Setup.shape`)."""
 
     owned: Mapping[int, tuple[int, ...]]  # ids of the UAVs of each agent, both 1-based
-    limits: Mapping[
-        int, tuple[Array, Array]
-    ]  # smallest and largest inputs of each agent, (4 owned,), SI
+    # Smallest and largest inputs of each agent, (4 owned,), SI.
+    limits: Mapping[int, tuple[Array, Array]]
     uavs: int
     ticks: int
     delay: int  # ticks from a plan to its first input
     negotiation_iterations: int
-    vehicle_sensors: (
-        bool  # whether UAVs are told by the measurements of their own sensors, not by states
-    )
+    # Whether UAVs are described by the measurements of their own sensors, not by states.
+    vehicle_sensors: bool
     relayed: bool  # whether plans come in bundles
 
 
 class Node(Protocol):
-    """A role in a run as a state machine.
-
-    Accepted messages, other events and time in, messages out.
+    """A role in a run as a state machine: messages, other events and time in, messages out.
 
     Times are nanoseconds of a monotonic clock; in lockstep nothing in the messages depends on them.
     """
 
     name: str
-    incarnation: int  # a node that starts anew by itself has a higher one from then on, which its runtime announces
+    # A node that starts anew by itself has a higher one from then on, which its runtime announces.
+    incarnation: int
     publish_ns: int  # time the runtime took to send the last messages; the runtime sets it
 
     @property
@@ -56,10 +50,7 @@ class Node(Protocol):
         """Return the latest time of the next call of `poll`; None while only events matter."""
 
     def check_moment(self, message: Message) -> None:
-        """Raise MessageError for a message of an earlier start, or that cannot be used.
-
-        The last check of a gate.
-        """
+        """Raise MessageError for a message of an earlier start or of no use; the last check."""
 
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
         """Handle one event and return the messages to send. Messages have passed all checks."""
@@ -69,10 +60,11 @@ class Node(Protocol):
 
 
 class Outbox:
-    """Source of a process's messages, with sender, incarnation and a sequence number that grows by one."""
+    """Source of a process's messages; their sequence number grows by one."""
 
     def __init__(self, sender: str, incarnation: int) -> None:
-        self.sender, self.incarnation = sender, incarnation
+        self.sender = sender
+        self.incarnation = incarnation
         self._sequence = 0
 
     def stamp(self, kind: type[M], **fields: Any) -> M:
@@ -81,8 +73,9 @@ class Outbox:
         Its arrays are read-only copies.
         """
         for field in kind.shapes:
-            fields[field] = np.array(fields[field], dtype=np.float64)
-            fields[field].setflags(write=False)
+            values = np.array(fields[field], dtype=np.float64)
+            values.setflags(write=False)
+            fields[field] = values
         message = kind(
             sender=self.sender, incarnation=self.incarnation, sequence=self._sequence, **fields
         )
@@ -90,13 +83,13 @@ class Outbox:
         return message
 
     def again(self, message: M) -> M:
-        """Return a message that was sent before, under a new sequence number, for processes that joined since."""
+        """Return a message sent before, under a new number, for processes that joined since."""
         self._sequence += 1
         return msgspec.structs.replace(message, sequence=self._sequence - 1)
 
 
 def lost(outbox: Outbox, tick: int, reason: str) -> Control:
-    """Return the end of a run for a node that has lost the coordinator, and with it the sender of that message."""
+    """Return the end of a run for a node that has lost the coordinator, which would send it."""
     return outbox.stamp(
         Control, tick=max(tick, 0), outcome="aborted", reason=reason, exit_code=EXIT_UNREACHABLE
     )

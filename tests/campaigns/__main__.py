@@ -2,8 +2,9 @@
 
 `python -m tests.campaigns NAME`, `make campaigns` for all.
 
-  scenarios  mutates scenarios, validates and simulates them
-  signals    kills, freezes and interrupts every process of a run, also that of the report
+  scenarios      mutates scenarios, validates and simulates them
+  early-signals  interrupts commands within their first second
+  signals        kills, freezes and interrupts every process of a run, also that of the report
 
 `python -m tests.campaigns.wire` sends bad messages, and `python -m tests.campaigns.soak` watches
 resources for long. Exit code 1 if any run has a problem; each run can be repeated by its number.
@@ -13,11 +14,12 @@ import argparse
 import sys
 from pathlib import Path
 
-from tests.campaigns import harness, scenarios, signals
+from tests.campaigns import early_signals, harness, scenarios, signals
 
 # Function of a run, runs by default, and runs at a time: a run of processes has eight of them.
 CAMPAIGNS: dict[str, tuple[harness.Execute, int, int]] = {
     "scenarios": (scenarios.execute, 200, 1),
+    "early-signals": (early_signals.execute, 300, 1),
     "signals": (signals.execute, 200, 2),
 }
 

@@ -217,6 +217,17 @@ def _processes_below(folder: Path) -> dict[str, int]:
     return found
 
 
+def end_orphans(folder: Path) -> str:
+    """Wait for the processes that work below a folder to end; kill those left, and name them."""
+    if wait(lambda: not _processes_below(folder), _ORPHANS_S):
+        return ""
+    left = _processes_below(folder)
+    for pid in left.values():
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    return ", ".join(left)
+
+
 def _name_of(words: list[str]) -> str:
     """Return the name of a process of a run by its command line, or the command line of one that is not known."""
     after = words[words.index("transport") + 1 :] if "transport" in words else words
@@ -234,12 +245,9 @@ def _problems(
     """Yield what is wrong after a run, by kind; end the processes that are left."""
     if hangs:
         yield "hang", f"the command has not ended within {_END_S:g} s"
-    if not wait(lambda: not _processes_below(folder), _ORPHANS_S):
-        left = _processes_below(folder)
-        for pid in left.values():
-            with suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
-        yield "orphan", ", ".join(left)
+    left = end_orphans(folder)
+    if left:
+        yield "orphan", left
     for path in (*folder.rglob("*.txt"), *folder.rglob("*.log")):
         text = path.read_text(errors="replace")
         if "Traceback (most recent call last)" in text:

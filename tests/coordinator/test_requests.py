@@ -91,6 +91,39 @@ def test_all_changes_are_repeated_for_joining_agents() -> None:
     assert len({message.sequence for message in [*changes, *sent]}) == 6  # numbered anew
 
 
+def test_a_cut_between_groups() -> None:
+    """All links from one group of agents to another change at the same tick, in both directions."""
+    node = started(coordinator())
+    groups = [["agent1"], ["agent2", "agent3"]]
+    reply, sent = answer_to(node, "link", groups=groups, settings={"loss": 1.0})
+    assert reply == {"tick": 1, "t_s": 0.05}
+    *changes, roster = sent
+    ends = []
+    for number, one in enumerate(changes, start=1):
+        assert isinstance(one, LinkChange)
+        assert (one.tick, one.number, json.loads(one.settings)) == (1, number, {"loss": 1.0})
+        ends.append((one.source, one.target))
+    assert sorted(ends) == [
+        ("agent1", "agent2"),
+        ("agent1", "agent3"),
+        ("agent2", "agent1"),
+        ("agent3", "agent1"),
+    ]
+    assert isinstance(roster, Roster)
+    assert roster.reason.startswith("links between agent1 | agent2, agent3")
+
+
+@pytest.mark.parametrize(
+    "groups",
+    [[], [["agent1"]], [["agent1"], []], [["agent1"], ["agent1"]], [["agent1"], ["plant"]], "x", 3],
+)
+def test_other_groups_are_refused(groups: Any) -> None:
+    """Fewer than two groups, empty ones, an agent twice, and other processes are refused."""
+    reply, sent = answer_to(started(coordinator()), "link", groups=groups, settings={"loss": 1.0})
+    assert reply["error"].startswith("groups: expected two or more lists of agents, each once")
+    assert sent == []
+
+
 @pytest.mark.parametrize(
     ("given", "problem"),
     [
@@ -105,13 +138,13 @@ def test_all_changes_are_repeated_for_joining_agents() -> None:
             {"to": "coordinator", "settings": {"loss": 0.1}},
             "to: expected one of plant, agent1, agent2",
         ),
-        ({"settings": {"samples": "x.csv"}}, "samples: expected a valid list, got 'x.csv'"),
+        ({"settings": {"samples_s": "x.csv"}}, "samples_s: expected a valid list, got 'x.csv'"),
         (
             {"settings": {"delay_s": 1e308}},
             "delay_s: expected a magnitude of at most 1e+09, got 1e+308",
         ),
         (
-            {"settings": {"samples": [0.125] * 200}},
+            {"settings": {"samples_s": [0.125] * 200}},
             "settings: expected at most 1000 characters, got 1",
         ),
         ({"settings": {"loss": 2.0}}, "loss: expected less than or equal to 1, got 2.0"),

@@ -100,7 +100,17 @@ def test_keys_that_cannot_be_used(tmp_path: Path) -> None:
     (tmp_path / "plant.key").write_bytes((tmp_path / "agent1.key").read_bytes())
     with pytest.raises(SecurityError, match="and its key"):
         Security(tmp_path, names).check("plant")
-    with pytest.raises(ssl.SSLError):  # TLS agrees
+    for end in ("pem", "key"):  # valid, but of another process: it would be refused in the run only
+        (tmp_path / f"plant.{end}").write_bytes((tmp_path / f"agent1.{end}").read_bytes())
+    with pytest.raises(SecurityError, match="expected a certificate of plant, got one of agent1"):
+        Security(tmp_path, names).check("plant")
+
+
+def test_a_key_of_another_certificate_is_refused(tmp_path: Path) -> None:
+    """A key that does not belong to its certificate is refused by TLS as well."""
+    make_certificates(tmp_path, dict.fromkeys(("plant", "agent1"), LOOPBACK), days=1)
+    (tmp_path / "plant.key").write_bytes((tmp_path / "agent1.key").read_bytes())
+    with pytest.raises(ssl.SSLError):
         ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_cert_chain(
             tmp_path / "plant.pem", tmp_path / "plant.key"
         )

@@ -19,7 +19,7 @@ from transport.model.parameters import ParameterError, System, table_1
 from transport.model.state import INPUTS, StateView
 from transport.protocol.scenario.file import read_scenario
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import resized
+from transport.protocol.scenario.team import Team, resized
 
 DEAD = 2  # UAV 3; UAV 1 is opposite, UAVs 2 and 4 are its neighbours
 OPPOSITE, NEIGHBOURS = 0, (1, 3)
@@ -39,9 +39,7 @@ BOB_DEVIATION = 1e-5
 def larger(uavs: int) -> System:
     """A team of another size, as `transport scenario new` makes it."""
     ready = read_scenario(SCENARIOS / "resilient.toml")
-    return Setup.of(
-        resized(ready, uavs, group=None, name=None, source="resilient"), "larger"
-    ).system
+    return Setup.of(resized(ready, Team(uavs=uavs), "resilient"), "larger").system
 
 
 def thrusts(u: Array) -> Array:

@@ -1,7 +1,4 @@
-"""Budgets: estimates against the sizes of real controllers, messages and logs.
-
-Limits that are refused, and raised.
-"""
+"""Budgets: estimates agree with the sizes of controllers, messages and logs, and limits hold."""
 
 from pathlib import Path
 
@@ -15,7 +12,7 @@ from transport.protocol.scenario.budget import estimate
 from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import resized
+from transport.protocol.scenario.team import Team, resized
 
 LAG = ["plant.motors.lag_s=0.05", "controller.motor_lag_s=0.05"]
 SHORT = "maneuver.phase=[{name='climb',duration_s=2.0,displacement_m=[0.0,0.0,-1.0]}]"
@@ -34,11 +31,7 @@ def scenario_of(name: str, uavs: int, group: int, *settings: str) -> Scenario:
     """A ready scenario for a team of any size."""
     path = find_scenario(name)
     ready = read_scenario(path, [SHORT, *settings], allow_large=True)
-    return (
-        ready
-        if uavs == 4 and group == 1
-        else resized(ready, uavs, group=group, name=None, source=name)
-    )
+    return ready if uavs == 4 and group == 1 else resized(ready, Team(uavs=uavs, group=group), name)
 
 
 @pytest.mark.parametrize(("name", "uavs", "group"), TEAMS)

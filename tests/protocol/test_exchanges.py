@@ -6,7 +6,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from tests.support import logs, runs
-from transport.protocol.network.process import exchange_of
+from transport.protocol.network.exchange import exchange_of
 from transport.protocol.wire.codec import decode, encode
 from transport.protocol.wire.keys import Keys
 from transport.protocol.wire.messages import Answer, Bundle, Message, Relay

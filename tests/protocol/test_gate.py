@@ -155,8 +155,9 @@ def test_an_announced_start_ends_the_one_before() -> None:
     said = runs.plant_state(RUN, 0)
     assert not receiver.hear(said)
     assert receiver.hear(said, incarnation=1)
-    (found,) = receiver.gate.accept(f"{KEYS.prefix}/answer/2", encode(answer(plan(0))))
-    assert isinstance(found, Plan)
+    (accepted,) = receiver.gate.accept(f"{KEYS.prefix}/answer/2", encode(answer(plan(0))))
+    assert isinstance(accepted.message, Plan)
+    assert isinstance(accepted.bundle, Answer)
     assert receiver.reasons() == [("plant", "wrong_incarnation")]
 
 
@@ -180,8 +181,10 @@ def test_bundles_are_opened() -> None:
         b"any",
     ]
     bundle = Outbox("coordinator", 0).stamp(Relay, tick=3, keys=keys, parts=parts)
-    found = list(receiver.gate.accept(KEYS.of(bundle), encode(bundle)))
-    assert [encode(message) for message in found if isinstance(message, Message)] == [encode(good)]
+    accepted = list(receiver.gate.accept(KEYS.of(bundle), encode(bundle)))
+    messages = [each.message for each in accepted if isinstance(each.message, Message)]
+    assert [encode(message) for message in messages] == [encode(good)]
+    assert [encode(each.bundle) for each in accepted if each.bundle] == [encode(bundle)]
     assert receiver.reasons() == [
         ("agent3", "wrong_uavs"),
         ("plan/4", "wrong_version"),

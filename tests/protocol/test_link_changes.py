@@ -1,7 +1,4 @@
-"""Changes of links during a run.
-
-Each applied once, in the order of time, by the receiver of the link.
-"""
+"""Changes of links during a run are applied once, in the order of time, by the receiver."""
 
 import json
 from typing import Any
@@ -10,7 +7,8 @@ import pytest
 
 from tests.support.runs import setup
 from transport.protocol.scenario.errors import RequestError
-from transport.protocol.scenario.links import Link, LinkChanges, link_change
+from transport.protocol.scenario.link_changes import LinkChanges, link_change
+from transport.protocol.scenario.links import Link
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import LinkChange
 

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from tests.support.runs import setup
+from transport.protocol.scenario.errors import RequestError
 from transport.protocol.scenario.file import ScenarioError, validate
+from transport.protocol.scenario.link_changes import link_change
 from transport.protocol.scenario.link_sections import (
     GilbertElliottSection,
     LinkSection,
@@ -104,7 +106,8 @@ def test_jitter(distribution: Any, mean_s: float, deviation_s: float) -> None:
 def test_empirical_delays_are_drawn_evenly() -> None:
     """Each measured delay is as likely as the others, and nothing else is drawn."""
     delays = [
-        delays[0] for delays in link_history(LinkSection(distribution="empirical", samples=SAMPLES))
+        delays[0]
+        for delays in link_history(LinkSection(distribution="empirical", samples_s=SAMPLES))
     ]
     assert set(delays) == set(SAMPLES)
     share([delay == 0.02 for delay in delays], 0.5)
@@ -312,11 +315,64 @@ def test_measured_delays_come_from_a_file(tmp_path: Path) -> None:
     (tmp_path / "delays.csv").write_text("0.01, 0.02\n0.03\n")
     source = str(tmp_path / "scenario.toml")
     tree = scenario.tree()
-    tree["links"] = {"distribution": "empirical", "samples": "delays.csv"}
+    tree["links"] = {"distribution": "empirical", "samples_s": "delays.csv"}
     built = Setup.of(validate(tree, source), source)
     delays = {delay for tick in range(100) for delay in built.link("agent1", "agent2").delays(tick)}
     assert delays == {0.01, 0.02, 0.03}
     for content in ("0.01 fast", "", "-0.1", "inf"):
         (tmp_path / "delays.csv").write_text(content)
-        with pytest.raises(ScenarioError, match=r"links: samples|links\.samples"):
+        with pytest.raises(ScenarioError, match=r"links: samples_s|links\.samples_s"):
             Setup.of(validate(tree, source), source)
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        ("0,045\n0,051\n", r"row 1: expected .* with a decimal point.*, got '0,045'"),
+        ("0.045\n0,051, 0,060\n", r"row 2: expected .* with a decimal point.*, got '0,051'"),
+        ("1,2,3", "row 1: expected .* with a decimal point"),
+        ("0.1\n0.2 nan", "row 2: expected a finite number, got 'nan'"),
+        ("0.1; 0.2", "row 1: expected a finite number, got '0.1;'"),
+        ("0.1\n50\n483.2", r"at most 10, got 483\.2; divide milliseconds by 1000; if seconds"),
+    ],
+)
+def test_delays_of_doubtful_numbers_are_refused(content: str, problem: str, tmp_path: Path) -> None:
+    """Decimal commas, and delays whose magnitude is that of milliseconds, are not taken for seconds."""
+    (tmp_path / "delays.csv").write_text(content, encoding="utf-8")
+    tree = setup().scenario.tree()
+    tree["links"] = {"distribution": "empirical", "samples_s": "delays.csv"}
+    with pytest.raises(ScenarioError, match=problem):
+        validate(tree, str(tmp_path / "scenario.toml"))
+
+
+def test_long_delays_that_are_meant_are_taken(tmp_path: Path) -> None:
+    """With `longest_sample_s` delays may be as long, in a file, a list and for a single link."""
+    (tmp_path / "delays.csv").write_text("0.5\n483.2", encoding="utf-8")
+    tree = setup().scenario.tree()
+    meant = {"distribution": "empirical", "longest_sample_s": 500.0}
+    tree["links"] = {
+        **meant,
+        "samples_s": "delays.csv",
+        "override": [{"to": "agent1", **meant, "samples_s": [20.0]}],
+    }
+    links = validate(tree, str(tmp_path / "scenario.toml")).links
+    assert (links.samples_s, links.override[0].samples_s) == ([0.5, 483.2], [20.0])
+
+
+def test_the_old_name_of_the_delays_tells_the_new_one() -> None:
+    """The key has its unit in its name; the one without is refused with the new one, also in a change of links."""
+    tree = setup().scenario.tree()
+    tree["links"] = {"distribution": "empirical", "samples": [0.1]}
+    with pytest.raises(ScenarioError, match=r"links\.samples: unknown key; it is now 'samples_s'"):
+        validate(tree, "scenario.toml")
+    with pytest.raises(RequestError, match="samples: unknown key; it is now 'samples_s'"):
+        link_change("", "", '{"samples": [0.1]}')
+
+
+def test_a_link_has_two_ends() -> None:
+    """A link from a process to itself does not exist, in a scenario and in a request."""
+    with pytest.raises(RequestError, match="to: expected another process than the sender, got 'a"):
+        link_change("agent1", "agent1", '{"loss": 0.1}')
+    for key in ("override=[{", "change=[{at_s=1,"):
+        with pytest.raises(ScenarioError, match="to: expected another process than the sender"):
+            setup(f"links.{key}from='agent2',to='agent2',loss=0.1}}]")

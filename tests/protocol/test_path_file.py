@@ -90,20 +90,28 @@ def test_the_scenario_stands_for_itself_once_read(tmp_path: Path) -> None:
     assert "file" not in scenario.tree()["maneuver"]["phase"][1]
 
 
+ROW = "0,0,0,0\n"
 GARBAGE = [
-    ("", "expected the heading t_s,x_m,y_m,z_m, got ''"),
+    ("", "expected the heading t_s,x_m,y_m,z_m, got nothing"),
     ("0,0,0,0\n1,0,0,0\n", "expected the heading t_s,x_m,y_m,z_m, got '0,0,0,0'"),
-    (HEADING + "0,0,0,0\n", "duration_s: expected greater than 0, got 0.0"),
-    (HEADING + "0,0,0,0\n1,2,x,3\n", "could not convert string 'x' to float64 at row 1, column 3"),
-    (HEADING + "0,0,0,nan\n1,2,3,4\n", "expected rows of finite numbers t_s,x_m,y_m,z_m"),
+    (HEADING, "expected rows of numbers t_s,x_m,y_m,z_m, got none"),
+    (HEADING + ROW, "duration_s: expected greater than 0, got 0.0"),
+    (HEADING + ROW + "1,2,x,3\n", "row 3, column y_m: expected a finite number, got 'x'"),
+    (HEADING + "0,0,0,nan\n1,2,3,4\n", "row 2, column z_m: expected a finite number, got 'nan'"),
+    (HEADING + ROW + "1,inf,3,4\n", "row 3, column x_m: expected a finite number, got 'inf'"),
+    (HEADING + ROW + "\n1,2,,4\n", "row 4, column y_m: expected a finite number, got nothing"),
+    (HEADING + ROW + "1, 2 2,3,4\n", "row 3, column x_m: expected a finite number, got '2 2'"),
+    (HEADING + ROW + "1,1_0,3,4\n", "row 3, column x_m: expected a finite number, got '1_0'"),
+    (HEADING + ROW + "1,2,3,4,\n", "row 3: expected 4 numbers t_s,x_m,y_m,z_m, got 5 cells"),
+    (HEADING + ROW + "1,2,3\n", "row 3: expected 4 numbers t_s,x_m,y_m,z_m, got 3 cells '1,2,3'"),
 ]
 
 
 @pytest.mark.parametrize(("text", "problem"), GARBAGE)
 def test_garbage_is_refused_with_row_and_reason(text: str, problem: str, tmp_path: Path) -> None:
-    """An invalid path is refused on reading.
+    """An invalid path is refused on reading, in one line.
 
-    Scenario, key, file, row, expected and got, in one line.
+    It has scenario, key, file, row, column, expected and got.
     """
     path = written(tmp_path, text)
     with pytest.raises(ScenarioError) as caught:
@@ -111,6 +119,29 @@ def test_garbage_is_refused_with_row_and_reason(text: str, problem: str, tmp_pat
     assert str(caught.value).startswith(f"{path}: maneuver.phase.2")
     assert problem in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_table_of_a_spreadsheet_is_read(tmp_path: Path) -> None:
+    """A byte order mark, blanks around numbers, blank lines and line ends of Windows change nothing."""
+    plain = written(tmp_path, "t_s,x_m,y_m,z_m\n0,0,0,0\n2,1,0,0\n")
+    expected = read_scenario(plain).digest()
+    (tmp_path / "way.csv").write_bytes(
+        b"\xef\xbb\xbft_s, x_m, y_m, z_m\r\n 0, 0 ,0,0\r\n\r\n2,1,0,0\r\n"
+    )
+    plain.write_bytes(b"\xef\xbb\xbf" + plain.read_bytes())
+    assert read_scenario(plain).digest() == expected
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="a file without end")
+def test_a_file_without_end_is_refused(tmp_path: Path) -> None:
+    """A device or a file beyond the size of its kind is refused once that size is read."""
+    path = written(tmp_path, csv(QUARTER))
+    (tmp_path / "way.csv").unlink()
+    (tmp_path / "way.csv").symlink_to("/dev/zero")
+    with pytest.raises(ScenarioError, match=r"way\.csv \(expected at most 10 MB, got more\)"):
+        read_scenario(path)
+    with pytest.raises(ScenarioError, match=r"zero: cannot be read \(expected at most 10 MB"):
+        read_scenario(Path("/dev/zero"))
 
 
 def test_a_path_that_is_not_there_is_refused(tmp_path: Path) -> None:
@@ -192,8 +223,8 @@ def test_files_of_settings_are_the_callers(
     monkeypatch.chdir(here)
     (here / "circle.csv").write_text(csv(np.array(circle())), encoding="utf-8")
     (here / "delays.csv").write_text("0.1, 0.2", encoding="utf-8")
-    settings = ["links.distribution=empirical", "links.samples=delays.csv"]
+    settings = ["links.distribution=empirical", "links.samples_s=delays.csv"]
     read = read_scenario(scenario, [*settings, "maneuver.phase=[{name='round',file='circle.csv'}]"])
-    assert read.links.samples == [0.1, 0.2]
+    assert read.links.samples_s == [0.1, 0.2]
     assert read.maneuver.phase[0].duration_s == 2.0
     assert read_scenario(scenario, ["maneuver.phase.2.name=turn"]).maneuver.phase[1].way is not None

@@ -12,11 +12,12 @@ from tests.support.messages import sample
 from tests.support.runs import setup, ticks
 from transport.protocol.admission.plausibility import check_plausible
 from transport.protocol.wire.errors import MessageError
-from transport.protocol.wire.messages import Message
+from transport.protocol.wire.messages import Airtime, Message
 from transport.protocol.wire.node import RunShape
 
 RUN = setup("controller.horizon=5", ticks(40))
 PLAN, MEASUREMENT = runs.plan(RUN, 2, 3), runs.measurement(RUN, 2, 3)
+AIRTIME = replace(sample(Airtime), tick=3, agents=(1,), receivers=(1, 2, 3, 4))
 
 
 def refusal(message: Message, shape: RunShape = RUN.shape) -> tuple[str, str]:
@@ -122,6 +123,18 @@ def refusal(message: Message, shape: RunShape = RUN.shape) -> tuple[str, str]:
             {"released": (200,)},
             "unknown_agent",
             "released: expected UAVs of this run, got [200]",
+        ),
+        (
+            AIRTIME,
+            {"agents": (5,)},
+            "unknown_agent",
+            "agents: expected agents of this run, got [5]",
+        ),
+        (
+            AIRTIME,
+            {"receivers": (1, 2, 3)},
+            "unknown_agent",
+            "receivers: expected all agents of this run, got [1, 2, 3]",
         ),
         (
             report(RUN, 2, 3),

@@ -10,7 +10,7 @@ import pytest
 import tomli_w
 
 from tests.support.runs import PAPER, SCENARIOS, setup
-from transport.protocol.scenario.file import read_scenario, validate
+from transport.protocol.scenario.file import ScenarioError, read_scenario, validate
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
 
@@ -44,6 +44,7 @@ OTHER_WORDS = {
     "from": "agent3",
     "to": "agent4",
     "samples": [0.3],
+    "trace": [[0.0, 0.1], [0.05, -1.0]],
     "do": "continue",
     "target": "agent4",
     "name": "other",
@@ -284,3 +285,29 @@ def test_automatic_relaxation() -> None:
     assert (
         setup("controller.relaxation=auto", "agents.owned=[[1,2],[3,4]]").settings.relaxation == 0.5
     )
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        ["clock.mode=realtime"],
+        ["clock={mode='realtime'}"],
+        ["clock.mode=realtime", "clock.speed=1"],
+    ],
+)
+def test_real_time_alone_has_the_speed_of_real_time(settings: list[str]) -> None:
+    """A change to real time alone runs at speed 1: the scenario's 0 is that of lockstep."""
+    assert read_scenario(PAPER).clock.speed == 0.0
+    clock = read_scenario(PAPER, settings).clock
+    assert (clock.mode, clock.speed) == ("realtime", 1.0)
+
+
+def test_a_spline_passes_different_way_points() -> None:
+    """Way points at the same place have no spline at a speed; at times the payload waits there."""
+    phase = "maneuver.phase=[{name='s',kind='spline',points_m=%s,%s}]"
+    for points in ("[[1,0,0],[1,0,0]]", "[[0,0,0],[1,0,0]]"):
+        for duration in ("speed_mps=1.0", "duration_s=9.0", "speed_mps=1,displacement_m=[1,0,0]"):
+            with pytest.raises(ScenarioError, match="points_m: expected each way point away from"):
+                read_scenario(PAPER, [phase % (points, duration)])
+    timed = read_scenario(PAPER, [phase % ("[[1,0,0],[1,0,0],[2,0,0]]", "times_s=[4,5,9]")])
+    assert timed.maneuver.phase[0].duration_s == 9.0

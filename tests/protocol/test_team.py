@@ -12,7 +12,7 @@ from transport.model.arrays import Array
 from transport.protocol.scenario.file import ScenarioError, read_scenario
 from transport.protocol.scenario.schema import Scenario, SystemSection
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import FEWEST, given, resized, ring
+from transport.protocol.scenario.team import FEWEST, Team, given, resized, ring
 
 SIZES = [*range(FEWEST, 17), 24]
 NEIGHBOURS_M, GRAVITY = 0.5, 9.81
@@ -32,7 +32,7 @@ def scenario_of(
     uavs: int, template: Path = PAPER, group: int | None = None, name: str | None = None
 ) -> Scenario:
     """A team with the settings of a scenario."""
-    return resized(read_scenario(template), uavs, group=group, name=name, source="--from paper")
+    return resized(read_scenario(template), Team(uavs=uavs, group=group, name=name), "--from paper")
 
 
 def points(uavs: int) -> Array:
@@ -60,7 +60,7 @@ def test_neighbours_are_as_far_apart_as_the_papers(uavs: int) -> None:
 
 @pytest.mark.parametrize("uavs", SIZES)
 def test_the_payload_keeps_its_shape(uavs: int) -> None:
-    """0.75 kg for each UAV.
+    """A payload has 0.75 kg for each UAV, and the shape of the paper's.
 
     Inertia over mass grows with the square of the lengths, heights included.
     """

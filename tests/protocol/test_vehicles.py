@@ -97,3 +97,23 @@ def test_wrong_arguments_are_refused() -> None:
     with pytest.raises(ScenarioError, match="hover thrust"):
         transport.Scenario("resilient").resized(4, vehicle="x500", load_kg=9.0)
     assert CliRunner().invoke(app, ["scenario", "new", "--uavs", "4", "--load", "0"]).exit_code == 2
+
+
+def test_errors_name_the_source_of_the_value(tmp_path: Path) -> None:
+    """A value keeps its source when files are merged, and in later changes of the scenario."""
+    file = tmp_path / "own.toml"
+    uav = "{mass_kg=1.2,inertia_kgm2=[0.01,0.01,0.02],rod_length_m=2.0,spacing_m=%g}"
+    keys = "controller.limits.thrust_N=[0.0,30.0]\ncontroller.separation.minimum_m=%g"
+    template = transport.Scenario("resilient")
+
+    file.write_text(f"name='own'\nuav={uav % 0.8}\n{keys % 0.9}", encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"own\.toml: controller\.separation\.minimum_m: "):
+        template.resized(4, vehicle=file, load_kg=2.0)
+
+    file.write_text(f"name='own'\nuav={uav % 0.8}\n{keys % 0.7}", encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"^load_kg=40: controller\.limits\.thrust_N: .*hover"):
+        template.resized(4, vehicle=file, load_kg=40.0)
+
+    made = template.resized(4, vehicle=file, load_kg=2.0)
+    with pytest.raises(ScenarioError, match=r"own\.toml: controller\.limits\.thrust_N: .*hover"):
+        made.system.payload.mass_kg = 40.0

@@ -14,7 +14,7 @@ from typing import Any
 import zenoh
 
 from tests.support.garbage import Garbage
-from transport.analysis.series import WALL_CLOCK
+from transport.analysis.steps import WALL_CLOCK
 from transport.protocol.wire.codec import decode
 from transport.protocol.wire.keys import Keys
 from transport.protocol.wire.messages import Bundle, Plan

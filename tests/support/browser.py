@@ -88,7 +88,9 @@ viewer.scene.onAfterRender = (renderer) => {
     });
     nodes[name] = {matrix: node.matrixWorld.toArray(), points};
   }
-  done({nodes, image: renderer.domElement.toDataURL('image/png').split(',')[1]});
+  const camera = viewer.camera;
+  const sight = camera.projectionMatrix.clone().multiply(camera.matrixWorldInverse).toArray();
+  done({nodes, sight, image: renderer.domElement.toDataURL('image/png').split(',')[1]});
 };
 viewer.requestRender();
 """
@@ -100,14 +102,26 @@ class Drawing:
 
     Attributes:
         image: The 3D view as PNG.
+        sight: From page coordinates to those of the view, (4, 4): what is seen is within -1..1.
         poses: Matrix of every node by name, (4, 4), page coordinates.
         points: Ends of the line segments of every node and the nodes below it, (2 k, 3), page
             coordinates.
     """
 
     image: bytes
+    sight: Array
     poses: dict[str, Array]
     points: dict[str, Array]
+
+    def sees(self, name: str) -> bool:
+        """Return whether the origin of a node is within the view."""
+        x, y, z, w = self.sight @ self.poses[name][:, 3]
+        return bool(w > 0.0 and max(abs(x), abs(y), abs(z)) <= w)
+
+    def place(self, name: str, point: Array) -> tuple[float, float]:
+        """Return the place in the view, -1..1 to the right and up, of a point in the frame of a node."""
+        x, y, _, w = self.sight @ self.poses[name] @ np.append(point, 1.0)
+        return float(x / w), float(y / w)
 
 
 class Page(ClientConnection):
@@ -233,6 +247,7 @@ class Browser:
         nodes: dict[str, Any] = result["nodes"]
         return Drawing(
             image=base64.b64decode(result["image"]),
+            sight=np.array(result["sight"]).reshape(4, 4).T,
             poses={name: np.array(node["matrix"]).reshape(4, 4).T for name, node in nodes.items()},
             points={name: np.array(node["points"]).reshape(-1, 3) for name, node in nodes.items()},
         )

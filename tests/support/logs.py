@@ -20,6 +20,8 @@ from transport.model.arrays import Array
 from transport.protocol.scenario.file import read_scenario
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import (
+    NO_NEWS,
+    Airtime,
     FaultNote,
     Message,
     Note,
@@ -131,6 +133,17 @@ def noted(run: Setup, agent: int, tick: int) -> Note:
     return Note(
         sender=f"agent{agent}", incarnation=0, sequence=tick, tick=tick, agent=agent, problem="", names=NAMES,
         values=values,
+    )  # fmt: skip
+
+
+def airtime(run: Setup, tick: int) -> Airtime:
+    """Return news of a plan of agent 1 that arrived at agent 2 after 3 ms and was lost at agent 3."""
+    arrivals = np.full((1, len(run.agents)), NO_NEWS)
+    arrivals[0, 1:3] = 0.003, -1.0
+    return Airtime(
+        sender="coordinator", incarnation=0, sequence=tick, tick=tick, negotiation=0, agents=(1,),
+        plan_ticks=(tick - 1,), exchanges=(0,), receivers=run.agents, sent=np.array([0.001]),
+        arrivals=arrivals, busy_s=0.002, transmissions=1, repetitions=0,
     )  # fmt: skip
 
 

@@ -46,7 +46,7 @@ _ADDED: tuple[tuple[tuple[str, ...], Any], ...] = (
     (("links",), {"override": [{"from": "agent1", "to": "agent2", "delay_s": 0.2, "distribution": "normal"}]}),
     (("links",), {"partition": [{"between": ["agent1"], "start_s": 0.0, "end_s": 1.0}]}),
     (("links",), {"change": [{"at_s": 0.1, "loss": 0.2}, {"at_s": 0.2, "to": "plant", "delay_s": 0.1}]}),
-    (("links",), {"distribution": "empirical", "samples": "delays.csv"}),
+    (("links",), {"distribution": "empirical", "samples_s": "delays.csv"}),
     (("faults",), {"event": [{"at_s": 0.1, "do": "kill", "target": "agent2"}]}),
     (("faults",), {"event": [{"at_s": 0.1, "do": "motor_off", "target": "uav1"}]}),
     (("faults",), {"event": [{"at_s": 0.1, "do": "release", "target": "uav3"}]}),

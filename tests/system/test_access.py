@@ -15,7 +15,7 @@ from tests.support.keyrings import keyring
 from tests.support.messages import sample
 from tests.support.runs import setup
 from transport.protocol.admission.gate import Gate
-from transport.protocol.network.bus import Bus, Place
+from transport.protocol.network.bus import Bus, BusOptions, Place
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.security import Security, access_control
 from transport.protocol.wire.codec import VERSION, encode
@@ -50,14 +50,17 @@ class Guarded:
         place = Place(
             run=KEYS.run, endpoints=Endpoints(listen=[self.at], connect=[], security=security)
         )
-        self.bus = Bus(name, place, DIGEST, self.gate, serves=name == "coordinator")
+        options = BusOptions(serves=name == "coordinator")
+        self.bus = Bus(name, place, DIGEST, self.gate, options)
 
     def accepted(self, timeout_s: float) -> list[Message]:
         """Return accepted messages until a timeout after the last one."""
-        found = []
-        while isinstance(event := self.bus.next(timeout_s), Message):
-            found.append(event)
-        return found
+        messages: list[Message] = []
+        while True:
+            arrival = self.bus.next(timeout_s)
+            if arrival is None or not isinstance(arrival.event, Message):
+                return messages
+            messages.append(arrival.event)
 
     @property
     def reached(self) -> int:
@@ -170,9 +173,9 @@ def test_rights_to_request() -> None:
                 handler = session.get(
                     KEYS.request("coordinator", request), payload="{}", timeout=1.0
                 )
-                event = coordinator.bus.next(0.1)
-                if event is not None:
-                    event.reply({"fine": True})  # type: ignore[union-attr]
+                arrival = coordinator.bus.next(0.1)
+                if arrival is not None:
+                    arrival.event.reply({"fine": True})  # type: ignore[union-attr]
                 if any(reply.ok is not None for reply in handler):
                     return True
         return False

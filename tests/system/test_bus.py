@@ -15,7 +15,7 @@ from tests.support import runs
 from tests.support.commands import free_base
 from tests.support.runs import setup
 from transport.protocol.admission.gate import Gate
-from transport.protocol.network.bus import Bus, Place
+from transport.protocol.network.bus import Bus, BusOptions, Place
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.session import BusError
 from transport.protocol.wire.codec import MAX_BYTES, VERSION, encode
@@ -39,7 +39,7 @@ class Plant:
             endpoints=Endpoints(listen=[f"tcp/127.0.0.1:{port}"], connect=[]),
             join_timeout_s=1.0,
         )
-        self.bus = Bus("plant", place, DIGEST, self.gate)
+        self.bus = Bus("plant", place, DIGEST, self.gate, BusOptions(tell_every_s=0.1))
 
     def counts(self) -> dict[tuple[str, str], int]:
         """Return the numbers of refused messages by sender and reason."""
@@ -123,20 +123,21 @@ def test_messages_of_announced_processes_are_accepted(network: tuple[Plant, zeno
     plant, session = network
     block = zenoh.CongestionControl.BLOCK
     session.put(f"{KEYS.prefix}/tick", encode(runs.tick(0)), congestion_control=block)
-    assert plant.bus.next(PATIENCE_S) == runs.tick(0)
+    arrival = plant.bus.next(PATIENCE_S)
+    assert arrival is not None
+    assert arrival.event == runs.tick(0)
     other = session.liveliness().declare_token(KEYS.alive("coordinator", 0, "another", VERSION))
     token = session.liveliness().declare_token(KEYS.alive("coordinator", 0, DIGEST, VERSION))
     assert plant.waits_for(lambda: "coordinator" in plant.bus.alive)
     other.undeclare()  # type: ignore[no-untyped-call]
     token.undeclare()  # type: ignore[no-untyped-call]
-    assert plant.bus.next(PATIENCE_S) == Presence("coordinator", 0, alive=False)
+    arrival = plant.bus.next(PATIENCE_S)
+    assert arrival is not None
+    assert arrival.event == Presence("coordinator", 0, alive=False)
 
 
-def test_a_process_that_waits_gives_signs_of_life(
-    network: tuple[Plant, zenoh.Session], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_process_that_waits_gives_signs_of_life(network: tuple[Plant, zenoh.Session]) -> None:
     """While others are missing, a sentence names them at every interval, until the time is over."""
-    monkeypatch.setattr("transport.protocol.network.bus.WAITING_S", 0.1)
     said: list[str] = []
     with pytest.raises(BusError, match="no sign of agent1, agent2 within 1 s"):
         network[0].bus.join(["agent1", "agent2"], said.append)

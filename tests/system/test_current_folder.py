@@ -95,3 +95,15 @@ def test_a_notebook_does_not_import_from_its_folder(folder: Path) -> None:
     )
     client.execute()
     assert notebook.cells[0].outputs[0]["data"]["text/plain"] == "'completed'"
+
+
+@pytest.mark.slow
+def test_a_deleted_current_folder(tmp_path: Path) -> None:
+    """A run with an absolute folder is completed when the current folder has been deleted."""
+    gone, out = tmp_path / "gone", tmp_path / "out"
+    gone.mkdir()
+    words = ["run", "paper", *settings(SHORT), "--out", str(out), "--no-figures"]
+    program = f"import os, sys; os.rmdir({str(gone)!r}); os.execv(sys.executable, sys.argv[1:])"
+    done = python(gone, "-c", program, sys.executable, "-P", "-m", "transport", *words)
+    assert done.returncode == 0, done.stderr
+    assert (out / "summary.json").exists()

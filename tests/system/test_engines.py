@@ -171,7 +171,7 @@ def test_an_engine_that_fails(engine: str, code: int, text: str, tmp_path: Path)
             ),
             marks=pytest.mark.slow,
         ),
-        ("rough:Exits", EXIT_UNREACHABLE, "plant ended with exit code 0 before the run began: "),
+        ("rough:Exits", EXIT_DIVERGED, "advance raised SystemExit: os._exit(0) (rough.py:16)"),
     ],
 )
 def test_an_engine_that_does_not_behave(engine: str, code: int, text: str, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ One line, the right code.
 
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.commands import PATIENCE_S, SHORT, command, settings
+from tests.support.commands import PATIENCE_S, SHORT, command, settings, start, wait_for
 from tests.support.results import here
 
 USAGE, SCENARIO, UNRECORDED = 2, 3, 10
@@ -124,3 +125,51 @@ def test_log_and_standard_error_on_a_full_disk(tmp_path: Path) -> None:
         )
     assert done.returncode == UNRECORDED
     assert here("log", "info", tmp_path / "out").exit_code == 0
+
+
+NO_HOME = """
+import os, pwd, sys
+
+def unknown(uid):
+    raise KeyError(uid)
+
+os.environ.pop("HOME", None)
+os.environ.pop("XDG_CACHE_HOME", None)
+os.environ.pop("PAYLOAD_TRANSPORT_CACHE", None)
+pwd.getpwuid = unknown
+from transport.__main__ import main
+main()
+"""
+
+
+def test_a_user_without_a_home(tmp_path: Path) -> None:
+    """A user id without an entry and without HOME, as in a container, validates a scenario."""
+    done = subprocess.run(
+        [sys.executable, "-c", NO_HOME, "validate", "paper"],
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / f"payload-transport-{os.getuid()}").is_dir()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("removed", ["log", "folder"])
+def test_a_log_removed_during_the_run(removed: str, tmp_path: Path) -> None:
+    """A run whose log, or whole folder, is removed meanwhile is completed, and ends with code 10."""
+    hover = "maneuver.phase=[{name='hover', duration_s=2.0, displacement_m=[0.0, 0.0, 0.0]}]"
+    options = [*settings(hover, "clock.speed=1.0"), "--out", "run", "--no-figures"]
+    run = start("run", "paper", *options, cwd=tmp_path)
+    log = tmp_path / "run" / "run.mcap"
+    assert wait_for(lambda: log.exists() and log.stat().st_size > 10_000)
+    if removed == "log":
+        log.unlink()
+    else:
+        shutil.rmtree(tmp_path / "run")
+    _, errors = run.communicate(timeout=PATIENCE_S)
+    assert run.returncode == UNRECORDED, errors
+    assert "the log was removed during the run; the run completed" in errors
+    assert "Traceback" not in errors

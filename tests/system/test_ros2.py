@@ -172,6 +172,29 @@ def test_a_run_is_seen_and_does_not_notice(sdk: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_the_bridge_of_a_killed_run_ends(tmp_path: Path) -> None:
+    """The bridge ends with exit code 0 when the run is killed, whose log then has no end."""
+    endpoint = f"tcp/127.0.0.1:{free_base()}"
+    router = start("router", "--listen", endpoint, cwd=tmp_path)
+    options = settings("clock.speed=1.0", HOVER)
+    run = start("run", "resilient", *options, "--out", "run", "--no-figures", cwd=tmp_path)
+    log = Growing(tmp_path / "run" / "run.mcap")
+    started = [router, run]
+    try:
+        assert wait_for(lambda: len(log.of(PlantState)) > 0)
+        bridge = start("ros2", "--run", "run", "--connect", endpoint, cwd=tmp_path)
+        started.append(bridge)
+        assert bridge.stderr is not None
+        assert "topics in domain" in bridge.stderr.readline()
+        run.kill()
+        assert bridge.wait(60) == 0
+    finally:
+        for process in started:
+            process.kill()
+            process.communicate()
+
+
+@pytest.mark.slow
 def test_targets_come_from_outside(sdk: Any, tmp_path: Path) -> None:
     """Targets of the other implementation are announced.
 

@@ -8,9 +8,22 @@ from tests.support.results import here
 from tests.support.runs import PAPER, SCENARIOS
 from transport.protocol.scenario.file import read_scenario
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import resized
+from transport.protocol.scenario.team import Team, resized
 
 USAGE, SCENARIO = 2, 3
+
+# UAVs at unequal distances from the centre of mass.
+UNEQUAL = (
+    "{id=%d,mass_kg=1.5,inertia_kgm2=[0.029,0.029,0.055],rho_m=[%g,%g,-0.125],rod_length_m=3.2}"
+)
+PLACES = ((1, 0.25, 0.25), (2, 0.25, -0.25), (3, -0.35, -0.25), (4, -0.35, 0.25))
+
+# A vehicle with a text among its limits.
+MINE = """
+name = "mine"
+uav = {mass_kg = 1.2, inertia_kgm2 = [0.01, 0.01, 0.02], rod_length_m = 2.0, spacing_m = 0.8}
+controller.limits = {thrust_N = [0.0, 15.0], moments_Nm = [0.5, 0.5, "0.2"]}
+"""
 NEW = ("scenario", "new")
 RESILIENT = SCENARIOS / "resilient.toml"
 
@@ -29,9 +42,24 @@ REFUSED = [
     (
         ("--uavs", "3", "--load", "inf"),
         SCENARIO,
-        f"{RESILIENT}: system.payload.mass_kg: expected a finite",
+        "--load inf: system.payload.mass_kg: expected a finite",
     ),
-    (("--uavs", "3", "--name", "a b"), SCENARIO, f"{RESILIENT}: name: string should match pattern"),
+    (("--uavs", "3", "--name", "a b"), SCENARIO, "--name a b: name: string should match pattern"),
+    (
+        ("--uavs", "4", "--load", "50"),
+        SCENARIO,
+        "--load 50: controller.limits.thrust_N: expected a range that contains the hover thrust",
+    ),
+    (
+        ("--uavs", "4", "--vehicle", "x500", "--load", "50"),
+        SCENARIO,
+        "--load 50: controller.limits.thrust_N: expected a range that contains the hover thrust",
+    ),
+    (
+        ("--uavs", "4", "--vehicle", "mine.toml", "--load", "1"),
+        SCENARIO,
+        "mine.toml: controller.limits.moments_Nm.3: expected a valid number, got '0.2'",
+    ),
     (
         ("--uavs", "3", "--out", "there.toml"),
         USAGE,
@@ -71,6 +99,7 @@ def folder_with_templates(tmp_path: Path) -> Path:
     """Return a folder with an empty file and two templates that fit no ring of three."""
     paper = PAPER.read_text(encoding="utf-8")
     (tmp_path / "there.toml").touch()
+    (tmp_path / "mine.toml").write_text(MINE, encoding="utf-8")
     wide = (
         paper.replace("minimum_m = 0.4", "minimum_m = 0.6")
         .replace("[0.25, ", "[0.5, ")
@@ -107,7 +136,7 @@ def test_a_file_and_standard_output_are_the_same(tmp_path: Path) -> None:
     assert (printed.exit_code, printed.stderr) == (0, "")
     assert (written.exit_code, written.stdout) == (0, "")
     assert path.read_text(encoding="utf-8") == printed.stdout
-    expected = resized(read_scenario(PAPER), 5, group=2, name="five", source="")
+    expected = resized(read_scenario(PAPER), Team(uavs=5, group=2, name="five"), "")
     assert read_scenario(path) == expected
     assert Setup.of(read_scenario(path), str(path)).owned == ((0, 1), (2, 3), (4,))
 
@@ -119,3 +148,14 @@ def test_resilient_is_the_default(tmp_path: Path) -> None:
     scenario = read_scenario(tmp_path / "six.toml")
     assert scenario.name == "resilient-6"
     assert scenario.controller == read_scenario(SCENARIOS / "resilient.toml").controller
+
+
+def test_validate_tells_all_hover_thrusts(tmp_path: Path) -> None:
+    """A UAV closer to the centre of mass carries more: the command prints the thrust of each."""
+    heavier = "system.uav=" + "[" + ",".join(UNEQUAL % place for place in PLACES) + "]"
+    result = here("validate", "paper", "--set", heavier)
+    setup = Setup.of(read_scenario(PAPER, [heavier]), "paper")
+    thrusts = ", ".join(f"{thrust_N:.2f}" for thrust_N in setup.hover.u[::4])
+    assert len(set(setup.hover.u[::4])) > 1
+    assert f"hover thrusts {thrusts} N" in result.stderr
+    assert "hover thrust 22.07 N," in here("validate", "paper").stderr

@@ -9,9 +9,9 @@ import pytest
 
 from tests.support.runs import SHORT, ready, recorded, reproducible
 from tests.support.shuffled import fly_shuffled
+from transport.analysis.analysed_run import AnalysedRun, counted
 from transport.analysis.metrics import summarise
 from transport.analysis.replay import Replay
-from transport.analysis.series import counted
 from transport.flight import memory
 from transport.log.run_log import Recorded, RunLog
 from transport.protocol.scenario.setup import Setup
@@ -100,7 +100,7 @@ def test_plans_grow_old_and_say_so() -> None:
     assert [r.plan_ages for r in reports if r.tick == 5] == [(5, 5, 5)] * 4
     plans = [m for m in messages if isinstance(m, Plan)]
     assert {m.tick for m in plans if m.shared} == {0, 8, 16, 24}
-    summary = summarise(run_of(), log_of(messages))
+    summary = summarise(AnalysedRun.of(run_of(), log_of(messages)))
     assert summary["messages"]["shared"] == 16
     assert summary["messages"]["planned"] == 120
 

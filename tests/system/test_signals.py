@@ -8,11 +8,13 @@ from pathlib import Path
 
 import pytest
 
+from tests.campaigns import early_signals
 from tests.campaigns.harness import execute_all
 from tests.campaigns.signals import execute, execute_run
 
 # Its first runs get SEGV, KILL and a STOP of a second.
 SEED, RUNS = 10, 3
+EARLY = 8
 
 
 @pytest.mark.slow
@@ -22,6 +24,15 @@ def test_signals_leave_order(tmp_path: Path) -> None:
     found = list(execute_all(partial(execute), SEED, range(RUNS), tmp_path / "runs", jobs=2))
     assert [result for result in found if result.problems] == []
     assert len(found) == RUNS
+
+
+@pytest.mark.slow
+def test_early_signals_end_commands(tmp_path: Path) -> None:
+    """Commands interrupted within their first second end, without a traceback, a process or a folder."""
+    execute_early = partial(early_signals.execute)
+    results = list(execute_all(execute_early, SEED, range(EARLY), tmp_path / "early", jobs=1))
+    assert [result for result in results if result.problems] == []
+    assert len(results) == EARLY
 
 
 @pytest.mark.slow

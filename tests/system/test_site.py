@@ -145,6 +145,34 @@ def test_links_lead_somewhere(site: Path, pages: dict[Path, Page]) -> None:
     assert count > 1000
 
 
+# Texts of formulas with marks of LaTeX, and equations whose box is smaller than their formula.
+UNCONVERTED = r"""return [...document.querySelectorAll('math')].map((math) => math.textContent)
+    .filter((text) => /[&\\\\\u0332]/.test(text))"""
+CUT = """return [...document.querySelectorAll('.equation')].filter((equation) => {
+    const boxes = [equation, ...equation.querySelectorAll('.formula')];
+    return boxes.some((box) => box.scrollWidth > box.clientWidth || box.scrollHeight > box.clientHeight);
+}).map((equation) => equation.id)"""
+COUNT = "return document.querySelectorAll('.equation').length"
+
+
+@needs_browser
+def test_equations_are_drawn_whole(site: Path) -> None:
+    """Every equation fits into the page, without scroll bars, and none has marks of LaTeX.
+
+    They are drawn with the font of the site, which has brackets of any height.
+    """
+    source = (ROOT / "docs" / "equations.md").read_text(encoding="utf-8")
+    with browser() as opened:
+        opened.driver.set_window_size(1400, 900)
+        opened.driver.get((site / "equations.html").as_uri())
+        assert wait_for(
+            lambda: opened.driver.execute_script("return document.fonts.check('16px Formulas')")
+        )
+        assert opened.driver.execute_script(COUNT) == source.count("$$") / 2
+        assert opened.driver.execute_script(UNCONVERTED) == []
+        assert opened.driver.execute_script(CUT) == []
+
+
 @needs_browser
 def test_search_from_a_folder(site: Path) -> None:
     """The search finds "relaxation" in a page opened as a file.

@@ -17,7 +17,7 @@ from transport.flight.memory import simulate
 from transport.model.arrays import Array
 from transport.protocol.scenario.file import read_scenario
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import resized
+from transport.protocol.scenario.team import Team, resized
 from transport.protocol.wire.messages import Control, Message, Roster, StepReport
 
 # The paper's maneuver at its speeds, shortened: the fault is in the climb, before a corner.
@@ -74,7 +74,7 @@ def flown(uavs: int, template: str, *changes: str) -> Flight:
     # resized.
     ready = read_scenario(SCENARIOS / f"{template}.toml", [MANEUVER, *changes])
     if uavs != len(ready.system.uav):
-        ready = resized(ready, uavs, group=None, name=None, source=template)
+        ready = resized(ready, Team(uavs=uavs), template)
     run = Setup.of(ready, template)
     messages: list[Message] = []
     control = simulate(run, messages.append)

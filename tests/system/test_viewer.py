@@ -47,12 +47,13 @@ from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.protocol.wire.messages import LinkChange, PlantState, Target
 from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder
-from transport.viewer.panel import Playback
+from transport.viewer.playback import Playback
 from transport.viewer.viewer import Viewer, open_viewer
 
 # A climb of half a metre moves the payload by at least this, m.
 SEEN_M = 0.2
 PIXELS = 0.002  # share of pixels that change when the team moves
+LAST_S = 1.45  # last recorded instant of the short run of 1.5 s
 CUT = 0.6
 INTERRUPTED = 130
 OTHER_LOOPBACK = "127.0.0.2"  # an address of this host on which the viewer does not listen
@@ -68,9 +69,10 @@ SIDEWAYS = (
 )
 SLOWLY = "clock.speed=0.1"  # real time has to keep up on a busy machine: 0.5 s a tick
 DRAWINGS = 12
+FRESH = 3  # browsers
 BROWSER_S = 600.0  # for a page that is drawn without a graphics processor on a busy machine; the runs last longer
 ROD_M = 1e-3  # poses and points have single precision, at some hundred metres
-ARROW = 29, 172  # on the handle, pixels from the middle of the view
+ARROW_M = 0.5  # of the arrow along x of the handle, whose scale is 0.6, from its middle
 DELAY_STEPS = 10  # of 0.01 s, from those of the run
 LATE = ("links.delay_s=0.2", "links.loss=0.3")
 AGENTS, VICTIM = 4, 2
@@ -117,7 +119,7 @@ def test_a_recorded_run_is_shown(recorded: Path, window: Browser) -> None:
         window.open(viewer.address)
         assert wait_for(lambda: "hover" in (window.text() or ""))
         before, pixels, plots = viewer.shown, window.pixels(), window.plots()
-        window.press(1.5, END)
+        window.press(LAST_S, END)
         assert wait_for(lambda: viewer.shown is not None and viewer.shown.tick == 29)
         assert wait_for(lambda: "climb" in (window.text() or ""))
         assert before is not None
@@ -237,8 +239,14 @@ def test_frames_of_a_live_run_are_whole(tmp_path: Path, window: Browser, mode: s
 
         def moved() -> bool:
             drawings.append(window.drawing())
-            first, last = (drawings[k].poses["/payload"][:3, 3] for k in (0, -1))
-            return len(drawings) >= DRAWINGS and bool(np.linalg.norm(last - first) > SEEN_M)
+            # The view follows the team: seen from the world, it moves.
+            first, last = (
+                np.linalg.inv(drawings[k].poses["/world"]) @ drawings[k].poses["/world/payload"]
+                for k in (0, -1)
+            )
+            return len(drawings) >= DRAWINGS and bool(
+                np.linalg.norm((last - first)[:3, 3]) > SEEN_M
+            )
 
         assert wait_for(moved, BROWSER_S)
         window.leave()
@@ -258,10 +266,27 @@ def rod_error_m(drawing: Drawing, attachments: Array) -> float:
     """
     errors = []
     for i, rho in enumerate(attachments):
-        ends = drawing.points[f"/rod{i + 1}/rod"]
-        attachment = (drawing.poses["/payload"] @ np.append(rho, 1.0))[:3]
-        errors.append(ends - [attachment, drawing.poses[f"/uav{i + 1}"][:3, 3]])
+        ends = drawing.points[f"/world/rod{i + 1}/rod"]
+        attachment = (drawing.poses["/world/payload"] @ np.append(rho, 1.0))[:3]
+        errors.append(ends - [attachment, drawing.poses[f"/world/uav{i + 1}"][:3, 3]])
     return float(np.linalg.norm(errors, axis=-1).max())
+
+
+@pytest.mark.slow
+@needs_browser
+def test_fresh_browsers_show_the_team(tmp_path: Path) -> None:
+    """The first drawing of the team in a browser that was just started has all of it in its view.
+
+    It stays there while the team moves and the page tells where its camera is.
+    """
+    parts = ["/world/payload", *(f"/world/uav{i + 1}" for i in range(AGENTS))]
+    with live_run(tmp_path / "fresh", SLOWLY, SIDEWAYS) as address:
+        for _ in range(FRESH):
+            with browser() as fresh:
+                fresh.open(address)
+                for _ in range(DRAWINGS // FRESH):
+                    drawing = fresh.drawing()
+                    assert [name for name in parts if not drawing.sees(name)] == []
 
 
 @pytest.mark.slow
@@ -284,6 +309,7 @@ def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> Non
             window.press(1.0, *[RIGHT] * DELAY_STEPS)
             window.click("Set")
             assert wait_for(lambda: "links change: at tick" in (window.text() or ""), BROWSER_S)
+            assert wait_for(lambda: "12 of 12 links impaired" in (window.text() or ""), BROWSER_S)
         log = Growing(folder / "run.mcap")
         assert wait_for(
             lambda: any(json.loads(change.settings) == WANTED for change in log.of(LinkChange))
@@ -325,13 +351,13 @@ def test_a_live_run_is_sent_to_targets(tmp_path: Path, window: Browser) -> None:
         window.open(address)
         log = Growing(folder / "run.mcap")
 
-        # The arrow along x, where the first view shows it.
         view = window.driver.find_element("css selector", "canvas")
 
         def is_dragged() -> bool:
-            pull: Any = ActionChains(window.driver, duration=400).move_to_element_with_offset(
-                view, *ARROW
-            )
+            x, y = window.drawing().place("/world/target", np.array([ARROW_M, 0.0, 0.0]))
+            right, down = round(x * view.size["width"] / 2), round(-y * view.size["height"] / 2)
+            pull: Any = ActionChains(window.driver, duration=400)
+            pull.move_to_element_with_offset(view, right, down)
             pull.click_and_hold().move_by_offset(25, 0).move_by_offset(25, 10).pause(
                 1.0
             ).release().perform()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import transport
-from transport.analysis.series import steps_columns
+from transport.analysis.steps import steps_columns
 from transport.log.tables import RATE_NAMES, tables
 
 RATES = {"controller.inputs": "rates"}

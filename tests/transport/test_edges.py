@@ -7,7 +7,7 @@ from tests.support.runs import SCENARIOS, SHORT, ready, ticks
 from transport.flight.memory import simulate
 from transport.protocol.scenario.file import ScenarioError, read_scenario
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import resized
+from transport.protocol.scenario.team import Team, resized
 from transport.protocol.wire.messages import Control
 
 LIGHT = "system.payload={{mass_kg={0},inertia_kgm2=[{1},{1},{1}]}}"
@@ -50,9 +50,7 @@ def test_one_uav() -> None:
 def test_sixteen_uavs() -> None:
     """N = 16, each its own agent, made as `transport scenario new` makes it."""
     path = SCENARIOS / "resilient.toml"
-    scenario = resized(
-        read_scenario(path, [ticks(10)]), 16, group=None, name=None, source=path.name
-    )
+    scenario = resized(read_scenario(path, [ticks(10)]), Team(uavs=16), path.name)
     run = Setup.of(scenario, path.name)
     assert (run.system.N, len(run.agents)) == (16, 16)
     assert simulate(run).outcome == "completed"

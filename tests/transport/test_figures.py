@@ -3,18 +3,24 @@
 import struct
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree  # of files written here
 
 import matplotlib as mpl
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from tests.support import runs
 from tests.support.figure_texts import problems
-from tests.support.logs import SINGLE_UAV, log_of, noted, plant_state, record_run, report
-from transport.analysis.series import series_of
+from tests.support.logs import SINGLE_UAV, airtime, log_of, noted, plant_state, record_run, report
+from transport.analysis.analysed_run import AnalysedRun
+from transport.analysis.series import Series
+from transport.interface.scenario import Scenario
 from transport.log.run_log import read_log
+from transport.model import state
+from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import FaultNote, LinkChange
 from transport.report.column import caption_of, marks_of
 from transport.report.figures import FIGURES, draw, fill
@@ -26,6 +32,10 @@ NAMES = ["performance.png", "inputs.png", "trajectories.png", "timing.png"]
 # An empty figure with axes has a few thousand bytes.
 SMALLEST_BYTES = 10_000
 SMALLEST_PIXELS = 400
+LARGE_TEAM = 8
+ROUNDING = 1e-15  # of a team at rest
+# Least range of an axis, m, deg, N, and least end of one of costs: far above rounding errors.
+LEAST_RANGE, LEAST_DECADE = 1e-7, 1e-12
 
 
 def assert_drawn(paths: Sequence[Path], names: Sequence[str] = NAMES) -> None:
@@ -69,8 +79,8 @@ def test_pdf_is_written_on_request(tmp_path: Path) -> None:
     """With `pdf` each figure is a PDF too, equal for equal runs."""
     run = runs.setup(runs.SHORT)
     log = log_of([plant_state(run, 0), plant_state(run, 1)])
-    paths = draw(run, log, tmp_path / "a", pdf=True)
-    draw(run, log, tmp_path / "b", pdf=True)
+    paths = draw(AnalysedRun.of(run, log), tmp_path / "a", pdf=True)
+    draw(AnalysedRun.of(run, log), tmp_path / "b", pdf=True)
     for path in paths:
         data = path.with_suffix(".pdf").read_bytes()
         assert data.startswith(b"%PDF")
@@ -82,18 +92,20 @@ def test_texts_are_large_and_apart(name: str) -> None:
     """No text collides with another, leaves the figure or is too small, with marks near each other and short phases."""
     changes = "links.change=[{at_s=0.5,delay_s=0.2,loss=0.3},{at_s=0.52,loss=0.1}]"
     run = runs.setup(
-        runs.SHORT, changes, "links.partition=[{between=['agent2'],start_s=0.2,end_s=0.9}]"
+        *(runs.SHORT, changes, "radio={}"),
+        "links.partition=[{between=['agent2'],start_s=0.2,end_s=0.9}]",
     )
     log = log_of(
         [
             *(plant_state(run, k) for k in range(20)),
+            *(airtime(run, k) for k in range(1, 20)),
             *(report(run, a, k) for a in (1, 2) for k in range(20)),
             noted(run, 1, 9),
         ]
     )
     figure = Figure()
     with mpl.rc_context(RC):
-        assert fill(figure, name, run, log, series_of(run, log))
+        assert fill(figure, name, AnalysedRun.of(run, log))
         assert problems(figure, SMALL) == []
     assert figure.get_figwidth() == COLUMN_IN
 
@@ -141,6 +153,51 @@ def test_drawing_has_no_side_effects(tmp_path: Path) -> None:
     """No setting of matplotlib is changed, and pyplot, which keeps its figures, is not used."""
     before, had_pyplot = dict(mpl.rcParams), "matplotlib.pyplot" in sys.modules
     run = runs.setup(runs.SHORT)
-    draw(run, log_of([plant_state(run, 0), plant_state(run, 1)]), tmp_path)
+    draw(AnalysedRun.of(run, log_of([plant_state(run, 0), plant_state(run, 1)])), tmp_path)
     assert dict(mpl.rcParams) == before
     assert ("matplotlib.pyplot" in sys.modules) == had_pyplot
+
+
+@pytest.mark.parametrize("name", ["performance", "inputs"])
+def test_figures_of_large_teams_have_legends(name: str) -> None:
+    """A figure of more than five UAVs has a legend of all, above its panels and apart from them."""
+    scenario = Scenario("resilient").resized(LARGE_TEAM)
+    run = Setup.of(scenario.validated, "large")
+    reports = [report(run, agent, k) for agent in run.agents for k in range(3)]
+    log = log_of([*(plant_state(run, k) for k in range(3)), *reports])
+    figure = Figure()
+    with mpl.rc_context(RC):
+        assert fill(figure, name, AnalysedRun.of(run, log))
+        assert problems(figure, SMALL) == []
+    (legend,) = figure.legends
+    names = [text.get_text() for text in legend.get_texts()]
+    assert names == [f"UAV{i}" for i in range(1, LARGE_TEAM + 1)]
+
+
+@pytest.mark.parametrize("name", ["performance", "inputs"])
+def test_no_axis_shows_rounding_errors(name: str) -> None:
+    """Axes of a team at rest have ranges that matter, although its costs and errors are 1e-15."""
+    run = runs.setup(runs.SHORT)
+    log = log_of([plant_state(run, k) for k in range(9)])
+    figure = Figure()
+    with mpl.rc_context(RC):
+        analysed = AnalysedRun.of(run, log)
+        assert fill(figure, name, replace(analysed, series=at_rest(analysed.series)))
+    for panel in figure.axes:
+        low, high = panel.get_ylim()
+        assert high - low > LEAST_RANGE
+        assert panel.get_yscale() == "linear" or low > LEAST_DECADE
+
+
+def at_rest(series: Series) -> Series:
+    """Return a series with rounding errors in place of every cost, error and change."""
+    tiny = ROUNDING * np.arange(1.0, len(series.ticks) + 1.0)
+    return replace(
+        series,
+        cost=tiny**2,
+        payload_reference_I=series.x[:, state.R0] + tiny[:, None],
+        uav_references_I=series.uavs_I + tiny[:, None, None],
+        attitude_deg=np.tile(tiny[:, None], 3),
+        u=series.u[0] + tiny[:, None],
+        separation_m=series.separation_m[0] + tiny,
+    )

@@ -1,8 +1,14 @@
 """An interrupt ends the command `transport` with its exit code, wherever the command is at that moment."""
 
+import ctypes
+import gc
 import os
 import signal
 import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -12,17 +18,22 @@ from typer.testing import CliRunner
 
 from tests.support import runs
 from transport.cli.main import app
-from transport.flight import memory, signals
+from transport.flight import memory
 from transport.flight.run import Finished
-from transport.flight.signals import raise_interrupts
-from transport.protocol.network.parent import ending_signals, python
+from transport.flight.signals import (
+    Interrupt,
+    collected_signals,
+    raise_interrupts,
+    take_interrupt,
+)
+from transport.protocol.network.parent import python
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
 from transport.protocol.wire.messages import Message
 
 # Stands in for the module with the commands; ends as if the interrupt came while it is imported or
 # while it works.
 _PROGRAM = """
-import sys, types
+import signal, sys, time, types
 class Commands(types.ModuleType):
     def __getattr__(self, name):
         {code}
@@ -31,12 +42,19 @@ from transport.__main__ import main
 main()
 """
 
+# Commands that turn an interrupt into another error, as some libraries do, or drop it.
+_TURNED = "exec('try: signal.raise_signal(15)\\nexcept BaseException: raise ValueError')"
+_DROPPED = "[exec('try: signal.raise_signal(15)\\nexcept BaseException: pass'), time.sleep(20)]"
+
 
 @pytest.mark.parametrize(
     "code",
     [
         pytest.param("raise KeyboardInterrupt", id="in a module"),
         pytest.param("exec('raise KeyboardInterrupt')", id="in a text, as dataclasses run them"),
+        pytest.param("import signal; signal.raise_signal(signal.SIGTERM)", id="by SIGTERM"),
+        pytest.param(f"return lambda **_: {_TURNED}", id="turned into another error"),
+        pytest.param(f"return lambda **_: {_DROPPED}", id="dropped"),
         pytest.param(f"return lambda **_: sys.exit({EXIT_INTERRUPTED})", id="in a command"),
     ],
 )
@@ -102,13 +120,75 @@ def test_a_run_interrupted_before_its_log_says_so(
     )
 
 
-def test_a_suppressed_interrupt_ends_a_run_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compiled code that calls Python may suppress the exception of a signal.
+# The interrupt comes within milliseconds; without it a test fails after this time, s.
+PATIENCE_S = 20.0
 
-    The run ends all the same.
-    """
-    monkeypatch.setattr(signals, "_raised", [])
-    before = {number: signal.getsignal(number) for number in ending_signals()}
+
+@pytest.fixture
+def command_signals() -> Iterator[None]:
+    """Handle signals as in a command; restore the handlers of the tests afterwards."""
+    numbers = (signal.SIGINT, signal.SIGHUP, signal.SIGTERM)
+    handlers = {number: signal.getsignal(number) for number in numbers}
+    hook = sys.unraisablehook
+    yield
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+    sys.unraisablehook = hook
+    take_interrupt()
+
+
+def in_a_destructor() -> None:
+    """Receive SIGTERM while an object is destroyed: Python drops the exception."""
+
+    class Destroyed:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGTERM)
+
+    Destroyed()
+
+
+def in_a_callback() -> None:
+    """Receive SIGTERM in a callback from compiled code, which drops the exception."""
+    prototype = ctypes.CFUNCTYPE(None)
+    prototype(lambda: signal.raise_signal(signal.SIGTERM))()
+
+
+def in_a_library() -> None:
+    """Receive SIGTERM in code that catches everything."""
+    with suppress(BaseException):
+        signal.raise_signal(signal.SIGTERM)
+
+
+@pytest.mark.usefixtures("command_signals")
+@pytest.mark.parametrize("receive", [in_a_destructor, in_a_callback, in_a_library])
+def test_a_dropped_interrupt_is_raised_again(
+    receive: Callable[[], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An interrupt that some code drops is raised again behind it, and nothing is printed."""
+    raise_interrupts()
+    with pytest.raises(Interrupt, match="SIGTERM"):  # noqa: PT012  # the second line is the place
+        receive()
+        threading.Event().wait(PATIENCE_S)
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.usefixtures("command_signals")
+def test_a_taken_interrupt_is_not_raised_again() -> None:
+    """A command that has handled its interrupt ends undisturbed; a second signal interrupts it."""
+    raise_interrupts()
+    try:
+        signal.raise_signal(signal.SIGTERM)
+    except Interrupt:
+        assert take_interrupt()
+    gc.collect()
+    assert not take_interrupt()
+    with pytest.raises(Interrupt):
+        signal.raise_signal(signal.SIGTERM)
+
+
+@pytest.mark.usefixtures("command_signals")
+def test_a_suppressed_interrupt_ends_a_run_in_memory() -> None:
+    """A run in memory ends at the next message when a callback suppresses the interrupt."""
     recorded = 0
 
     def record(_: Message) -> None:
@@ -118,32 +198,61 @@ def test_a_suppressed_interrupt_ends_a_run_in_memory(monkeypatch: pytest.MonkeyP
             with suppress(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGTERM)
 
-    try:
-        raise_interrupts()
-        with pytest.raises(KeyboardInterrupt, match="SIGTERM"):
-            memory.simulate(runs.setup(runs.SHORT), record)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    raise_interrupts()
+    with pytest.raises(Interrupt, match="SIGTERM"):
+        memory.simulate(runs.setup(runs.SHORT), record)
     assert recorded < 100, "the run went on"
 
 
-def test_signals_the_user_ignores_stay_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A command in the background of a shell without job control, or started with nohup, ends by SIGTERM only."""
-    monkeypatch.setattr(signals, "_raised", [])
-    before = {
-        number: signal.getsignal(number)
-        for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM)
-    }
+@pytest.mark.usefixtures("command_signals")
+def test_collected_signals_are_looked_at_or_raised() -> None:
+    """Signals that come while a run is watched are handed over once; the others are raised at its end."""
+    raise_interrupts()
+    with collected_signals() as received:
+        signal.raise_signal(signal.SIGTERM)
+        assert received.next() == "SIGTERM"
+        assert received.next() is None
+    with pytest.raises(Interrupt), collected_signals():  # noqa: PT012
+        signal.raise_signal(signal.SIGTERM)
+        time.sleep(0.0)
+    take_interrupt()
+
+
+@pytest.mark.usefixtures("command_signals")
+def test_a_run_does_not_begin_with_a_pending_interrupt() -> None:
+    """A signal whose exception is held somewhere is raised before signals are collected."""
+    raise_interrupts()
+    held = None
     try:
-        for number in (signal.SIGINT, signal.SIGHUP):
-            signal.signal(number, signal.SIG_IGN)
-        raise_interrupts()
-        assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGHUP)] == [
-            signal.SIG_IGN
-        ] * 2
-        with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGTERM)
+    except Interrupt as error:
+        held = error
+    with pytest.raises(Interrupt), collected_signals():
+        pytest.fail("the run began")
+    assert held is not None
+    take_interrupt()
+
+
+@pytest.mark.usefixtures("command_signals")
+def test_a_forked_helper_ends_silently() -> None:
+    """A process that the command has forked ends by a signal with its exit code, without an exception."""
+    raise_interrupts()
+    pid = os.fork()
+    if pid == 0:
+        try:
             signal.raise_signal(signal.SIGTERM)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        finally:
+            os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == EXIT_INTERRUPTED
+
+
+@pytest.mark.usefixtures("command_signals")
+def test_signals_the_user_ignores_stay_ignored() -> None:
+    """A command in the background of a shell without job control, or started with nohup, ends by SIGTERM only."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    raise_interrupts()
+    handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGHUP)]
+    assert handlers == [signal.SIG_IGN] * 2
+    with pytest.raises(Interrupt):
+        signal.raise_signal(signal.SIGTERM)

@@ -53,3 +53,25 @@ def test_other_content_is_ignored(content: bytes, tmp_path: Path) -> None:
     """A file that does not describe a run is none of an active run."""
     (tmp_path / "live.json").write_bytes(content)
     assert live.read(tmp_path) is None
+
+
+def test_a_folder_that_vanishes_is_no_active_run(tmp_path: Path) -> None:
+    """A folder that is removed while active runs are looked for is passed over."""
+    for name in ("kept", "vanishing"):
+        (tmp_path / name).mkdir()
+        live.write(tmp_path / name, HERE)
+
+    class Vanishing(type(tmp_path)):  # type: ignore[misc]
+        """Path whose folder named "vanishing" is gone once its file has been read."""
+
+        def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:
+            if self.parent.name == "vanishing" and self.name == "live.json":
+                raise FileNotFoundError(2, "No such file or directory", str(self))
+            return super().stat(follow_symlinks=follow_symlinks)  # type: ignore[no-any-return]
+
+        def exists(self) -> bool:
+            return True
+
+    newest = live.newest_folder(Vanishing(tmp_path))
+    assert newest is not None
+    assert newest.name == "kept"

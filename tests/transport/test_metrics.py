@@ -6,8 +6,10 @@ from msgspec.structs import replace
 
 from tests.support import runs
 from tests.support.logs import SINGLE_UAV, log_of, noted, plan, plant_state, report
+from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import rest_of_tick_ms, summarise
-from transport.analysis.series import series_of, steps_columns, steps_rows
+from transport.analysis.series import series_of
+from transport.analysis.steps import steps_columns, steps_rows
 from transport.cli.top import Watch
 from transport.model import state
 from transport.model.arrays import Array
@@ -50,12 +52,12 @@ def test_estimates_against_their_covariance() -> None:
         noted(run, 2, 8),
         noted(run, 2, 400),
     ]  # of the last no state is known
-    found = summarise(run, log_of(flown))["estimate"]
+    found = summarise(AnalysedRun.of(run, log_of(flown)))["estimate"]
     assert found["nees"] == pytest.approx(6.0)
     assert found["nis"] == pytest.approx(2.0)
     assert found["position_rms_m"] == pytest.approx(0.1 * np.sqrt(3.0))
     assert found["attitude_rms_deg"] == pytest.approx(np.degrees(0.1 * np.sqrt(3.0)))
-    assert summarise(run, log_of(perfect(10)))["estimate"] is None
+    assert summarise(AnalysedRun.of(run, log_of(perfect(10))))["estimate"] is None
 
 
 def test_cost_of_a_displaced_team() -> None:
@@ -69,7 +71,9 @@ def test_cost_of_a_displaced_team() -> None:
         x[1] += 0.2
         u[4] += 1.0
 
-    summary = summarise(run, log_of([plant_state(run, 0), plant_state(run, 1, change)]))
+    summary = summarise(
+        AnalysedRun.of(run, log_of([plant_state(run, 0), plant_state(run, 1, change)]))
+    )
     assert summary["cost"]["max"] == pytest.approx(4 * 0.2**2 + 1e-3, rel=ROUNDING)
     assert summary["cost"]["mean"] == pytest.approx((4 * 0.2**2 + 1e-3) / 2, rel=ROUNDING)
     for tracking in ("uav_tracking", "payload_tracking"):
@@ -99,10 +103,16 @@ def test_a_released_uav_does_not_count() -> None:
         [False] * 4,
         [False, False, True, False],
     ]
-    summary = summarise(run, log_of([plant_state(run, 4), plant_state(run, 5, away)]))
+    summary = summarise(
+        AnalysedRun.of(run, log_of([plant_state(run, 4), plant_state(run, 5, away)]))
+    )
     assert summary["uav_tracking"] == pytest.approx({"rms_m": 0.0, "max_m": 0.0}, abs=ROUNDING)
-    (_, row) = [r for r in steps_rows(run, log_of(perfect(6))) if r["agent"] == 3 and r["tick"] > 3]
-    assert (row["tick"], row["uav_error_m"]) == (5, None)
+    (_, row) = [
+        r
+        for r in steps_rows(AnalysedRun.of(run, log_of(perfect(6))))
+        if r["agent"] == 3 and r["tick"] > 3
+    ]
+    assert (row["tick"], row["uav_error_max_m"]) == (5, None)
 
 
 def test_after_a_delivery_only_the_payload_counts() -> None:
@@ -121,7 +131,10 @@ def test_after_a_delivery_only_the_payload_counts() -> None:
     watch = Watch(run)
     watch.plant_state = left
     assert watch.content()["cost"] == pytest.approx(0.1**2, rel=1e-9)
-    assert summarise(run, log_of([left]))["uav_tracking"] == {"rms_m": None, "max_m": None}
+    assert summarise(AnalysedRun.of(run, log_of([left])))["uav_tracking"] == {
+        "rms_m": None,
+        "max_m": None,
+    }
 
 
 def test_attitude_is_the_largest_angle() -> None:
@@ -132,7 +145,9 @@ def test_attitude_is_the_largest_angle() -> None:
         x[state.THETA0] = np.radians([1.0, -3.0, 2.0])
 
     summary = summarise(
-        run, log_of([plant_state(run, 0), plant_state(run, 1, tilt), plant_state(run, 2)])
+        AnalysedRun.of(
+            run, log_of([plant_state(run, 0), plant_state(run, 1, tilt), plant_state(run, 2)])
+        )
     )
     assert summary["attitude_max_deg"] == pytest.approx(3.0, rel=ROUNDING)
 
@@ -140,11 +155,14 @@ def test_attitude_is_the_largest_angle() -> None:
 def test_separation_is_the_closest_pair() -> None:
     """The UAVs of Table I hover 0.5 m apart; a single UAV has no separation."""
     run = runs.setup(HOVER)
-    assert summarise(run, log_of([plant_state(run, 0)]))["separation_min_m"] == pytest.approx(
-        0.5, rel=ROUNDING
-    )
+    assert summarise(AnalysedRun.of(run, log_of([plant_state(run, 0)])))[
+        "separation_min_m"
+    ] == pytest.approx(0.5, rel=ROUNDING)
     single = runs.setup(HOVER, *SINGLE_UAV)
-    assert summarise(single, log_of([plant_state(single, 0)]))["separation_min_m"] is None
+    assert (
+        summarise(AnalysedRun.of(single, log_of([plant_state(single, 0)])))["separation_min_m"]
+        is None
+    )
 
 
 def test_violations_are_shares_of_the_range() -> None:
@@ -162,7 +180,7 @@ def test_violations_are_shares_of_the_range() -> None:
         x[state.uav_slice(0)][state.E] = [0.0, 0.2 / 3.2, np.sqrt(1.0 - (0.2 / 3.2) ** 2)]
 
     def worst(*messages: Message) -> float:
-        value = summarise(run, log_of(messages))["constraint_violation_max"]
+        value = summarise(AnalysedRun.of(run, log_of(messages)))["constraint_violation_max"]
         assert isinstance(value, float)
         return value
 
@@ -211,13 +229,13 @@ def test_slack_cables_are_counted() -> None:
         )
         for k, found in enumerate(tensions)
     ]
-    summary = summarise(run, log_of(messages))
+    summary = summarise(AnalysedRun.of(run, log_of(messages)))
     assert summary["cables"] == {
         "tension_min_N": 0.0, "slack": 2, "slack_longest_s": pytest.approx(0.1), "slack_at_end": 1
     }  # fmt: skip
     lines = [str(cell) for column in summary_table(summary).columns for cell in column.cells]
     assert "min tension 0.00 N, slack 2 times, at most 0.10 s, 1 slack at the end" in lines
-    assert summarise(run, log_of([plant_state(run, 0)]))["cables"] is None
+    assert summarise(AnalysedRun.of(run, log_of([plant_state(run, 0)])))["cables"] is None
 
 
 def test_held_ticks_are_missed_deadlines() -> None:
@@ -230,7 +248,7 @@ def test_held_ticks_are_missed_deadlines() -> None:
     messages = [
         replace(runs.tick(k), overrun_ns=overrun_ns) for k, overrun_ns in enumerate(late_ns)
     ]
-    deadline = summarise(run, log_of(messages))["deadline"]
+    deadline = summarise(AnalysedRun.of(run, log_of(messages)))["deadline"]
     assert [deadline[name] for name in ("plans", "missed", "worst_ms")] == [3, 1, 2900.0]
     assert deadline["share"] == pytest.approx(1 / 3)
 
@@ -255,7 +273,7 @@ def test_times_by_hand() -> None:
         [*messages, plant_state(run, 0), plant_state(run, 1)], [10, 11, 14, 15, 16, 18, 60, 61, 62]
     )
     assert rest_of_tick_ms(run, log) == pytest.approx({0: 4.0 - 1.5, 1: 0.0})
-    summary = summarise(run, log)
+    summary = summarise(AnalysedRun.of(run, log))
     assert summary["rest_of_tick_ms"] == pytest.approx({"p50": 1.25, "p99": 2.475, "max": 2.5})
     assert summary["wall_time_s"] == pytest.approx(0.050)
     assert summary["startup_s"] == pytest.approx(0.010)
@@ -264,12 +282,16 @@ def test_times_by_hand() -> None:
     assert summary["agent_step_ms"]["p50"] == 1.5
     assert summary["agent_step_ms"]["by_stage"]["solve"] == 0.5
     paced = runs.setup(HOVER, "clock.speed=1.0")
-    assert summarise(paced, log)["rest_of_tick_ms"] == {"p50": None, "p99": None, "max": None}
+    assert summarise(AnalysedRun.of(paced, log))["rest_of_tick_ms"] == {
+        "p50": None,
+        "p99": None,
+        "max": None,
+    }
 
 
 def test_an_empty_log_has_no_numbers() -> None:
     """Without any message every measured number is null and every count 0."""
-    summary = summarise(runs.setup(HOVER), log_of([]))
+    summary = summarise(AnalysedRun.of(runs.setup(HOVER), log_of([])))
     assert summary["outcome"] == "unknown"
     assert summary["ticks"] == 0
     for number in ("wall_time_s", "real_time_factor", "attitude_max_deg", "separation_min_m"):
@@ -277,6 +299,18 @@ def test_an_empty_log_has_no_numbers() -> None:
     for part in ("cost", "uav_tracking", "payload_tracking"):
         assert set(summary[part].values()) == {None}
     assert summary["messages"]["sent"] == 0
+
+
+def test_plans_that_never_arrive_are_told() -> None:
+    """Plans behind a delay longer than the run are neither lost nor late: the report says that they did not arrive."""
+    settings = (runs.ticks(10), "links.delay_s=400.0")
+    run = runs.setup(*settings)
+    summary = summarise(AnalysedRun.of(run, log_of(runs.recorded(run))))
+    messages = summary["messages"]
+    assert (messages["sent"], messages["lost"], messages["late"]) == (9 * 12, 0, 0)
+    assert messages["in_transit"] == 9 * 12
+    cells = [str(cell) for column in summary_table(summary).columns for cell in column.cells]
+    assert any("0 of 108 lost, 108 not arrived at the end, 0 late" in cell for cell in cells)
 
 
 def test_one_row_for_each_agent_and_tick() -> None:
@@ -291,7 +325,7 @@ def test_one_row_for_each_agent_and_tick() -> None:
 
     pulled = report(run, 2, 1, plan_ages=(3,), force=np.array([0.5, -1.0, 4.4]))
     messages = [pulled, report(run, 1, 1), report(run, 1, 0), plant_state(run, 1, change)]
-    rows = list(steps_rows(run, log_of(messages)))
+    rows = list(steps_rows(AnalysedRun.of(run, log_of(messages))))
     assert [(row["tick"], row["agent"]) for row in rows] == [(0, 1), (1, 1), (1, 2)]
     assert [list(row) for row in rows] == [steps_columns(run)] * 3
     assert (rows[0]["plan_age_max"], rows[1]["plan_age_max"], rows[2]["plan_age_max"]) == (-1, 1, 3)

@@ -9,6 +9,7 @@ import numpy as np
 
 from tests.support.logs import log_of
 from tests.support.runs import plant_states, recorded, setup
+from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
 from transport.model import state
 from transport.protocol.wire.messages import Message, Plan
@@ -34,7 +35,9 @@ def flight(*settings: str) -> tuple[Message, ...]:
 
 def cost(*settings: str) -> float:
     """Return the mean cost of a tick."""
-    found = summarise(setup(*MOVE, *settings), log_of(flight(*settings)))["cost"]["mean"]
+    found = summarise(AnalysedRun.of(setup(*MOVE, *settings), log_of(flight(*settings))))["cost"][
+        "mean"
+    ]
     assert isinstance(found, float)
     return found
 

@@ -13,6 +13,7 @@ from tests.support.runs import setup
 from transport.flight.recorder import Recorder
 from transport.log.run_log import read_log
 from transport.log.writer import LogWriter
+from transport.protocol.network.bus import Arrival
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import Control, Message, Presence
 
@@ -29,8 +30,6 @@ Event = Message | Presence | None
 class ScriptedBus:
     """Connection that hands over prepared events in place of the network."""
 
-    arrived_ns = 0
-
     def __init__(self, events: Iterable[Event]) -> None:
         self._events = iter(events)
         self.alive = dict.fromkeys(PROCESSES, 0)
@@ -38,14 +37,14 @@ class ScriptedBus:
     def join(self, *_: object) -> None:
         """All processes have joined."""
 
-    def next(self, timeout_s: float | None) -> Event:
+    def next(self, timeout_s: float | None) -> Arrival | None:
         """Return the next event, or None when the time is up before."""
         for event in self._events:
             if isinstance(event, Presence):
                 self.alive = {name: 0 for name in self.alive if name != event.name}
                 self.alive |= {event.name: 0} if event.alive else {}
             if event is not SILENCE or timeout_s is not None:
-                return event
+                return None if event is None else Arrival(event, 0)
         return None
 
     def close(self) -> None:

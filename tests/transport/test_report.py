@@ -73,6 +73,7 @@ def test_a_run_is_summarised(flight: tuple[Path, list[Message]]) -> None:
         "sent": 29 * 12,
         "delivered": 29 * 12,
         "lost": 0,
+        "in_transit": 0,
         "late": 0,
         "rejected": 0,
     }

@@ -6,6 +6,7 @@ import pytest
 
 from tests.support import runs
 from tests.support.logs import log_of, plant_state
+from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
 from transport.analysis.series import series_of, swing_of
 from transport.model import state
@@ -40,4 +41,7 @@ def test_the_swing_is_that_of_the_end() -> None:
 def test_the_infinite_horizon_damps_the_papers_maneuver() -> None:
     """The swing of 0.55 m that a horizon of 1 s leaves (test_paper_levels.py) dies out with a cost-to-go behind it."""
     run = runs.ready("centralized_lq")
-    assert summarise(run, log_of(runs.recorded(run)))["payload_tracking"]["swing_m"] < 0.4
+    assert (
+        summarise(AnalysedRun.of(run, log_of(runs.recorded(run))))["payload_tracking"]["swing_m"]
+        < 0.4
+    )

@@ -10,15 +10,16 @@ from tests.coordinator.test_requests import answer_to
 from tests.support import logs, runs
 from tests.support.coordinator_clock import CONTINUE, answers, gone, ready, started, tell
 from tests.support.nodes import CoordinatorNode
+from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import SETTLED_S, summarise
 from transport.analysis.replay import Comparison, Replay
 from transport.log.run_log import RunLog
 from transport.model.state import R0
 from transport.mpc.controller import Controller
 from transport.protocol.scenario.errors import RequestError, ScenarioError, requested
-from transport.protocol.scenario.schema import TargetSection
+from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.targets import planned
+from transport.protocol.scenario.target_planning import planned
 from transport.protocol.wire.messages import Measurement, Message, Request, Roster, Target
 from transport.protocol.wire.node import Outbox
 
@@ -57,7 +58,7 @@ def test_the_payload_arrives_and_the_run_replays(extra: tuple[str, ...]) -> None
     """
     settings = (HOVER % 12.5, THREE, *extra)
     run, log = runs.ready("precise", *settings), flown("precise", *settings)
-    first, second, third = summarise(run, log)["targets"]
+    first, second, third = summarise(AnalysedRun.of(run, log))["targets"]
     assert first["error_m"] is None
     assert (
         second["arrives_s"] < third["t_s"] == 7.1 < second["arrives_s"] + SETTLED_S
@@ -82,7 +83,7 @@ def test_along_a_flat_reference_to_way_points() -> None:
         "maneuver.target=[{at_s=4,points_m=[[2,1,-11],[3,2,-11],[2,3,-10]],speed_mps=1.5}]",
     )
     log = flown("eight", *settings)
-    (found,) = summarise(runs.ready("eight", *settings), log)["targets"]
+    (found,) = summarise(AnalysedRun.of(runs.ready("eight", *settings), log))["targets"]
     assert found["position_m"] == [2.0, 3.0, -10.0]
     assert found["error_m"] < 0.02
 

@@ -9,7 +9,7 @@ from transport.analysis.series import series_of
 from transport.flight.memory import simulate
 from transport.protocol.scenario.file import read_scenario
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import resized
+from transport.protocol.scenario.team import Team, resized
 from transport.protocol.wire.messages import StepReport
 
 # Half the ways of the paper's maneuver, at its speeds.
@@ -30,7 +30,7 @@ HALF = "maneuver.phase=[{}]".format(
 def team(uavs: int, template: str, *settings: str) -> Setup:
     """A team that flies as a ready scenario does, with some of its settings changed."""
     ready = read_scenario(SCENARIOS / f"{template}.toml", settings)
-    return Setup.of(resized(ready, uavs, group=None, name=None, source=template), template)
+    return Setup.of(resized(ready, Team(uavs=uavs), template), template)
 
 
 @pytest.mark.slow

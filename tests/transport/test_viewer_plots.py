@@ -3,16 +3,21 @@
 A live page is neither behind nor without axes.
 """
 
+import gzip
+import json
 import os
 import time
 import urllib.request
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests.support import runs
 from tests.support.browser import connected_pages
@@ -20,14 +25,24 @@ from tests.support.commands import PATIENCE_S, wait_for
 from tests.support.logs import record_run
 from transport.flight.live import LiveRun
 from transport.log.run_log import LogTail
+from transport.protocol.scenario.link_changes import PERFECT
+from transport.protocol.wire.messages import LinkChange
+from transport.scene.colours import OFF_COLOUR
 from transport.scene.history import RunHistory
+from transport.scene.parts import Label
 from transport.scene.scene import SceneBuilder
-from transport.viewer.panel import Plots
+from transport.viewer.camera import FIELD_OF_VIEW
+from transport.viewer.link_controls import groups_of
+from transport.viewer.plots import Plots, rounded_range
+from transport.viewer.timeline import Event, events_around, events_of
 from transport.viewer.viewer import Viewer
 
 NEAR_M = 1e-6
 LAST = 29  # tick of a short run
 PERIOD_S = 0.05
+STAYS = 0.02  # movement in the view of a team that is followed: that of UAVs within the team
+PERFECT_VALUES: dict[str, Any] = dict(PERFECT)
+RANGE_ROUNDING = 1e-6  # ends are whole multiples of a step of double precision
 
 
 @pytest.fixture(scope="module")
@@ -47,26 +62,75 @@ def builder(recorded: Path) -> SceneBuilder:
     return SceneBuilder(setup, history)
 
 
+class Gui:
+    """Widgets that keep what they are given."""
+
+    def __init__(self) -> None:
+        self.plots: list[Any] = []
+
+    def add_uplot(self, data: Any, series: Any, **options: Any) -> Any:
+        """Keep a plot."""
+        self.plots.append(SimpleNamespace(data=data, series=series, **options))
+        return self.plots[-1]
+
+
 @pytest.mark.parametrize("tick", [0, 12, LAST])
-def test_plots_end_at_the_shown_tick(builder: SceneBuilder, tick: int) -> None:
+def test_plots_of_an_active_run_end_at_the_shown_tick(builder: SceneBuilder, tick: int) -> None:
     """The time axis is fixed and ends at the shown tick, and no axis depends on a single value."""
-    plots: list[Any] = []
-
-    def add_uplot(data: Any, series: Any, **options: Any) -> Any:
-        plots.append(SimpleNamespace(data=data, series=series, **options))
-        return plots[-1]
-
-    gui: Any = SimpleNamespace(add_uplot=add_uplot)
-    Plots(gui, builder).show(tick)
-    assert len(plots) == 4
-    for plot in plots:
+    gui = Gui()
+    Plots(gui, builder, whole=False).show(tick)
+    assert len(gui.plots) == 4
+    for plot in gui.plots:
         assert plot.scales["x"] == {"time": False, "auto": False, "range": [-30.0, 0.0]}
-        times_s, *curves = plot.data
-        np.testing.assert_allclose(times_s, PERIOD_S * np.arange(-tick, 1), atol=NEAR_M)
-        assert len(plot.series) == 1 + len(curves)
-        assert np.isfinite(curves).all()
-        low, high = (plot.scales["y"]["range"][end]["soft"] for end in ("min", "max"))
+        times_s, *curves, line = plot.data
+        assert np.isfinite(plot.data).all()
+        np.testing.assert_allclose(np.unique(times_s), PERIOD_S * np.arange(-tick, 1), atol=NEAR_M)
+        assert len(plot.series) == 2 + len(curves)
+        low, high = plot.scales["y"]["range"]
         assert low < high < 30.0
+        assert line[0] < low
+        assert line[-1] > high
+
+
+@pytest.mark.parametrize("tick", [0, 12, LAST])
+def test_plots_of_a_recorded_run_show_all_of_it(builder: SceneBuilder, tick: int) -> None:
+    """Axis and curves hold the whole recorded time, with a line at the shown tick.
+
+    Both axes are named.
+    """
+    gui = Gui()
+    Plots(gui, builder, whole=True).show(tick)
+    for plot in gui.plots:
+        assert plot.scales["x"]["range"] == [0.0, pytest.approx(LAST * PERIOD_S)]
+        times_s, *_, line = plot.data
+        np.testing.assert_allclose(np.unique(times_s), PERIOD_S * np.arange(LAST + 1), atol=NEAR_M)
+        assert times_s[np.argmax(line > 0.0)] == pytest.approx(tick * PERIOD_S)
+        horizontal, vertical = plot.axes
+        assert horizontal["label"] == "time (s)"
+        assert vertical["label"]
+
+
+def test_a_dead_agent_uses_no_plan(builder: SceneBuilder) -> None:
+    """An agent without a report has no age of a plan: its curve leaves the axis while it is dead."""
+    for tick in range(10, 20):
+        del builder.history.reports[2, tick]
+    gui = Gui()
+    Plots(gui, builder, whole=True).show(LAST)
+    ages = gui.plots[2]
+    times_s, *curves = ages.data
+    is_dead = (times_s > 9.5 * PERIOD_S) & (times_s < 19.5 * PERIOD_S)
+    assert (curves[1] > ages.scales["y"]["range"][1]).tolist() == is_dead.tolist()
+
+
+@given(low=st.floats(-1e6, 1e6), length=st.floats(1e-6, 1e6))
+def test_ranges_are_round(low: float, length: float) -> None:
+    """A range holds its values, is at most three times as long, and has at most seven steps."""
+    high = low + length
+    first, last = rounded_range(low, high)
+    slack = RANGE_ROUNDING * max(abs(low), abs(high), length)
+    assert first <= low + slack
+    assert last >= high - slack
+    assert last - first <= 3.0 * length + slack
 
 
 @pytest.fixture
@@ -81,6 +145,26 @@ def shown(viewer: Viewer) -> int:
     """Return the tick of the newest frame after an update."""
     viewer.update()
     return -1 if viewer.shown is None else viewer.shown.tick
+
+
+def test_a_run_is_viewed_before_its_first_tick(recorded: Path) -> None:
+    """The viewer of an active run starts without any message, and shows the first when it comes."""
+    setup = runs.setup(runs.SHORT)
+    history = RunHistory(setup)
+    running = LiveRun(run="nowhere", endpoints={}, pid=os.getpid())
+    tail = LogTail(recorded.parent / "none.mcap")
+    with (
+        Viewer(SceneBuilder(setup, history), port=0, tail=tail, live=running) as viewer,
+        connected_pages(viewer.address, 1),
+    ):
+        assert wait_for(lambda: len(viewer._server.get_clients()) == 1)
+        assert shown(viewer) == -1
+        # The team is in its initial state until then.
+        payload = viewer.view3d._frames["payload"]
+        assert payload.visible
+        np.testing.assert_allclose(payload.position, viewer.view3d._drawing.start_I, atol=NEAR_M)
+        history.add(LogTail(recorded).read())
+        assert wait_for(lambda: shown(viewer) == LAST)
 
 
 def test_a_slow_page_skips_frames(live: Viewer) -> None:
@@ -115,34 +199,210 @@ def test_a_hidden_page_is_not_waited_for(live: Viewer) -> None:
         assert time.monotonic() - since > 1.0
 
 
-def test_the_camera_follows_the_team(live: Viewer, builder: SceneBuilder) -> None:
-    """The camera moves with the UAVs and keeps its distance, but not while a user turns it, or when not asked to."""
+def seen_points(client: Any, position_I: Any) -> Any:
+    """Return positions in the view of a page, (k, 2): -1..1 is seen.
+
+    Args:
+        client: The page as the server knows it.
+        position_I: Positions in the frame of the cameras, (k, 3), m.
+    """
+    camera = client.camera
+    forwards = camera.look_at - camera.position
+    depth_m = np.linalg.norm(forwards)
+    forwards = forwards / depth_m
+    right = np.cross(forwards, camera.up_direction)
+    right = right / np.linalg.norm(right)
+    upwards = np.cross(right, forwards)
+    offset_m = np.asarray(position_I) - camera.position
+    slope = np.tan(FIELD_OF_VIEW / 2.0)
+    height_m = slope * (offset_m @ forwards)
+    return np.column_stack(
+        [offset_m @ right / (camera.aspect * height_m), offset_m @ upwards / height_m]
+    )
+
+
+def shown_team(viewer: Viewer) -> Any:
+    """Return the positions of payload and UAVs as the cameras see them, (1 + N, 3), m."""
+    scene = viewer.shown
+    assert scene is not None
+    (world,) = (viewer.view3d._world,)
+    return np.vstack([scene.payload_I, scene.uavs_I]) + world.position
+
+
+@pytest.mark.parametrize("team", [True, False])
+def test_a_page_shows_the_whole_team(live: Viewer, builder: SceneBuilder, team: bool) -> None:
+    """A page sees all UAVs and the payload wherever its first message says that its camera is.
+
+    With `team` the team stays in its place of the view; `whole path` has room for all of its way.
+    """
     with connected_pages(live.address, 1):
         assert wait_for(lambda: shown(live) == LAST)
         (client,) = live._server.get_clients().values()
+        live.view3d.look_at(team=team)
+        camera_I = client.camera.position.copy()
         places = []
+        for tick in (0, 12, LAST):
+            live.view3d.show(builder.at(tick))
+            places.append(seen_points(client, shown_team(live)))
+        assert np.abs(places).max() < 1.0
+        np.testing.assert_array_equal(client.camera.position, camera_I)
+        moved = np.abs(places[0] - places[-1])[1:].mean()
+        assert bool(moved < STAYS) is team
+
+
+def test_a_page_that_connects_late_shows_the_team(live: Viewer, builder: SceneBuilder) -> None:
+    """The camera of a page is set to the view, not shifted from where its first message says."""
+    live.view3d.show(builder.at(LAST))
+    with connected_pages(live.address, 1) as (_,):
+        assert wait_for(lambda: len(live._server.get_clients()) == 1 and shown(live) == LAST)
+        (client,) = live._server.get_clients().values()
+
+        def sees_all() -> bool:
+            shown(live)
+            return bool(np.abs(seen_points(client, shown_team(live))).max() < 1.0)
+
+        assert wait_for(sees_all)
+
+
+def test_a_user_may_turn_the_camera(live: Viewer, builder: SceneBuilder) -> None:
+    """No frame moves the camera of a page, whether it follows the team or not."""
+    with connected_pages(live.address, 1):
+        assert wait_for(lambda: shown(live) == LAST)
+        (client,) = live._server.get_clients().values()
+        with client.atomic():
+            client.camera.position = client.camera.position + 1.0
+        turned_I = client.camera.position.copy()
         for tick in (0, LAST):
             live.view3d.show(builder.at(tick))
-            if tick == 0:
-                live.view3d.look_at(team=True)
-            places.append(
-                (
-                    client.camera.position - builder.at(tick).uavs_I.mean(axis=0),
-                    client.camera.look_at,
-                )
-            )
-        np.testing.assert_allclose(places[0][0], places[1][0], atol=NEAR_M)
-        assert np.linalg.norm(places[1][1] - places[0][1]) > 0.1
-        with client.atomic():  # as a page that is turned
-            client.camera.position, client.camera.look_at = (
-                client.camera.position + 1.0,
-                client.camera.look_at,
-            )
-        for tick, stays in ((0, True), (LAST, False)):
-            before = client.camera.position.copy()
-            live.view3d.show(builder.at(tick))
-            assert np.array_equal(client.camera.position, before) is stays
-        live.view3d.look_at(team=False)
-        before = client.camera.position.copy()
-        live.view3d.show(builder.at(0))
-        np.testing.assert_array_equal(client.camera.position, before)
+        np.testing.assert_array_equal(client.camera.position, turned_I)
+
+
+def test_the_slider_has_the_recorded_time(live: Viewer) -> None:
+    """The time slider ends at the last recorded instant, 1.45 s of a run of 1.5 s."""
+    with connected_pages(live.address, 1):
+        assert wait_for(lambda: shown(live) == LAST)
+        slider = live._panel._timeline._slider
+        assert (slider.min, slider.max) == (0.0, pytest.approx(LAST * PERIOD_S))
+
+
+def test_a_page_has_the_title_of_its_run(live: Viewer) -> None:
+    """The title of the tab names scenario and state, packed or not."""
+    for encoding in ("identity", "gzip"):
+        request = urllib.request.Request(  # noqa: S310  # loopback
+            live.address, headers={"Accept-Encoding": encoding}
+        )
+        with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:  # noqa: S310
+            body = answer.read()
+        text = (gzip.decompress(body) if encoding == "gzip" else body).decode()
+        assert "<title>paper, active run</title>" in text
+
+
+def test_events_are_on_the_slider_and_lead_to_their_time(recorded: Path) -> None:
+    """Scripted changes of links and changes of the roster are events.
+
+    Each is a mark of the slider and a button that shows its tick.
+    """
+    setup = runs.setup(runs.SHORT, "links.change=[{at_s=0.5,delay_s=0.1}]")
+    history = RunHistory(setup)
+    history.add(LogTail(recorded).read())
+    assert events_of(history) == [Event(10, "links between agents: delay_s 0.1")]
+    with Viewer(SceneBuilder(setup, history), port=0) as viewer:
+        assert shown(viewer) == 0
+        timeline = viewer._panel._timeline
+        assert [mark.value for mark in timeline._slider._marks] == [pytest.approx(0.5)]
+        assert [button.label for button in timeline._buttons if button.visible] == [
+            "0.50 s: links between agents: delay_s 0.1"
+        ]
+        timeline._go_to(0, None)
+        assert shown(viewer) == 10
+
+
+def test_links_that_change_together_are_one_event(builder: SceneBuilder) -> None:
+    """A cut between groups is one event; changes at other ticks or to other values are their own."""
+    pairs = [("agent1", "agent3"), ("agent3", "agent1")]
+    for number, (source, target) in enumerate(pairs, start=1):
+        builder.history.add([change(number, 5, source, target, loss=1.0)])
+    builder.history.add([change(3, 6, "agent1", "agent3", loss=0.0)])
+    assert events_of(builder.history) == [
+        Event(5, "2 links: loss 1.0"),
+        Event(6, "links from agent1 to agent3: loss 0.0"),
+    ]
+
+
+def test_events_around_a_tick() -> None:
+    """The list holds as many events as it has room for, half of them before the shown instant."""
+    events = [Event(tick, str(tick)) for tick in range(0, 100, 10)]
+    assert [event.tick for event in events_around(events, 50, 4)] == [40, 50, 60, 70]
+    assert [event.tick for event in events_around(events, 0, 4)] == [0, 10, 20, 30]
+    assert [event.tick for event in events_around(events, 1000, 4)] == [60, 70, 80, 90]
+    assert events_around([], 5, 4) == []
+
+
+def change(number: int, tick: int, source: str, target: str, **settings: Any) -> LinkChange:
+    """Return a change of links by the coordinator."""
+    return LinkChange(
+        sender="coordinator", incarnation=0, sequence=number, tick=tick, number=number,
+        source=source, target=target, settings=json.dumps(settings),
+    )  # fmt: skip
+
+
+def test_sliders_of_links_show_the_values_in_force(live: Viewer, builder: SceneBuilder) -> None:
+    """Sliders move to the new values after every change, whoever asked for it.
+
+    So they do when another link is chosen, and when all links are cleared.
+    """
+    links = live._panel._links
+    assert links is not None
+
+    def values() -> tuple[float, int]:
+        links.show()
+        return links._delay.value, links._loss.value
+
+    assert values() == (0.0, 0)
+    builder.history.add([change(1, 5, "", "", delay_s=0.3, loss=0.2)])
+    assert values() == (0.3, 20)
+    builder.history.add([change(2, 6, "agent1", "agent2", loss=1.0)])
+    assert values() == (0.3, 20)
+    links._chosen.value = "1 to 2"
+    links._show_values()
+    assert values() == (0.3, 100)
+    assert "12 of 12 links impaired; cut: 1 to 2" in links._state.content
+    builder.history.add([change(3, 7, "", "", **PERFECT_VALUES)])
+    assert values() == (0.0, 0)
+
+
+@pytest.mark.parametrize(
+    ("text", "groups"),
+    [
+        ("1, 2", [[1, 2], [3, 4]]),
+        ("1 2 | 3", [[1, 2], [3], [4]]),
+        ("1|2|3|4", [[1], [2], [3], [4]]),
+        ("2", [[2], [1, 3, 4]]),
+    ],
+)
+def test_groups_of_agents(text: str, groups: list[list[int]]) -> None:
+    """Groups are numbers between bars; agents that are not named are a further group."""
+    assert groups_of(text, [1, 2, 3, 4]) == groups
+
+
+@pytest.mark.parametrize("text", ["", "1, 2, 3, 4", "1, 1", "5", "a", "1 | 2 | 2"])
+def test_other_groups_are_refused(text: str) -> None:
+    """One group, unknown agents, and an agent in two groups are refused with what was expected."""
+    with pytest.raises(ValueError, match="groups: expected"):
+        groups_of(text, [1, 2, 3, 4])
+
+
+def test_dead_agents_are_drawn_as_off(live: Viewer, builder: SceneBuilder) -> None:
+    """The UAV of an agent off the roster is grey and named off; back on it, it is as before."""
+    scene = builder.at(LAST)
+    view = live.view3d
+    view.show(scene)
+    looks = []
+    for members in ({1, 3, 4}, {1, 2, 3, 4}):
+        view.show(replace(scene, members=frozenset(members)))
+        nodes = view._parts["uav2"]
+        looks.append([node.text if isinstance(part, Label) else node.color for node, part in nodes])
+    assert "UAV2 off" in looks[0]
+    assert OFF_COLOUR in looks[0]
+    assert "UAV2" in looks[1]
+    assert OFF_COLOUR not in looks[1]

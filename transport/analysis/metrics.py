@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from transport.analysis.series import Series, estimates_of, series_of, swing_of
+from transport.analysis.airtime import radio_of
+from transport.analysis.analysed_run import AnalysedRun
+from transport.analysis.series import Series, estimates_of, swing_of
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.state import R0
@@ -24,13 +26,14 @@ SETTLED_S, _ROUNDING_S, _DIGITS = 2.0, 1e-9, 9
 _ORIGIN = {"script": " by script", "person": " by hand", "unknown": ""}
 
 
-def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
+def summarise(run: AnalysedRun) -> dict[str, Any]:
     """Return the summary of a run as JSON data (summary.schema.json).
 
     None for anything the log does not tell.
     """
-    setup = setup.after(log.of(messages.Target))
-    series = series_of(setup, log)
+    setup = run.setup
+    log = run.log
+    series = run.series
     control = next(log.of(messages.Control), None)
     reports = list(log.of(messages.StepReport))
     processes = log.header.get("processes", "")
@@ -69,6 +72,7 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
             "max": max(ages, default=None),
         },
         "messages": _messages(setup, log, reports),
+        "radio": radio_of(setup, log),
         "rejections": _rejections(log),
         "solver": _solver(setup, reports),
         "faults": events(setup, log, control),
@@ -353,7 +357,7 @@ def _messages(setup: Setup, log: RunLog, reports: Iterable[messages.StepReport])
 
     A shared one is sent to every other agent that takes a step able to use it.
 
-    Plans neither delivered nor lost were on their way when the run, or their receiver, ended.
+    Plans neither delivered nor lost were in transit when the run, or their receiver, ended.
     """
     steps: dict[tuple[int, int], set[int]] = {}  # ticks of the steps of each agent and incarnation
     for report in reports:
@@ -375,17 +379,21 @@ def _messages(setup: Setup, log: RunLog, reports: Iterable[messages.StepReport])
         usable[start] = range(first, max(taken) + 1) if realtime else {tick - 1 for tick in taken}
     plans = [plan for plan in log.of(messages.Plan) if not plan.negotiation]
     shared = [plan for plan in plans if plan.shared]
+    sent = sum(
+        plan.tick in ticks
+        for plan in shared
+        for (receiver, _), ticks in usable.items()
+        if receiver != plan.agent
+    )
+    delivered = sum(report.delivered for report in reports)
+    lost = sum(report.lost for report in reports)
     return {
         "planned": len(plans),
         "shared": len(shared),
-        "sent": sum(
-            plan.tick in ticks
-            for plan in shared
-            for (receiver, _), ticks in usable.items()
-            if receiver != plan.agent
-        ),
-        "delivered": sum(report.delivered for report in reports),
-        "lost": sum(report.lost for report in reports),
+        "sent": sent,
+        "delivered": delivered,
+        "lost": lost,
+        "in_transit": max(0, sent - delivered - lost),  # a restarted receiver may report more
         "late": sum(report.late for report in reports),
         "rejected": sum(notice.count for notice in log.of(messages.Rejected)),
     }

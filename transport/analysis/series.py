@@ -1,18 +1,18 @@
 """Time series of a run, the basis of every metric and figure.
 
-The swing at its end; estimates; its step table.
+The swing at its end; estimates of the agents.
 """
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from transport.agent.estimation.payload_pose import NAMES, poses
-from transport.log.run_log import Recorded, RunLog
+from transport.log.run_log import RunLog
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.obstacles import clearances
@@ -21,14 +21,9 @@ from transport.protocol.scenario.faults import failures
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.stage_cost import StageCost
 from transport.protocol.wire.messages import (
-    STAGES,
     Note,
-    Plan,
     PlantState,
-    Roster,
-    StepReport,
     Target,
-    Tick,
 )
 
 
@@ -62,6 +57,11 @@ class Series:
         return self.x[:, state.R0] - self.payload_reference_I
 
     @property
+    def payload_error_norm_m(self) -> Array:
+        """Distance of the payload from its reference, (T,), m."""
+        return np.asarray(np.linalg.norm(self.payload_error_I, axis=1))
+
+    @property
     def payload_velocity_I(self) -> Array:
         """Payload velocity, (T, 3), inertial frame, m/s."""
         R_IP = np.array([rotation(Theta0) for Theta0 in self.x[:, state.THETA0]]).reshape(-1, 3, 3)
@@ -74,6 +74,19 @@ class Series:
         NaN for released UAVs.
         """
         return np.where(self.on_rods[:, :, None], self.uavs_I - self.uav_references_I, np.nan)
+
+    def uav_error_max_m(self, owned: Sequence[Sequence[int]]) -> Array:
+        """Return the largest position error of the UAVs of each agent, (T, agents), m.
+
+        NaN where all of them are released. `owned` has the UAVs of the agents, 0-based.
+        """
+        errors_m = np.linalg.norm(self.uav_errors_I, axis=2)
+        largest_m = [
+            np.where(self.on_rods[:, uavs], errors_m[:, uavs], -np.inf).max(axis=1)
+            for uavs in map(list, owned)
+        ]
+        largest = np.column_stack(largest_m)
+        return np.where(largest >= 0.0, largest, np.nan)
 
     @property
     def attitude_max_deg(self) -> Array:
@@ -190,34 +203,7 @@ def swing_of(setup: Setup, series: Series) -> float | None:
         return None
     periods = math.ceil(SWING_S / setup.settings.sampling_period_s - 1e-6)
     last = series.ticks > series.ticks[-1] - periods
-    return float(np.linalg.norm(series.payload_error_I[last], axis=1).max())
-
-
-def counted(setup: Setup, log: RunLog) -> RunLog:
-    """Return a log without the plans and reports that no other process accepts.
-
-    They are those of incarnations of an agent that were not on the roster, such as of one that was
-    stopped and continues, and in lockstep those that missed their tick. Messages whose tick or
-    roster is missing count.
-    """
-    rosters = {
-        roster.version: dict(zip(roster.agents, roster.incarnations, strict=True))
-        for roster in log.of(Roster)
-    }
-    ticks = {tick.tick: tick for tick in log.of(Tick)}
-    lockstep = setup.scenario.clock.mode == "lockstep"
-
-    def counts(entry: Recorded) -> bool:
-        message = entry.message
-        if not isinstance(message, Plan | StepReport):
-            return True
-        tick, after = ticks.get(message.tick), ticks.get(message.tick + 1)
-        members = rosters.get(tick.roster) if tick is not None else None
-        if members is not None and members.get(message.agent) != message.incarnation:
-            return False
-        return not lockstep or after is None or message.agent in after.answered
-
-    return replace(log, messages=tuple(filter(counts, log.messages)))
+    return float(series.payload_error_norm_m[last].max())
 
 
 class Estimates(NamedTuple):
@@ -244,87 +230,3 @@ def estimates_of(series: Series, log: RunLog) -> Estimates | None:
     pose, P = poses(numbers)
     true = series.x[rows][:, np.r_[state.R0, state.THETA0]]
     return Estimates(np.array([note.agent for note in notes]), rows, pose, true, P, numbers[:, -2:])
-
-
-# Columns of the step table with this ending are wall-clock times; all others are equal bit for bit
-# in equal runs.
-WALL_CLOCK = "_ms"
-
-_SOLVE = ("status", "solver", "fallback", "iterations", "residual")
-_MESSAGES = ("delivered", "late", "lost")
-_FLIGHT = (
-    "cost",
-    "attitude_deg",
-    "payload_error_m",
-    "uav_error_m",
-    "separation_min_m",
-    "constraint_violation",
-)
-_FORCE = ("force_x_N", "force_y_N", "force_z_N")
-_MOMENTS = ("thrust{}_N", "moment{}_x_Nm", "moment{}_y_Nm", "moment{}_z_Nm")
-_RATES = ("thrust{}_N", "rate{}_x_rad_s", "rate{}_y_rad_s", "rate{}_z_rad_s")
-
-
-def steps_columns(setup: Setup) -> list[str]:
-    """Return the names of the columns, which depend on the number of UAVs and the kind of their inputs."""
-    inputs = [name for i in range(setup.system.N) for name in _input_names(setup, i)]
-    times = [f"{stage}{WALL_CLOCK}" for stage in STAGES]
-    ages = "plan_age_max", "state_age_max"
-    return ["tick", "t_s", "agent", *_SOLVE, *ages, *_MESSAGES, *_FORCE, *_FLIGHT, *inputs, *times]
-
-
-def steps_rows(setup: Setup, log: RunLog) -> Iterator[dict[str, Any]]:
-    """Yield one row per agent and tick, values by column, sorted by tick, then agent.
-
-    `cost`, `attitude_deg`, `payload_error_m`, `separation_min_m` and `constraint_violation` refer
-    to the whole team and are equal for all agents of a tick; `uav_error_m` and the inputs refer to
-    the UAVs of the agent, the error to those of them that are not released. Inputs of other UAVs,
-    and values missing in the log, are None.
-    """
-    series, columns = series_of(setup, log), steps_columns(setup)
-    at = {int(tick): row for row, tick in enumerate(series.ticks)}
-    payload_m, uavs_m = (
-        np.linalg.norm(series.payload_error_I, axis=1),
-        np.linalg.norm(series.uav_errors_I, axis=2),
-    )
-    team = np.column_stack([series.cost, series.attitude_max_deg, payload_m])
-    reports = {(report.tick, report.agent): report for report in log.of(StepReport)}
-    for (tick, agent), report in sorted(reports.items()):
-        row: dict[str, Any] = dict.fromkeys(columns)
-        row |= {"tick": tick, "t_s": tick * setup.settings.sampling_period_s, "agent": agent}
-        row |= {name: getattr(report, name) for name in (*_SOLVE, *_MESSAGES)} | {
-            "fallback": int(report.fallback)
-        }
-        row |= {
-            "plan_age_max": _oldest(report.plan_ages),
-            "state_age_max": _oldest(report.state_ages),
-        }
-        row |= zip(_FORCE, report.force.tolist(), strict=True)
-        row |= {
-            f"{stage}{WALL_CLOCK}": float(ms)
-            for stage, ms in zip(STAGES, report.times_ms, strict=True)
-        }
-        k = at.get(tick)
-        if k is not None:
-            owned = setup.owned[agent - 1] if agent <= len(setup.owned) else ()
-            uav_m = max((float(uavs_m[k, i]) for i in owned if series.on_rods[k, i]), default=None)
-            separation_m = float(series.separation_m[k]) if setup.system.N > 1 else None
-            row |= zip(
-                _FLIGHT,
-                (*team[k].tolist(), uav_m, separation_m, float(series.violation[k])),
-                strict=True,
-            )
-            for i in owned:
-                row |= zip(
-                    _input_names(setup, i), series.u[k, state.input_slice(i)].tolist(), strict=True
-                )
-        yield row
-
-
-def _input_names(setup: Setup, i: int) -> list[str]:
-    return [name.format(i + 1) for name in (_RATES if setup.system.commands_rates else _MOMENTS)]
-
-
-def _oldest(ages: tuple[int, ...]) -> int | None:
-    """Return the largest age; -1 if anything was never received yet; None without other agents."""
-    return -1 if min(ages, default=0) < 0 else max(ages, default=None)

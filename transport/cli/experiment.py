@@ -23,6 +23,7 @@ from transport.experiments import (
     comparison_report,
     design_experiments,
     network_experiments,
+    radio_experiment,
 )
 from transport.experiments.cases import Case, Result, cases_of, refused
 from transport.experiments.declaration import EXPERIMENTS, Experiment, Values
@@ -34,7 +35,8 @@ from transport.protocol.scenario.budget import ADMITTED, MB, MOST_TOTAL_BYTES, m
 from transport.protocol.scenario.file import find_scenario, read_scenario
 from transport.protocol.scenario.schema import Scenario
 
-__all__ = ["EXPERIMENTS", "design_experiments", "network_experiments"]  # declared when imported
+# Declared when imported.
+__all__ = ["EXPERIMENTS", "design_experiments", "network_experiments", "radio_experiment"]
 
 _OUT = (
     "Folder, by default a new one in runs/; an existing folder of the same experiment is resumed."

@@ -18,6 +18,7 @@ _EXPERIMENTS = {
     "horizon": ("experiment:horizon", "Effect of horizon and terminal weight."),
     "hover": ("experiment:hover", "Stability in a long hover after the maneuver."),
     "sharing": ("experiment:sharing", "Cost against the number of plans sent."),
+    "radio": ("experiment:radio", "Effect of the radio channel that the team itself fills."),
     "agile": ("experiment:agile", "Fast flight: the payload's error over speed."),
     "paper": ("experiment:paper", "The paper's claim: centralized against distributed."),
     "scaling": ("experiment:scaling", "Growth of cost, computation and messages."),

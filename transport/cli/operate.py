@@ -14,14 +14,16 @@ from transport.cli.active import ActiveRun
 from transport.cli.lazy import with_options
 from transport.cli.options import FormatOption, ScenarioOption, SetOption, read_setup
 from transport.cli.output import Format, blame, facts, fail, show
+from transport.flight.signals import take_interrupt
 from transport.protocol.network.endpoints import Endpoints, default_mesh, process_names, security_of
-from transport.protocol.network.session import BusError, ask
+from transport.protocol.network.session import BusError, Reach, ask
 from transport.protocol.scenario.errors import requested
 from transport.protocol.scenario.files import points_of
 from transport.protocol.scenario.keys import key_of, meanings
+from transport.protocol.scenario.link_changes import PERFECT, link_change
 from transport.protocol.scenario.link_sections import LinkSection
-from transport.protocol.scenario.links import PERFECT, link_change
-from transport.protocol.scenario.schema import Scenario, TargetSection
+from transport.protocol.scenario.maneuver_sections import TargetSection
+from transport.protocol.scenario.schema import Scenario
 from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER
 
 # Numbers in the answer of a process to `health` (docs/protocol.md): name in Prometheus and
@@ -73,9 +75,8 @@ class Exporter:
         answers: dict[str, dict[str, Any]] = {}
         for name, place in self._places.items():
             try:
-                answer = ask(
-                    self._run, place.connect, name, "health", {}, _TIMEOUT_S, place.security
-                )
+                reach = Reach(connect=place.connect, security=place.security, timeout_s=_TIMEOUT_S)
+                answer = ask(self._run, reach, name, "health", {})
                 answers[name] = {**answer, "up": 1.0}
             except BusError:
                 answers[name] = {"up": 0.0}
@@ -123,6 +124,7 @@ def metrics(
     try:
         threading.Event().wait()
     except KeyboardInterrupt:
+        take_interrupt()
         server.shutdown()
         thread.join()
 

@@ -76,9 +76,19 @@ FormatOption = Annotated[
     Format, Option("--format", metavar="FORMAT", help="Output format: text or json.")
 ]
 FiguresOption = Annotated[bool, Option("--figures/--no-figures", help="Draw the figures.")]
+
+
+def _an_address(given: str) -> str:
+    """Return an address; an empty one would listen on all."""
+    if not given.strip():
+        fail(f"--host: expected an address, such as 127.0.0.1 or 0.0.0.0, got {given!r}")
+    return given
+
+
 HostOption = Annotated[
     str,
     Option(
+        callback=_an_address,
         metavar="ADDRESS",
         help="Address to listen on. Any host that reaches it can view and change the run.",
     ),

@@ -30,6 +30,7 @@ from transport.cli.output import Format, blame, fail
 from transport.protocol.network.bus import Place
 from transport.protocol.network.endpoints import Endpoints, endpoints_of, security_of
 from transport.protocol.network.process import Journal, run_node
+from transport.protocol.scenario.schema import LONGEST_WAIT_S
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.keys import ROUTER, Keys
 from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER, agent_name
@@ -84,6 +85,8 @@ class ProcessOptions:
         join_timeout_s = self.join_timeout
         if join_timeout_s is None:
             join_timeout_s = scenario.clock.join_timeout_s
+        elif join_timeout_s > LONGEST_WAIT_S:
+            fail(f"--join-timeout: expected 0 to {LONGEST_WAIT_S:g} s, got {join_timeout_s:g}")
         return Place(
             run=run,
             incarnation=incarnation,

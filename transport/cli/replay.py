@@ -15,6 +15,7 @@ from transport.cli.lazy import with_options
 from transport.cli.options import FormatOption, RunArgument, run_folder
 from transport.cli.output import Format, blame, fail, rows, show
 from transport.flight.run_files import machine, versions
+from transport.flight.signals import leave_interrupts_to_python
 from transport.log.run_log import RecordedRun, open_run
 from transport.log.tables import INPUT_NAMES, RATE_NAMES
 from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
@@ -138,6 +139,7 @@ def _debugger_at(tick: int | None) -> Callable[[AgentNode, Measurement], None]:
 
     def before(_: AgentNode, measurement: Measurement) -> None:
         if measurement.tick == tick:
+            leave_interrupts_to_python()
             breakpoint()  # the next call is of the agent's `receive`
 
     return before

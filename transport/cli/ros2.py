@@ -8,6 +8,7 @@ import os
 import time
 from contextlib import closing
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
@@ -16,6 +17,7 @@ from typer import Option
 from transport.cli.active import RunOption, find_active
 from transport.cli.output import blame
 from transport.flight.live import Commands
+from transport.flight.live import read as read_live_run
 from transport.log.run_log import LogTail, setup_of
 from transport.protocol.network.rmw_zenoh import RosNode
 from transport.scene.history import RunHistory
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 _LOG = "run.mcap"
 # Interval between two looks into the log, s.
 _POLL_S = 0.01
+# Interval between two looks at the parent of the run, s.
+_LOOK_S = 0.5
 # Interval between two repetitions of the markers that do not change, s.
 _AGAIN_S = 1.0
 # Shortest time between two targets that are handed on, s.
@@ -44,9 +48,9 @@ def ros2(
     """Publish an active run for ROS 2 over rmw_zenoh.
 
     Poses, twists, plans, transforms and markers of payload and UAVs, at every tick, until the run
-    ends. The command reads the log of the run as it grows: no process of the run waits for it or
-    knows it. A geometry_msgs/PoseStamped on /target, in the frame inertial or map, sends the
-    payload to its position, as transport target does.
+    ends or is killed. The command reads the log of the run as it grows: no process of the run waits
+    for it or knows it. A geometry_msgs/PoseStamped on /target, in the frame inertial or map, sends
+    the payload to its position, as transport target does.
 
     Exit codes: 0 the run has ended; 2 no such run; 4 no router; 130 Ctrl-C.
 
@@ -73,18 +77,18 @@ def ros2(
     with closing(node):
         where = f"{len(published)} topics in domain {domain} through {connect}"
         typer.echo(f"{folder}: {where}", err=True)
+        reader = _Reader(folder=folder, tail=tail, history=history)
         targets = _Targets(node=node, commands=commands)
-        _publish(history, tail, _Publisher(messages=messages, node=node), targets)
+        _publish(reader, _Publisher(messages=messages, node=node), targets)
 
 
-def _publish(
-    history: RunHistory, tail: LogTail, publisher: "_Publisher", targets: "_Targets"
-) -> None:
+def _publish(reader: "_Reader", publisher: "_Publisher", targets: "_Targets") -> None:
     """Publish the ticks of a run until it has ended, and hand on targets."""
-    history.add(tail.read())
+    history = reader.history
+    reader.read()
     next_tick = history.last
     while True:
-        history.add(tail.read())
+        has_ended = reader.read()
         targets.hand_on()
 
         first = max(next_tick, history.first)
@@ -93,9 +97,29 @@ def _publish(
             publisher.publish(tick, is_newest=tick == ticks[-1])
             next_tick = tick + 1
 
-        if history.control is not None or tail.ended:
+        if has_ended:
             return
         time.sleep(_POLL_S)
+
+
+@dataclass(slots=True, kw_only=True)
+class _Reader:
+    """Reader of the log of a run as it grows, until the run has ended or its parent was killed."""
+
+    folder: Path
+    tail: LogTail
+    history: RunHistory
+    next_look_s: float = 0.0  # steady-clock time of the next look at the parent
+    is_left: bool = False  # whether the parent, which writes the log, was killed
+
+    def read(self) -> bool:
+        """Read new messages; return whether they are the last ones."""
+        # Before the messages: all that a killed parent has written is then read.
+        if time.monotonic() >= self.next_look_s:
+            self.next_look_s = time.monotonic() + _LOOK_S
+            self.is_left = read_live_run(self.folder) is None
+        self.history.add(self.tail.read())
+        return self.history.control is not None or self.tail.ended or self.is_left
 
 
 @dataclass(slots=True, kw_only=True)

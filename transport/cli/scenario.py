@@ -2,6 +2,7 @@
 
 import shlex
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 import tomli_w
@@ -12,8 +13,10 @@ from transport.cli.options import FormatOption, LargeOption, ScenarioArgument, S
 from transport.cli.output import Format, blame, fail, show
 from transport.flight.run_files import checked
 from transport.interface.scenario import Scenario
+from transport.model.state import INPUTS
 from transport.protocol.scenario.budget import estimate
-from transport.protocol.scenario.team import FEWEST, MOST, given
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.team import FEWEST, MOST, Team, given
 from transport.protocol.wire.exit_codes import EXIT_CHECK_FAILED
 
 
@@ -62,9 +65,11 @@ def new(
     with blame("--from"):
         ready = Scenario(template, allow_large=True)
 
-    made = ready.resized(uavs, group=group, name=name, vehicle=vehicle, load_kg=load_kg)
-    agents = len(made.setup.agents)
-    thrust_N = made.setup.hover.u[0]
+    try:
+        made = ready.resized(uavs, group=group, name=name, vehicle=vehicle, load_kg=load_kg)
+    except ScenarioError as error:
+        raise _by_option(error, load_kg, name) from error
+    setup = made.setup
     tree = given(made.validated)
     text = tomli_w.dumps(tree)
 
@@ -73,9 +78,28 @@ def new(
     if out is not None:
         with blame("--out"):
             out.write_text(text, encoding="utf-8")
-        team = f"{uavs} UAVs, {agents} agents, hover thrust {thrust_N:.2f} N"
+        thrusts = hover_thrusts(setup.hover.u[::INPUTS])
+        team = f"{uavs} UAVs, {len(setup.agents)} agents, {thrusts}"
         command = f"transport run {shlex.quote(str(out))}"
         typer.echo(f"{team}; run it with: {command}", err=True)
+
+
+def _by_option(error: ScenarioError, load_kg: float | None, name: str | None) -> ScenarioError:
+    """Return an error of a new scenario with the option that gave the refused value, if one did."""
+    team = Team(uavs=FEWEST, load_kg=load_kg, name=name)
+    if load_kg is not None and error.source == team.load_in_words:
+        return ScenarioError(f"--load {load_kg:g}", error.field, error.problem)
+    if name is not None and error.source == team.name_in_words:
+        return ScenarioError(f"--name {name}", error.field, error.problem)
+    return error
+
+
+def hover_thrusts(thrusts_N: Iterable[float]) -> str:
+    """Return the hover thrusts of UAV1, UAV2, ... in words; once if all are the same."""
+    texts = [f"{thrust_N:.2f}" for thrust_N in thrusts_N]
+    if len(set(texts)) == 1:
+        return f"hover thrust {texts[0]} N"
+    return f"hover thrusts {', '.join(texts)} N"
 
 
 def validate(
@@ -99,9 +123,9 @@ def validate(
         return
 
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"
-    thrust = f"hover thrust {setup.hover.u[0]:.2f} N"
+    thrusts = hover_thrusts(setup.hover.u[::INPUTS])
     classes = ", ".join(f"{kind} {name}" for kind, name in own_classes.items())
-    typer.echo(f"valid: {sizes}, {thrust}, digest {digest}, {classes}", err=True)
+    typer.echo(f"valid: {sizes}, {thrusts}, digest {digest}, {classes}", err=True)
     typer.echo(f"estimate: {estimate(setup.scenario).text()}", err=True)
 
 
@@ -123,7 +147,7 @@ def margins(
     up to which the hover is stable, the others as known. Factors are relative to the known value.
     Takes seconds. With --without the team that is left holds the payload if all deviations decay.
 
-    Example: transport margins resilient --set controller.sampling_period_s=0.02 --figure margins.png
+    Example: transport margins resilient --set controller.sampling_period_s=0.02 --figure m.png
     """
     from transport.interface.figure import Margins  # loads matplotlib
     from transport.report.margins import hover_margins

@@ -12,6 +12,7 @@ from typer import Option
 from transport.cli.options import FormatOption, HostOption, PortOption, RunArgument, run_folder
 from transport.cli.output import Format
 from transport.flight.live import read as read_live_run
+from transport.flight.signals import take_interrupt
 from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.viewer.process import parent_ended
 from transport.viewer.viewer import LOG, open_viewer
@@ -56,6 +57,7 @@ def view(
             typer.echo(f"showing {folder}; Ctrl-C ends it", err=True)
             viewer.show_until(has_parent_ended)
     except KeyboardInterrupt:
+        take_interrupt()
         return
 
 

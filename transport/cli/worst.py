@@ -15,7 +15,7 @@ from transport.protocol.scenario.file import find_scenario, read_scenario
 from transport.protocol.wire.exit_codes import EXIT_DIVERGED
 from transport.search.options import OVER, SearchOptions, search
 from transport.search.report import FIGURE, SCENARIO, in_words, ranked, summary
-from transport.search.search import Found
+from transport.search.search import SearchResult
 
 _LINES = 5  # of the worst cases
 _WIDTH = 100  # columns
@@ -97,7 +97,7 @@ def worst(
         raise typer.Exit(EXIT_DIVERGED)
 
 
-def _in_words(result: Found, folder: Path) -> str:
+def _in_words(result: SearchResult, folder: Path) -> str:
     """Return a line for each of the worst cases, and the minimal one in words."""
     objective = result.problem.objective
     lines = ["worst cases (robustness: 1 far from failing, 0 at the limit, below 0 failed):"]

@@ -16,6 +16,7 @@ import numpy as np
 import threadpoolctl
 
 from transport.agent.own import controller_version
+from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
 from transport.flight import memory
 from transport.flight.run_files import checked
@@ -30,7 +31,7 @@ from transport.protocol.scenario.file import (
 )
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import given, resized
+from transport.protocol.scenario.team import Team, given, resized
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_USAGE
@@ -70,6 +71,7 @@ _RANDOM = {
     "noise",
     "empirical",
     "gilbert_elliott",
+    "radio",
 }
 
 
@@ -118,7 +120,7 @@ class Point:
             return read_scenario(path, changes, allow_large=True)
 
         uavs, group = self.team
-        team = resized(read_scenario(path), uavs, group=group, name=None, source=str(path))
+        team = resized(read_scenario(path), Team(uavs=uavs, group=group), str(path))
         return with_settings(given(team), changes, str(path), allow_large=True)
 
 
@@ -254,12 +256,12 @@ def _result(case: Case) -> Result:
         )
 
     log = run_in_memory(setup)
-    summary = summarise(setup, log)
+    summary = summarise(AnalysedRun.of(setup, log))
     control = next(log.of(Control))
 
     is_completed = control.outcome == "completed"
     end_s = None if is_completed else control.tick * setup.settings.sampling_period_s
-    numbers = {"lost_s": end_s, **_numbers(summary)}
+    numbers = {"lost_s": end_s, **_numbers(summary), **_radio_numbers(summary["radio"])}
     if case.more is not None:
         numbers |= case.more(setup, summary, log)
     return Result(key=case.key, outcome=control.outcome, reason=control.reason, numbers=numbers)
@@ -272,6 +274,17 @@ def _numbers(summary: Any) -> dict[str, float | None]:
     for name, (count, total) in _SHARES.items():
         numbers[name] = messages[count] / messages[total] if messages[total] else None
     return numbers
+
+
+def _radio_numbers(radio: Mapping[str, Any] | None) -> dict[str, float | None]:
+    """Return airtime and delivered share of the team's radio; nothing without one."""
+    if radio is None:
+        return {}
+    return {
+        "airtime_share": radio["airtime_share"],
+        "air_delivered_share": radio["delivered_share"],
+        "air_delay_p99_ms": radio["delay_ms"]["p99"],
+    }
 
 
 def resource_use(setup: Setup, _: Any, log: RunLog) -> Mapping[str, float | None]:

@@ -64,7 +64,7 @@ def axis(column: str) -> Axis:
     if field_of_key is None or not key_of(field_of_key).label or names_plans:
         ending = ending_of(key)
         words = key.removesuffix(ending).replace(".", " ").replace("_", " ")
-        return Axis(column, words, UNITS[ending][0])
+        return Axis(column, words, UNITS[ending].symbol)
 
     described = key_of(field_of_key)
     unit = described.shown or unit_of(key, field_of_key)
@@ -108,13 +108,13 @@ class Experiment:
     """A sweep, with its options and defaults, and how it is drawn.
 
     That is as curves over x, a map over x and y, or a row for each variant. Curves have the panels
-    of costs, of processor time, of shared plans or of errors.
+    of costs, of processor time, of shared plans, of errors or of the radio.
     """
 
     name: str  # of the command
     x: str = ""  # columns along the axes
     y: str = ""
-    drawn_as: Literal["curves", "scaling", "variants", "sharing", "tracking"] = "curves"
+    drawn_as: Literal["curves", "scaling", "variants", "sharing", "tracking", "radio"] = "curves"
     # Column that tells the curves of a scenario apart, and names of its values in the figure.
     # Points labelled `NONE` belong to all curves.
     curves: str | None = None

@@ -63,6 +63,12 @@ _PANELS: Mapping[str, Sequence[Panel]] = {
         Panel("mean cost over that with all plans sent", COST_RATIO),
         _ATTITUDE,
     ),
+    "radio": (
+        Panel("plans delivered by the radio (%)", "air_delivered_share", 100.0),
+        Panel("airtime (%)", "airtime_share", 100.0),
+        Panel("payload error, root mean square (cm)", "payload_rms_m", 100.0),
+        Panel("mean cost over that without a radio", COST_RATIO),
+    ),
     "tracking": (
         Panel("payload error, root mean square (cm)", "payload_rms_m", 100.0),
         Panel("largest payload error (cm)", "payload_max_m", 100.0),
@@ -128,8 +134,11 @@ class _Abscissa:
         return max(places) - min(places) or 1.0
 
     def apart(self, curves: int) -> float:
-        """Return the distance between curves that keeps markers and error bars apart."""
-        if self.is_growth:
+        """Return the distance between curves that keeps markers and error bars apart.
+
+        Only names leave room for it: on an axis of numbers a marker stands on its value.
+        """
+        if self.is_number:
             return 0.0
         pairs = itertools.pairwise(sorted(self.places.values()))
         gap = min((high - low for low, high in pairs), default=self.span)

@@ -1,14 +1,22 @@
-"""Faults of the local processes of one run, by script or by an operator."""
+"""Faults of the processes of one run: those of its script, and those an operator asks for.
+
+A fault of the script is due at a tick, whatever the clock shows: kills and stops are acts of the
+processes themselves (`protocol.network.process`), this module brings processes back. The clock
+decides in one case only. No tick opens while coordinator or plant is stopped, so the end of such a
+stop comes after a wait; no scenario time passes meanwhile.
+"""
 
 import signal
 import time
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from transport.flight.harness import Child, Harness
 from transport.flight.recorder import Recorder
-from transport.protocol.scenario.faults import OF_UAVS
+from transport.protocol.scenario.faults import OF_UAVS, Fault
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import FaultOrigin, Request
+from transport.protocol.wire.names import COORDINATOR, PLANT
 
 _SIGNALS = {
     "kill": signal.SIGKILL,
@@ -18,91 +26,157 @@ _SIGNALS = {
 }
 _NOTES = {"kill": "killed", "stop": "stopped", "continue": "continued", "restart": "restarted"}
 
-# Time for a process to end before it is started again, s.
+# Longest wait for a process to end by itself, or after SIGKILL, wall time, s.
 _LEAVE_S = 3.0
 
 
 class FaultScript:
-    """Faults of the local processes of one run.
+    """Applies and notes the faults of a run's local processes; the plant applies those of UAVs.
 
-    By script a process kills or stops itself, which is noted here, and is continued or started
-    again from here. An operator asks for faults by requests.
+    `now_s` is a steady clock, s.
     """
 
-    def __init__(self, setup: Setup, harness: Harness, recorder: Recorder) -> None:
+    def __init__(
+        self,
+        setup: Setup,
+        harness: Harness,
+        recorder: Recorder,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._setup = setup
         self._harness = harness
         self._recorder = recorder
-        # The plant applies the failures of UAVs. Kills are noted when the process has ended.
-        self._kills = [fault for fault in setup.faults if fault.do == "kill"]
-        self._faults = [fault for fault in setup.faults if fault.do not in (*OF_UAVS, "kill")]
+        self._now_s = now_s
+
+        of_processes = [fault for fault in setup.faults if fault.do not in OF_UAVS]
+        # A kill is noted when the process has ended.
+        self._kills = [fault for fault in of_processes if fault.do == "kill"]
+        self._pending = [fault for fault in of_processes if fault.do != "kill"]
+
+        # The newest scripted stop of a process, and the steady-clock time at which it was seen, s.
+        self._stops: dict[str, tuple[Fault, float]] = {}
+        # When the return of a process became due that had not left yet, steady clock, s.
+        self._overdue_since_s: dict[Fault, float] = {}
+        # Agents that the script has continued, and that are not on the roster again.
+        self._continued: set[str] = set()
 
     def work(self) -> None:
-        """Apply due faults, answer requests, and note ended processes; to be called often."""
+        """Note ended processes, apply due faults, and answer requests; to be called often."""
         for child in self._harness.ended():
-            code = child.code or 0
-            if code < 0 and not child.is_noted:
-                self._note_end(child, signal.Signals(-code))
+            self._note_end(child)
 
-        self._apply_due()
+        for fault in self._next_faults():
+            if fault.do == "stop":
+                self._note_stop(fault)
+            else:
+                self._bring_back(fault)
+        self._restart_disconnected()
+
         while not self._recorder.requests.empty():
             request = self._recorder.requests.get()
             request.reply(self._answer(request))
 
-    def _note_end(self, child: Child, number: signal.Signals) -> None:
-        """Note that a signal has ended a process: by script, or by an unknown origin."""
+    def _next_faults(self) -> Iterator[Fault]:
+        """Yield the next scripted fault of each process: one that is not due delays no other."""
+        targets = dict.fromkeys(fault.target for fault in self._pending)
+        for target in targets:
+            yield next(fault for fault in self._pending if fault.target == target)
+
+    def _note_end(self, child: Child) -> None:
+        """Note a process that a signal has ended, once."""
+        code = child.code or 0
+        if code >= 0 or child.is_noted:
+            return
         child.is_noted = True
-        kills = [fault for fault in self._kills if fault.target == child.name]
-        if kills and number == signal.SIGKILL:
-            self._kills.remove(kills[0])
-            self._recorder.note(child.name, _NOTES["kill"], "script", kills[0].tick)
-        else:
-            self._recorder.note(child.name, f"ended by {number.name}", "unknown")
 
-    def _apply_due(self) -> None:
-        """Apply the scripted faults that are due."""
-        while self._faults:
-            fault = self._faults[0]
-            is_stop = fault.do == "stop"
-            # A process that comes back is needed at the tick: it starts one tick earlier.
-            if not self._is_due(fault.tick if is_stop else fault.tick - 1):
-                return
+        is_killed = code == -signal.SIGKILL
+        kills = [kill for kill in self._kills if is_killed and kill.target == child.name]
+        if not kills:
+            self._recorder.note(child.name, f"ended by {signal.Signals(-code).name}", "unknown")
+            return
+        self._kills.remove(kills[0])
+        self._recorder.note(child.name, _NOTES["kill"], "script", kills[0].tick)
 
-            self._faults.pop(0)
-            if is_stop:
-                self._recorder.note(fault.target, _NOTES["stop"], "script", fault.tick)
-            else:
-                self._do(fault.target, "restart" if fault.do == "start" else "continue", "script")
+    def _note_stop(self, fault: Fault) -> None:
+        """Note a stop once its tick is open, or the process is seen to have stopped for it."""
+        # The coordinator stops before it opens the tick, which the recorder then does not see.
+        is_open = self._recorder.tick >= fault.tick
+        is_next = self._recorder.tick >= fault.tick - 1
+        if is_open or (is_next and self._harness.child(fault.target).is_stopped):
+            self._pending.remove(fault)
+            self._stops[fault.target] = fault, self._now_s()
+            self._recorder.note(fault.target, _NOTES["stop"], "script", fault.tick)
 
-    def _is_due(self, tick: int) -> bool:
-        """Return whether a tick has come.
+    def _bring_back(self, fault: Fault) -> None:
+        """Continue or restart a process if that is due and the process has left."""
+        if not self._is_due(fault) or not self._has_left(fault):
+            return
+        self._pending.remove(fault)
+        if fault.do == "continue" and fault.target not in self._recorder.members:
+            self._continued.add(fault.target)
+        self._do(fault.target, "restart" if fault.do == "start" else "continue", "script")
 
-        Without ticks, as while the coordinator is stopped, the wall clock of a paced run tells.
+    def _restart_disconnected(self) -> None:
+        """Start continued agents anew that have ended because their connections were closed.
+
+        A connection survives a stop of some seconds of wall time: without this, the pace of a run
+        would decide whether an agent returns. Its state is the same as after a return in place.
         """
-        if self._recorder.tick >= tick:
-            return True
+        self._continued -= self._recorder.members
+        self._continued -= {COORDINATOR, PLANT}
+        for target in sorted(self._continued):
+            child = self._harness.child(target)
+            if child.code is not None and self._recorder.control is None:
+                self._continued.remove(target)
+                self._harness.start(target, child.incarnation + 1)
 
-        started_s = self._recorder.started_s
-        since_s = 0.0
-        if started_s is not None:
-            since_s = (time.monotonic() - started_s) * self._setup.scenario.clock.speed
-        return since_s >= (tick + 1) * self._setup.settings.sampling_period_s
+    def _is_due(self, fault: Fault) -> bool:
+        """Return whether the tick before that of a return is open, or its wait is over."""
+        # The coordinator does not open the tick of a return before the agent is ready.
+        is_open = self._recorder.tick >= fault.tick - 1
+        if is_open or fault.target not in (COORDINATOR, PLANT) or fault.target not in self._stops:
+            return is_open
+        stop, seen_s = self._stops[fault.target]
+        speed = self._setup.scenario.clock.speed or 1.0  # an unpaced run waits as in real time
+        stopped_s = (fault.tick - stop.tick) * self._setup.settings.sampling_period_s / speed
+        return self._now_s() - seen_s >= stopped_s
+
+    def _has_left(self, fault: Fault) -> bool:
+        """Return whether the process of a due return has ended or stopped, and its team knows.
+
+        It may still have to read the message at which it kills or stops itself: a signal before
+        that would be of no effect, or take part of its last tick. In lockstep a stopped agent has
+        to be off the roster, too: its answer to the tick at which it stopped would still count.
+        """
+        child = self._harness.child(fault.target)
+        is_gone = child.code is not None
+        is_stopped = child.is_stopped
+        if is_stopped and self._is_awaited(fault):
+            return False
+        if is_gone or is_stopped:
+            return True
+        # It was off the roster at the tick of its fault, and has not read that tick.
+        since_s = self._overdue_since_s.setdefault(fault, self._now_s())
+        return self._now_s() - since_s >= _LEAVE_S
+
+    def _is_awaited(self, fault: Fault) -> bool:
+        """Return whether the coordinator still waits for an answer of a stopped agent."""
+        is_lockstep = self._setup.scenario.clock.mode == "lockstep"
+        return is_lockstep and fault.target in self._recorder.members
 
     def _answer(self, request: Request) -> dict[str, Any]:
-        """Apply the fault of a request, and return the answer."""
+        """Apply a fault that an operator asks for; return the answer."""
         if request.what != "fault":
             return {"error": f"what: expected fault or health, got {request.what[:40]!r}"}
 
         action = str(request.given.get("do", ""))
         target = str(request.given.get("target", ""))
-        if action not in _NOTES:
-            return {"error": f"do: expected one of {', '.join(_NOTES)}, got {action!r}"}
-        if target not in self._harness.mesh:
-            names = ", ".join(self._harness.mesh)
-            return {"error": f"target: expected one of {names}, got {target!r}"}
+        for key, got, allowed in (("do", action, _NOTES), ("target", target, self._harness.mesh)):
+            if got not in allowed:
+                return {"error": f"{key}: expected one of {', '.join(allowed)}, got {got!r}"}
         if action == "restart" and not target.startswith("agent"):
-            expected = f"an agent to restart, as a run ends with its {target}"
-            return {"error": f"target: expected {expected}"}
+            problem = f"expected an agent to restart, as a run ends with its {target}"
+            return {"error": f"target: {problem}"}
 
         if not self._do(target, action, "person"):
             return {"error": f"{target} is not running"}
@@ -111,12 +185,14 @@ class FaultScript:
     def _do(self, target: str, action: str, origin: FaultOrigin) -> bool:
         """Apply a fault and note it; return whether the process was there."""
         child = self._harness.child(target)
-        if not child.signal(_SIGNALS[action]) and action != "restart":
-            return False
-
-        child.is_noted |= action in ("kill", "restart")
+        was_running = child.signal(_SIGNALS[action])
         if action == "restart":
             child.wait(_LEAVE_S)
+            child.is_noted |= was_running
+            self._note_end(child)
             self._harness.start(target, child.incarnation + 1)
+        elif not was_running:
+            return False
+        child.is_noted |= action == "kill"
         self._recorder.note(target, _NOTES[action], origin)
         return True

@@ -31,19 +31,34 @@ class HarnessError(TransportError, RuntimeError):
 
 @dataclass(slots=True)
 class Child:
-    """One started process."""
+    """One started process.
+
+    Attributes:
+        stdin: Its input, whose end ends it.
+        log: File with its output.
+        incarnation: Number of this start.
+        is_noted: Whether its end is in the log already.
+    """
 
     name: str
     process: psutil.Process
-    stdin: IO[bytes]  # its input, whose end ends it
-    log: Path  # file with its output
-    incarnation: int = 0  # number of this start
-    is_noted: bool = False  # whether its end is in the log already
+    stdin: IO[bytes]
+    log: Path
+    incarnation: int = 0
+    is_noted: bool = False
 
     @property
     def code(self) -> int | None:
         """Exit code, negative for a signal; None while the process runs."""
         return self.wait(0.0)
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether the process has been stopped by SIGSTOP and not continued."""
+        try:
+            return self.code is None and self.process.status() == psutil.STATUS_STOPPED
+        except psutil.NoSuchProcess:
+            return False
 
     def wait(self, timeout_s: float) -> int | None:
         """Wait for the end; return the exit code, None if the process still runs."""
@@ -53,21 +68,22 @@ class Child:
             return None
 
     def signal(self, number: int) -> bool:
-        """Send a signal; return whether the process is running."""
+        """Send a signal if the process is running; return whether it is."""
         is_running = self.code is None
-        with suppress(psutil.NoSuchProcess):
-            if is_running:
+        if is_running:
+            with suppress(psutil.NoSuchProcess):
                 self.process.send_signal(number)
         return is_running
 
     def go(self) -> bool:
         """Let a standby process begin; return whether it was running."""
-        with suppress(BrokenPipeError):
-            if self.code is None:
-                self.stdin.write(b"\n")
-                return True
-
-        return False
+        if self.code is not None:
+            return False
+        try:
+            self.stdin.write(b"\n")
+        except BrokenPipeError:
+            return False
+        return True
 
     def close(self) -> None:
         """Close the input of the process, which ends it."""
@@ -78,30 +94,24 @@ class Child:
 def start_child(
     name: str, arguments: Sequence[str], log: Path, incarnation: int = 0, *, standby: bool = False
 ) -> Child:
-    """Start `transport` with arguments and a file for its output.
-
-    The process ends when this one does.
-    """
+    """Start `transport` with arguments and a file for its output; it ends with this process."""
     extra = {PARENT_PIPE: "1", STANDBY: "1" if standby else ""}
     with log.open("wb") as output:
         reads, writes = os.pipe()
         stdin = os.fdopen(writes, "wb", 0)
         try:
             process = fork_server().start(arguments, reads, output, extra)
-            return Child(name, process, stdin, log, incarnation)
         except BaseException:
             stdin.close()
             raise
         finally:
             os.close(reads)
+    return Child(name, process, stdin, log, incarnation)
 
 
 @dataclass(slots=True)
 class Harness:
-    """Processes of one run on this machine.
-
-    Each watches a pipe from this process and ends with it.
-    """
+    """Processes of one run on this machine; each watches a pipe from this one and ends with it."""
 
     run: str  # name of the run
     scenario: Path  # resolved scenario file
@@ -123,35 +133,33 @@ class Harness:
         psutil.wait_procs([child.process for child in self.children], timeout_s)
 
     def end(self, say: Callable[[str], None]) -> None:
-        """End all running children by SIGTERM, and by SIGKILL after a grace period.
-
-        A sentence about each killed one is told.
-        """
+        """End all running children by SIGTERM, after a grace period by SIGKILL, and name these."""
         for child in self.children:
             child.signal(signal.SIGTERM)
             child.signal(signal.SIGCONT)  # a stopped process ignores SIGTERM
         self.wait(_GRACE_S)
-
         for child in self.children:
             if child.code is None:
                 say(f"{child.name} did not end: {child.process.status()}; it was killed")
                 child.signal(signal.SIGKILL)
         self.wait(_GRACE_S)
-
         for child in self.children:
             child.close()
 
     def start(self, name: str, incarnation: int = 0) -> None:
         """Start a process of the mesh."""
+        arguments = self._arguments(name, incarnation)
         log = self.logs / (f"{name}.log" if incarnation == 0 else f"{name}-{incarnation}.log")
-        log.parent.mkdir(exist_ok=True)
-        self.children.append(
-            start_child(name, self._arguments(name, incarnation), log, incarnation)
-        )
+        log.parent.mkdir(parents=True, exist_ok=True)
+        self.children.append(start_child(name, arguments, log, incarnation))
 
     def _arguments(self, name: str, incarnation: int) -> list[str]:
-        """Return the command line of a process."""
-        role = ["agent", "--id", name.removeprefix("agent")] if name.startswith("agent") else [name]
+        """Return the arguments of `transport` that make a process of the mesh."""
+        arguments = [name]
+        if name.startswith("agent"):
+            arguments = ["agent", "--id", name.removeprefix("agent")]
+        arguments.append("--allow-large")  # the parent has checked the scenario's size
+
         options = [
             ("--scenario", str(self.scenario)),
             ("--run", self.run),
@@ -163,15 +171,13 @@ class Harness:
         options += [("--connect", endpoint) for endpoint in self.mesh[name].connect]
         if name == COORDINATOR:
             options.append(("--observer", RECORDER))
-
-        # The parent has checked the scenario's size.
-        return [*role, "--allow-large", *(text for option in options for text in option)]
+        return [*arguments, *(text for option in options for text in option)]
 
 
 def keys_setting(folder: Path | str) -> str:
     """Return the setting of a scenario that names a folder of keys."""
-    # TOML has no surrogate pairs.
-    return f"network.keys={json.dumps(str(folder), ensure_ascii=False)}"
+    text = json.dumps(str(folder), ensure_ascii=False)  # TOML has no surrogate pairs
+    return f"network.keys={text}"
 
 
 @contextmanager
@@ -181,21 +187,25 @@ def reserved_ports(host: str, ports: Sequence[int]) -> Iterator[list[int]]:
     No other process gets one as "any port". A process that names the port and sets SO_REUSEADDR, as
     Zenoh does, can listen on it.
 
-    Raises: HarnessError: a port is taken, or the host is none of this machine.
+    Raises: HarnessError: a port is taken, or the host is not of this machine.
     """
     with ExitStack() as stack:
-        reserved = []
-        for port in ports:
-            probe = stack.enter_context(socket.socket())
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind((host, port))
-            except OSError as error:
-                key = f"base_port: expected free ports, got {port}, which is taken"
-                reason = f"cannot listen on {host} ({error.strerror})"
-                raise HarnessError(f"network.{key if port else 'host'}: {reason}") from error
-            reserved.append(probe.getsockname()[1])
-
+        reserved = [_reserved(stack.enter_context(socket.socket()), host, port) for port in ports]
         if sys.platform != "linux":
             stack.close()  # elsewhere a bound socket blocks its port
         yield reserved
+
+
+def _reserved(probe: socket.socket, host: str, port: int) -> int:
+    """Bind a socket to a port, and return it. Raises: HarnessError."""
+    probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        probe.bind((host, port))
+    except OSError as error:
+        key = "host"
+        if port:
+            key = f"base_port: expected free ports, got {port}, which is taken"
+        problem = f"cannot listen on {host} ({error.strerror})"
+        raise HarnessError(f"network.{key}: {problem}") from error
+    number: int = probe.getsockname()[1]
+    return number

@@ -17,8 +17,8 @@ import psutil
 from transport.flight import registry
 from transport.model.arrays import Array
 from transport.protocol.network.security import Security
-from transport.protocol.network.session import ask
-from transport.protocol.scenario.links import PERFECT
+from transport.protocol.network.session import Reach, ask
+from transport.protocol.scenario.link_changes import PERFECT
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.keys import ROUTER
 from transport.protocol.wire.messages import agent_name
@@ -72,7 +72,16 @@ def read(folder: Path) -> LiveRun | None:
         run = msgspec.json.decode((folder / _FILE).read_bytes(), type=LiveRun)
     except (OSError, msgspec.MsgspecError):
         return None
-    return run if psutil.pid_exists(run.pid) else None
+    return run if _is_running(run.pid) else None
+
+
+def _is_running(pid: int) -> bool:
+    """Return whether a process runs; one that has ended may wait for its parent to notice."""
+    try:
+        status: str = psutil.Process(pid).status()
+    except psutil.Error:
+        return False
+    return status != str(psutil.STATUS_ZOMBIE)
 
 
 def newest_folder(parent: Path) -> Path | None:
@@ -109,7 +118,8 @@ def request(
     Raises: BusError: it does not exist or does not answer. TransportError: it refuses the request.
     """
     security = None if keys is None else Security(keys.resolve(), (name, ROUTER))
-    answer = dict(ask(run, endpoints, name, what, given, security=security))
+    reach = Reach(connect=endpoints, security=security)
+    answer = dict(ask(run, reach, name, what, given))
     if "error" in answer:
         raise TransportError(str(answer["error"]))
     return answer
@@ -132,6 +142,11 @@ class Commands:
         source, target = map(agent_name, ends) if ends else ("", "")
         change = {"from": source, "to": target, "settings": settings}
         self._requests.put((COORDINATOR, "link", change))
+
+    def cut(self, groups: Sequence[Sequence[int]]) -> None:
+        """Lose all messages between groups of agents, in both directions, from the same tick on."""
+        names = [[agent_name(agent) for agent in group] for group in groups]
+        self._requests.put((COORDINATOR, "link", {"groups": names, "settings": {"loss": 1.0}}))
 
     def clear(self) -> None:
         """Make all links perfect, those of the plant included."""

@@ -14,15 +14,16 @@ from transport.log.run_log import channel_of
 from transport.log.writer import LogWriter
 from transport.protocol.admission.gate import Gate, Sample
 from transport.protocol.admission.plausibility import check_plausible
-from transport.protocol.network.bus import Bus, BusEvent, Interrupted, Left, Place
+from transport.protocol.network.bus import Arrival, Bus, BusOptions, Interrupted, Left, Place
 from transport.protocol.network.session import BusError
+from transport.protocol.network.steady_clock import SteadyClock
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.targets import check_target
 from transport.protocol.wire import messages as wire
 from transport.protocol.wire.codec import Header, decode, encode
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.keys import RECORDER, Keys
-from transport.protocol.wire.names import COORDINATOR
+from transport.protocol.wire.names import COORDINATOR, agent_name
 from transport.protocol.wire.node import Outbox, lost
 
 # Kinds of messages that the recorder reads; of the others it reads the header.
@@ -89,6 +90,7 @@ class Recorder:
         self.error: str | None = None
         self.received = 0
         self.tick = -1
+        self.members: Set[str] = frozenset()  # agents on the newest roster
         self.requests: queue.SimpleQueue[wire.Request] = queue.SimpleQueue()
         self._keys = Keys(place.run)
         self.gate = Gate(RECORDER, self._keys, setup.shape, self._check_moment, _UNREAD)
@@ -96,19 +98,13 @@ class Recorder:
         self._say = say
         self._writing = threading.Lock()  # notes come from another thread
         self._newest = deque[bytes](maxlen=_KEPT)
+        gather_s = _GATHER_PACED_S if setup.scenario.clock.speed > 0.0 else _GATHER_S
+        options = BusOptions(serves=True, gather_s=gather_s)
+        self._bus = bus_of(RECORDER, place, setup.scenario.digest(), self.gate, options)
+        self._clock = SteadyClock()
         self._out = Outbox(RECORDER, place.incarnation)
         self._thread = threading.Thread(target=self._run, name=RECORDER, daemon=True)
         self._expected: Set[str] = frozenset()
-
-        is_paced = setup.scenario.clock.speed > 0.0
-        self._bus = bus_of(
-            RECORDER,
-            place,
-            setup.scenario.digest(),
-            self.gate,
-            serves=True,
-            gather_s=_GATHER_PACED_S if is_paced else _GATHER_S,
-        )
 
     @property
     def plant_state(self) -> wire.PlantState | None:
@@ -177,10 +173,11 @@ class Recorder:
         """Record until the run has ended and its processes have sent their last messages."""
         left = set[str]()  # processes that have sent their last message
         while self.control is None or not left >= self._expected:
-            event = self._next(self._timeout_s(left))
+            arrival = self._next(self._timeout_s(left))
+            if arrival is None:
+                break
+            event = arrival.event
             match event:
-                case None:
-                    break
                 case Interrupted():
                     return
                 case Left(name=name):
@@ -193,7 +190,7 @@ class Recorder:
                 case wire.Request():
                     self.requests.put(event)
                 case _:
-                    self.receive(event, self._bus.arrived_ns)
+                    self.receive(event, arrival.arrived_ns)
 
             for notice in self.gate.notices(self._out.incarnation, time.monotonic_ns()):
                 self._take(notice)
@@ -213,14 +210,14 @@ class Recorder:
         missing = self._expected - left
         return _TRAIL_S if missing & self._bus.alive.keys() else _QUIET_S
 
-    def _next(self, timeout_s: float | None) -> BusEvent | None:
+    def _next(self, timeout_s: float | None) -> Arrival | None:
         """Return the next event, or None after the timeout; flush the log in a pause."""
         if timeout_s is not None or self.writer.is_up_to_date:
             return self._bus.next(timeout_s)
 
-        event = self._bus.next(_PAUSE_S)
-        if event is not None:
-            return event
+        arrival = self._bus.next(_PAUSE_S)
+        if arrival is not None:
+            return arrival
         with self._writing:
             self.writer.flush()
         return self._bus.next(timeout_s)
@@ -269,8 +266,10 @@ class Recorder:
                 self.control = message
             case wire.Target():
                 self.setup = self.setup.after([message])
-            case wire.Roster(version=version, reason=reason) if version > 1:
-                self._say(f"roster: {reason}")
+            case wire.Roster():
+                self.members = frozenset(map(agent_name, message.agents))
+                if message.version > 1:
+                    self._say(f"roster: {message.reason}")
             case wire.FaultNote():
                 self._say(f"fault: {message.target} {message.what}")
 
@@ -279,5 +278,5 @@ class Recorder:
     ) -> None:
         """Append the bytes of a message to the log, on any thread."""
         with self._writing:
-            self.writer.add(topic, data, header, time.time_ns() if at_ns is None else at_ns)
+            self.writer.add(topic, data, header, self._clock.now_ns() if at_ns is None else at_ns)
         self.received += 1

@@ -44,8 +44,6 @@ _ORDERLY_ENDS = {
     codes.EXIT_FAILED,
     codes.EXIT_INTERRUPTED,
 }
-
-# Interval between two looks at the run, s.
 _POLL_S = 0.05
 # Time for the processes to end after the run, s.
 _LEAVE_S = 3.0
@@ -246,7 +244,7 @@ def _recorded(
     progress: RunProgress,
     harness: Harness | None = None,
 ) -> Iterator[Recorder]:
-    """Open log and recorder of a run.
+    """Open log and recorder of a run; decide in the end whether its folder is kept.
 
     In the end the folder is kept if it has a message, or output of processes that tells why not;
     not if the run was interrupted before its first tick.
@@ -297,68 +295,47 @@ def _watch(
 
     Forward Ctrl-C; refuse processes started here that end too early.
     """
-    start = _Start()
-    seen = 0  # number of signals so far
-    is_going_on = True
+    is_interrupted = False
+    ended_s = math.inf
+    goes_on = True
     with collected_signals() as signals:
-        while is_going_on:  # once more after the end
-            is_going_on = recorder.join(_POLL_S)
+        while goes_on:  # once more after the end
+            goes_on = recorder.join(_POLL_S)
             progress.setup = recorder.setup
             progress.show(recorder.plant_state, recorder.started_s)
             if faults is not None:
                 faults.work()
-
-            if len(signals) > seen:
-                seen = len(signals)
-                if seen > 1 or recorder.started_s is None:
-                    raise KeyboardInterrupt(signals[-1])
-                _end(signals[-1], recorder, progress, harness)
-            has_begun = recorder.control is not None or recorder.started_s is not None
-            if harness is not None and not has_begun:
-                start.check(harness)
-
-
-def _end(name: str, recorder: Recorder, progress: RunProgress, harness: Harness | None) -> None:
-    """End a run at a signal: its coordinator ends it; without processes here the recording ends."""
-    if harness is None:
-        recorder.stop(name)
-        return
-    progress.say(f"{name}: ending the run; once more to end it at once")
-    harness.child(COORDINATOR).signal(signal.Signals[name])
-
-
-@dataclass(slots=True)
-class _Start:
-    """Check of the processes before the first tick.
-
-    A run may end within its first ticks: its messages can reach the recorder after a process has
-    ended.
-    """
-
-    ended_s: float = math.inf  # steady-clock time at which the first one had ended
-
-    def check(self, harness: Harness) -> None:
-        """Raise RunError if a process has ended too early."""
-        for child in harness.ended():
-            self.ended_s = min(self.ended_s, time.monotonic())
-            is_late = time.monotonic() - self.ended_s > _CATCH_UP_S
-            if child.code not in _ORDERLY_ENDS or is_late:
-                raise _ended_early(child)
+            if (name := signals.next()) is not None:
+                if is_interrupted or recorder.started_s is None:
+                    raise KeyboardInterrupt(name)
+                is_interrupted = True
+                if harness is None:
+                    recorder.stop(name)
+                    continue
+                progress.say(f"{name}: ending the run; once more to end it at once")
+                harness.child(COORDINATOR).signal(signal.Signals[name])
+            if harness is None or recorder.control is not None or recorder.started_s is not None:
+                continue
+            for child in harness.ended():
+                # A run may end within its first ticks: its messages can reach the recorder after a
+                # process has ended.
+                ended_s = min(ended_s, time.monotonic())
+                if child.code not in _ORDERLY_ENDS or time.monotonic() - ended_s > _CATCH_UP_S:
+                    raise _ended_early(child)
 
 
 def _ended_early(child: Child) -> RunError:
-    """Return the error of a process that has ended before the run began."""
     code = child.code or 0
-    end = f"ended with exit code {code}"
-    if code < 0:
-        end = f"was killed by {signal.Signals(-code).name}"
-
+    how = (
+        f"was killed by {signal.Signals(-code).name}"
+        if code < 0
+        else f"ended with exit code {code}"
+    )
     last_line = "its output is gone"
     with suppress(OSError):  # the run folder was removed
         output = child.log.read_text(encoding="utf-8", errors="replace")
         last_line = output.strip().rpartition("\n")[2]
-
     # A child refuses the same options and scenario as this command would; any other end is that of
     # a peer.
     passed_on = code if code in (codes.EXIT_USAGE, codes.EXIT_SCENARIO) else codes.EXIT_UNREACHABLE
-    return RunError(f"{child.name} {end} before the run began: {last_line}", passed_on)
+    return RunError(f"{child.name} {how} before the run began: {last_line}", passed_on)

@@ -9,10 +9,9 @@ from typing import Any, Unpack
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from transport.analysis.series import Series
+from transport.analysis.analysed_run import AnalysedRun
 from transport.interface.scenario import Scenario
 from transport.interface.settings import ArgumentError, Settings, ShortSettings
-from transport.log.run_log import RunLog
 from transport.protocol.scenario.setup import Setup
 from transport.report.figures import FIGURES, fill
 from transport.report.margins import ACTUATIONS, HoverMargins, draw, hover_margins, rows
@@ -41,13 +40,13 @@ def drawn(draw: Callable[[RunFigure], Any]) -> RunFigure:
     return figure
 
 
-def run_figure(name: str, setup: Setup, log: RunLog, series: Series) -> RunFigure:
+def run_figure(name: str, run: AnalysedRun) -> RunFigure:
     """Return a figure of the report of a run. Raises: ArgumentError: no such figure, or no data for it."""
     if name not in FIGURES:
         raise ArgumentError(f"figure: expected one of {', '.join(FIGURES)}, got {name!r}")
     with mpl.rc_context(RC):
         figure = RunFigure()
-        if not len(series.ticks) or not fill(figure, name, setup, log, series):
+        if not len(run.series.ticks) or not fill(figure, name, run):
             raise ArgumentError(f"figure: expected a run with data for {name!r}, got one without")
     return figure
 

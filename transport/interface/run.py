@@ -7,8 +7,9 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from transport.analysis.analysed_run import AnalysedRun, counted
 from transport.analysis.metrics import summarise
-from transport.analysis.series import counted, steps_rows
+from transport.analysis.steps import steps_rows
 from transport.flight.run_files import create
 from transport.interface.scenario import Scenario
 from transport.interface.series import RunSeries
@@ -44,23 +45,25 @@ class Run:
     def __init__(
         self, scenario: Scenario, setup: Setup, log: RunLog, folder: Path | None = None
     ) -> None:
-        self.scenario, self.log, self.folder = (
-            scenario.copy(),
-            log,
-            folder,
-        )  # changes of either do not affect the other
+        self.scenario = scenario.copy()  # changes of either do not affect the other
+        self.log = log
+        self.folder = folder
         self._setup = setup
-        self._counted = counted(setup, log)
+
+    @cached_property
+    def _analysed(self) -> AnalysedRun:
+        """The run as a report reads it; summary, series, tables and figures share it."""
+        return AnalysedRun.of(self._setup, counted(self._setup, self.log))
 
     @cached_property
     def summary(self) -> dict[str, Any]:
         """The content of summary.json (docs/summary.md): outcome, cost, tracking, times, messages, faults, ..."""
-        return summarise(self._setup, self._counted)
+        return summarise(self._analysed)
 
     @cached_property
     def series(self) -> RunSeries:
         """Time series: read-only arrays by name, with units."""
-        return RunSeries(self._setup, self._counted)
+        return RunSeries(self._analysed)
 
     @property
     def outcome(self) -> str:
@@ -94,7 +97,7 @@ class Run:
         if table not in ("series", "steps"):
             raise ArgumentError(f"table: expected 'series' or 'steps', got {table!r}")
         if table == "steps":
-            return pd.DataFrame(list(steps_rows(self._setup, self._counted)))
+            return pd.DataFrame(list(steps_rows(self._analysed)))
         return pd.DataFrame(self.series.columns()).set_index("time_s")
 
     def plot(self, figure: FigureName = "performance") -> "RunFigure":
@@ -106,7 +109,7 @@ class Run:
             run_figure,  # loads matplotlib, 0.5 s that runs without figures save
         )
 
-        return run_figure(figure, self._setup, self._counted, self.series.source)
+        return run_figure(figure, self._analysed)
 
     def view(self, host: str = "127.0.0.1", port: int = 8080) -> "RunViewer":
         """Show the run in the browser until the viewer is closed; raise ViewerError without viser (extra `view`)."""

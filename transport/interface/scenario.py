@@ -13,9 +13,10 @@ from transport.interface.settings import ArgumentError, Settings, ShortSettings,
 from transport.protocol.scenario.errors import ScenarioError, hint
 from transport.protocol.scenario.file import find_scenario, read_tree, with_settings
 from transport.protocol.scenario.keys import names_of
+from transport.protocol.scenario.origins import Origin
 from transport.protocol.scenario.schema import Scenario as ScenarioTree
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import FEWEST, MOST, given, resized
+from transport.protocol.scenario.team import FEWEST, MOST, Team, given, resized
 
 
 class Section:
@@ -87,6 +88,7 @@ class Scenario(Section):
     _tree: ScenarioTree
     _setup: Setup
     _allow_large: bool
+    _origins: tuple[Origin, ...]  # of values that are not those of the file
 
     def __init__(
         self,
@@ -101,10 +103,12 @@ class Scenario(Section):
         if isinstance(source, Scenario):
             self._path, self._tree, self._setup = source._path, source._tree, source._setup
             self._allow_large = allow_large or source._allow_large
+            self._origins = source._origins
             if changes:
                 self._change(given(self._tree), changes)
         else:
             self._path, self._allow_large = find_scenario(str(source)), allow_large
+            self._origins = ()
             self._change(read_tree(self._path), changes)
 
     def set(self, settings: Settings | None = None, **short: Unpack[ShortSettings]) -> None:
@@ -165,12 +169,16 @@ class Scenario(Section):
             raise ArgumentError(f"uavs: expected {FEWEST} to {MOST}, got {uavs}")
         if group is not None and group < 1:
             raise ArgumentError(f"group: expected at least 1 UAV per agent, got {group}")
-        source, chosen = str(self._path), None if vehicle is None else str(vehicle)
-        data = resized(
-            self._tree, uavs, group=group, name=name, source=source, vehicle=chosen, load_kg=load_kg
-        )
+        chosen = None if vehicle is None else str(vehicle)
+        team = Team(uavs=uavs, group=group, name=name, vehicle=chosen, load_kg=load_kg)
+        tree = given(resized(self._tree, team, str(self._path)))
+
         made = Scenario(self)
-        made._change(given(data), [])
+        try:
+            made._change(tree, [])
+        except ScenarioError as error:
+            raise team.blamed(error) from error.__cause__
+        made._origins = (*self._origins, *team.origins())
         return made
 
     def save(self, path: "str | PathLike[str]") -> Path:
@@ -206,10 +214,13 @@ class Scenario(Section):
 
     def _change(self, tree: dict[str, Any], changes: list[str]) -> None:
         """Become the scenario of a tree with changes, or stay as it is if that is refused; errors name the changes."""
-        scenario = with_settings(tree, changes, str(self._path), allow_large=self._allow_large)
+        source = str(self._path)
         try:
-            self._setup = Setup.of(scenario, str(self._path))
+            scenario = with_settings(tree, changes, source, allow_large=self._allow_large)
+            self._setup = Setup.of(scenario, source)
         except ScenarioError as error:
+            if error.source == source:  # not one of the changes
+                error = error.traced(self._origins)
             raise error.blaming(changes) from error.__cause__
         self._tree = scenario
 

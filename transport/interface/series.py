@@ -2,16 +2,13 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from transport.analysis.series import Series, series_of
+from transport.analysis.analysed_run import AnalysedRun
 from transport.interface.settings import ArgumentError
-from transport.log.run_log import RunLog
 from transport.model import state
 from transport.model.arrays import Array, frozen
-from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import ActualInputs, StepReport
 
 _XYZ, _ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")
@@ -38,8 +35,12 @@ QUANTITIES: Mapping[str, Quantity] = {
     "payload_error_m": Quantity(
         "m", (_XYZ,), "Payload position minus its reference, inertial frame."
     ),
+    "payload_error_norm_m": Quantity("m", (), "Distance of the payload from its reference."),
     "payload_velocity_mps": Quantity("m/s", (_XYZ,), "Payload velocity, inertial frame."),
     "payload_attitude_deg": Quantity("deg", (_ANGLES,), "Payload roll, pitch and yaw."),
+    "attitude_max_deg": Quantity(
+        "deg", (), "Largest magnitude of the payload's roll, pitch and yaw."
+    ),
     "payload_rate_radps": Quantity(
         "rad/s", (_XYZ,), "Angular velocity of the payload, payload frame."
     ),
@@ -81,6 +82,9 @@ QUANTITIES: Mapping[str, Quantity] = {
     "constraint_violation": Quantity(
         "", (), "Largest violation as a share of the constraint's range; 0 if all hold."
     ),
+    "uav_error_max_m": Quantity(
+        "m", (_AGENT,), "Largest distance of the agent's UAVs from their references."
+    ),
     "plan_age_ticks": Quantity(
         "ticks", (_AGENT,), "Age of the oldest plan of another agent in use; NaN for none."
     ),
@@ -108,11 +112,8 @@ class RunSeries(Mapping[str, Array]):
     True
     """
 
-    def __init__(self, setup: Setup, log: RunLog) -> None:
-        self.source = series_of(setup, log)  # as figures and metrics of the report use them
-        self._arrays = {
-            name: np.array(values) for name, values in _arrays(setup, log, self.source).items()
-        }
+    def __init__(self, run: AnalysedRun) -> None:
+        self._arrays = {name: np.array(values) for name, values in _arrays(run).items()}
         frozen(*self._arrays.values())
 
     def __getitem__(self, name: str) -> Array:
@@ -157,61 +158,106 @@ class RunSeries(Mapping[str, Array]):
         return found
 
 
-def _arrays(setup: Setup, log: RunLog, s: Series) -> dict[str, Any]:
+def _arrays(run: AnalysedRun) -> dict[str, Array]:
     """Return the arrays of `QUANTITIES`."""
-    T, N, M = len(s.ticks), setup.system.N, len(setup.agents)
-    uavs, inputs = (
-        s.x[:, state.PAYLOAD :].reshape(T, N, state.PER_UAV),
-        s.u.reshape(T, N, state.INPUTS),
-    )
-    limits, on_rods, missing = (
-        setup.settings.limits,
-        s.on_rods[:, :, None],
-        np.full((T, N, 3), np.nan),
-    )
-    moments_Nm, rates_radps, tensions_N = inputs[:, :, 1:], missing, missing[:, :, 0].copy()
-    if setup.system.commands_rates:
-        moments_Nm, rates_radps = missing.copy(), moments_Nm
-    row_of = {int(tick): row for row, tick in enumerate(s.ticks)}
-    for actual in (actual for actual in log.of(ActualInputs) if actual.tick in row_of):
-        if setup.system.commands_rates:
-            moments_Nm[row_of[actual.tick]] = actual.inputs[:, 1:]
-        if len(actual.tensions):
-            tensions_N[row_of[actual.tick]] = actual.tensions
-    plan_ages, lost, step_ms, force_N = (
-        np.full((T, M, *shape), np.nan) for shape in ((), (), (), (3,))
-    )
-    for report in log.of(StepReport):
-        if report.tick in row_of and report.agent in setup.agents:
-            place = row_of[report.tick], report.agent - 1
-            plan_ages[place] = max((age for age in report.plan_ages if age >= 0), default=np.nan)
-            lost[place], step_ms[place], force_N[place] = (
-                report.lost,
-                report.times_ms[-1],
-                report.force,
-            )
+    return _of_payload(run) | _of_uavs(run) | _of_team(run) | _of_agents(run)
+
+
+def _of_payload(run: AnalysedRun) -> dict[str, Array]:
+    """Return time and the series of the payload."""
+    s = run.series
     return {
         "time_s": s.times_s,
         "payload_position_m": s.x[:, state.R0],
         "payload_reference_m": s.payload_reference_I,
         "payload_error_m": s.payload_error_I,
+        "payload_error_norm_m": s.payload_error_norm_m,
         "payload_velocity_mps": s.payload_velocity_I,
         "payload_attitude_deg": s.attitude_deg,
+        "attitude_max_deg": s.attitude_max_deg,
         "payload_rate_radps": s.x[:, state.OMEGA0],
+    }
+
+
+def _of_uavs(run: AnalysedRun) -> dict[str, Array]:
+    """Return the series of the UAVs, NaN after a release."""
+    s = run.series
+    N = run.setup.system.N
+    on_rods = s.on_rods[:, :, None]
+    uavs = s.x[:, state.PAYLOAD :].reshape(len(s.ticks), N, state.PER_UAV)
+    attitudes_deg = np.degrees(uavs[:, :, state.THETA])
+    return {
         "uav_position_m": np.where(on_rods, s.uavs_I, np.nan),
         "uav_reference_m": s.uav_references_I,
         "uav_error_m": s.uav_errors_I,
-        "uav_attitude_deg": np.where(on_rods, np.degrees(uavs[:, :, state.THETA]), np.nan),
+        "uav_attitude_deg": np.where(on_rods, attitudes_deg, np.nan),
+        **_inputs(run),
+    }
+
+
+def _inputs(run: AnalysedRun) -> dict[str, Array]:
+    """Return the inputs of the UAVs with their limits, and the tensions of cables."""
+    s = run.series
+    T, N = len(s.ticks), run.setup.system.N
+    limits = run.setup.settings.limits
+    commands_rates = run.setup.system.commands_rates
+    inputs = s.u.reshape(T, N, state.INPUTS)
+
+    missing = np.full((T, N, 3), np.nan)
+    moments_Nm = missing.copy() if commands_rates else inputs[:, :, 1:]
+    rates_radps = inputs[:, :, 1:] if commands_rates else missing
+    tensions_N = missing[:, :, 0].copy()
+    row_of_tick = {int(tick): row for row, tick in enumerate(s.ticks)}
+    for actual in run.log.of(ActualInputs):
+        row = row_of_tick.get(actual.tick)
+        if row is None:
+            continue
+        if commands_rates:
+            moments_Nm[row] = actual.inputs[:, 1:]
+        if len(actual.tensions):
+            tensions_N[row] = actual.tensions
+
+    return {
         "thrust_N": inputs[:, :, 0],
         "thrust_limits_N": np.tile(limits.thrust_N, (T, 1)),
         "moment_Nm": moments_Nm,
         "moment_limit_Nm": np.tile(limits.moments_Nm, (T, 1)),
         "rate_command_radps": rates_radps,
         "cable_tension_N": tensions_N,
+    }
+
+
+def _of_team(run: AnalysedRun) -> dict[str, Array]:
+    """Return distances, cost and constraints of the whole team."""
+    s = run.series
+    return {
         "separation_m": s.separation_m,
         "clearance_m": s.clearance_m,
         "cost": s.cost,
         "constraint_violation": s.violation,
+    }
+
+
+def _of_agents(run: AnalysedRun) -> dict[str, Array]:
+    """Return the series of the agents, NaN without a step."""
+    s = run.series
+    T, M = len(s.ticks), len(run.setup.agents)
+    plan_ages = np.full((T, M), np.nan)
+    lost = np.full((T, M), np.nan)
+    step_ms = np.full((T, M), np.nan)
+    force_N = np.full((T, M, 3), np.nan)
+    row_of_tick = {int(tick): row for row, tick in enumerate(s.ticks)}
+    for report in run.log.of(StepReport):
+        row = row_of_tick.get(report.tick)
+        if row is None or report.agent not in run.setup.agents:
+            continue
+        place = row, report.agent - 1
+        plan_ages[place] = max((age for age in report.plan_ages if age >= 0), default=np.nan)
+        lost[place] = report.lost
+        step_ms[place] = report.times_ms[-1]
+        force_N[place] = report.force
+    return {
+        "uav_error_max_m": s.uav_error_max_m(run.setup.owned),
         "plan_age_ticks": plan_ages,
         "plans_lost": lost,
         "estimated_force_N": force_N,

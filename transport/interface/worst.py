@@ -12,50 +12,50 @@ from transport.interface.scenario import Scenario
 from transport.interface.settings import ArgumentError, Settings, ShortSettings
 from transport.search.options import OVER, SearchOptions, search
 from transport.search.report import draw, in_words, scenario_text, summary, write
-from transport.search.search import Found
+from transport.search.search import SearchResult
 
 
 @dataclass(frozen=True)
 class Worst:
     """Result of `transport.worst`."""
 
-    found: Found
+    result: SearchResult
 
     @property
     def failed(self) -> bool:
         """Whether a case has failed."""
-        return self.found.minimal is not None
+        return self.result.minimal is not None
 
     @property
     def summary(self) -> dict[str, Any]:
         """Numbers of the search as plain data: cases, failures, the worst cases, the minimal one."""
-        return summary(self.found)
+        return summary(self.result)
 
     @property
     def scenario(self) -> str:
         """Minimal case that fails as a scenario file, whose comment says what happens."""
-        if self.found.minimal is None:
+        if self.result.minimal is None:
             raise ArgumentError("scenario: expected a case that has failed, got none")
-        return scenario_text(self.found.minimal)
+        return scenario_text(self.result.minimal)
 
     def plot(self) -> RunFigure:
         """Return the last seconds of the minimal case as a figure."""
-        if self.found.minimal is None:
+        if self.result.minimal is None:
             raise ArgumentError("plot: expected a case that has failed, got none")
-        minimal = self.found.minimal
+        minimal = self.result.minimal
         return drawn(lambda figure: draw(figure, minimal))
 
     def save(self, folder: "str | PathLike[str]") -> None:
         """Write summary, minimal case and figure into a folder."""
         Path(folder).mkdir(parents=True, exist_ok=True)
-        write(Path(folder), self.found)
+        write(Path(folder), self.result)
 
     def __str__(self) -> str:
-        minimal = self.found.minimal
+        minimal = self.result.minimal
         if minimal is None:
-            worst = self.found.worst
-            value = self.found.problem.objective.in_words(worst.evaluation.value)
-            cases = len(self.found.flown)
+            worst = self.result.worst
+            value = self.result.problem.objective.in_words(worst.evaluation.value)
+            cases = len(self.result.flown)
             return f"no case of {cases} fails; the worst: {value}: {worst.candidate.in_words()}"
         return "\n".join(in_words(minimal))
 
@@ -121,4 +121,5 @@ def worst(
     )
     target = None if folder is None else Path(folder)
     shown = console(shown=progress)
+
     return Worst(search(chosen.validated, str(chosen.file), options, target, shown))

@@ -170,9 +170,9 @@ class LogTail:
 
         if self._gate is None:
             self._gate = self._new_gate()
-        for message in self._gate.accept(_KEYS.prefix + topic, data):
-            if isinstance(message, Message):
-                yield message
+        for accepted in self._gate.accept(_KEYS.prefix + topic, data):
+            if isinstance(accepted.message, Message):
+                yield accepted.message
         yield from self._gate.notices(0, received_ns)
 
     def _new_gate(self) -> Gate:

@@ -13,7 +13,7 @@ from matplotlib.textpath import text_to_path
 from matplotlib.transforms import ScaledTranslation
 
 from transport.log.run_log import RunLog
-from transport.protocol.scenario.links import change_in_words
+from transport.protocol.scenario.link_changes import change_in_words
 from transport.protocol.scenario.setup import Setup
 from transport.report.style import COLUMN_IN, SMALL, TEXT, shade_phases
 from transport.scene.history import RunHistory
@@ -23,8 +23,8 @@ _ROW_IN, _HANDLE_IN = 0.115, 0.26
 CLOSE: Any = {
     "handletextpad": 0.4, "columnspacing": 0.8, "labelspacing": 0.35, "borderaxespad": 0.0, "borderpad": 0.2
 }  # fmt: skip
-# Most entries of a legend beside a title.
-_MOST = 5
+# Most entries of a legend beside a title; longer ones are above all panels.
+MOST_BESIDE = 5
 
 _LIMIT, _FAULT, _LINK = "#B2182B", "#B2182B", "#E69F00"
 _LINE_IN, _APART_IN = 0.105, 0.06
@@ -90,7 +90,7 @@ def head(panel: Axes, title: str, *, legend: bool = True) -> None:
         0.0, 1.0, title, transform=panel.transAxes + up, ha="left", va="bottom", fontsize=TEXT
     )
     handles, labels = panel.get_legend_handles_labels()
-    if legend and 1 < len(handles) <= _MOST:
+    if legend and 1 < len(handles) <= MOST_BESIDE:
         where: Any = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": len(handles)}
         panel.legend(handles, labels, handlelength=1.0, **where, **CLOSE)
 

@@ -14,8 +14,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from transport.analysis.analysed_run import AnalysedRun, counted
 from transport.analysis.metrics import summarise
-from transport.analysis.series import SWING_S, Series, counted, series_of
+from transport.analysis.series import SWING_S, Series
 from transport.log.run_log import RecordedRun
 from transport.protocol.scenario.setup import Setup
 from transport.report.column import column_panels, head
@@ -51,8 +52,8 @@ class Compared(NamedTuple):
     @staticmethod
     def of(label: str, run: RecordedRun) -> "Compared":
         """Return a run with its summary and series."""
-        log = counted(run.setup, run.log)
-        return Compared(label, run, summarise(run.setup, log), series_of(run.setup, log))
+        analysed = AnalysedRun.of(run.setup, counted(run.setup, run.log))
+        return Compared(label, run, summarise(analysed), analysed.series)
 
 
 class Row(NamedTuple):
@@ -99,6 +100,8 @@ _QUANTITIES: tuple[tuple[str, str, str | Callable[[Summary], Any]], ...] = (
     ("plan age, mean", "ticks", "plan_age_ticks.mean"),
     ("plan age, max", "ticks", "plan_age_ticks.max"),
     ("plans lost", "%", _lost),
+    ("radio: airtime", "%", lambda summary: (summary.get("radio") or {}).get("airtime_share")),
+    ("radio: delivered", "%", lambda summary: (summary.get("radio") or {}).get("delivered_share")),
     ("messages rejected", "", "messages.rejected"),
     ("solver fallbacks", "", "solver.fallbacks"),
     ("solver failures", "", "solver.failures"),
@@ -198,7 +201,7 @@ def fill_overlaid(
         # UAVs that have been released and costs of zero are left out.
         curves = (
             np.where(series.on_rods, np.linalg.norm(series.uav_errors_I, axis=2), 0.0).max(axis=1),
-            np.linalg.norm(series.payload_error_I, axis=1),
+            series.payload_error_norm_m,
             series.attitude_max_deg,
             np.where(series.cost > 0.0, series.cost, np.nan),
         )

@@ -15,16 +15,27 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import rest_of_tick_ms
 from transport.analysis.replay import Comparison
-from transport.analysis.series import SWING_S, Series, estimates_of, series_of, swing_of
+from transport.analysis.series import SWING_S, Series, estimates_of, swing_of
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.state import INPUTS
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.wire.messages import STAGES, StepReport, Target
-from transport.report.column import CLOSE, column_panels, finish, head, limits, marks_of, widen
+from transport.protocol.wire.messages import STAGES, StepReport
+from transport.report.column import (
+    CLOSE,
+    MOST_BESIDE,
+    column_panels,
+    finish,
+    head,
+    limits,
+    marks_of,
+    widen,
+)
 from transport.report.figures_3d import draw_trajectories
+from transport.report.radio_figure import draw_radio
 from transport.report.style import (
     COMPONENTS,
     RC,
@@ -37,10 +48,10 @@ from transport.report.style import (
 )
 from transport.scene.colours import uav_style
 
-# Makes the panels of a figure, given their heights, inches.
-Panels = Callable[[Sequence[float]], list[Axes]]
+# Makes the panels of a figure, given their heights, inches, and a legend above them.
+Panels = Callable[..., list[Axes]]
 # Names of the figures of a run.
-FIGURES = ("performance", "inputs", "trajectories", "timing", "estimate")
+FIGURES = ("performance", "inputs", "trajectories", "timing", "estimate", "radio")
 # Number of figures that a forked process draws.
 _BESIDE = 2
 
@@ -63,9 +74,7 @@ _SAMPLE: Any = _DOTS | {"markersize": 4.0}
 _REST: Any = {"color": REFERENCE, "marker": "o"}
 
 
-def draw(
-    setup: Setup, log: RunLog, folder: Path, *, forks: bool = False, pdf: bool = False
-) -> list[Path]:
+def draw(run: AnalysedRun, folder: Path, *, forks: bool = False, pdf: bool = False) -> list[Path]:
     """Draw `FIGURES` of a run as PNG and SVG, with `pdf` as PDF too, as far as its log goes.
 
     With `forks`, which only processes of one thread may do, a forked process draws the first two,
@@ -73,8 +82,7 @@ def draw(
     Returns: The PNG files, without those that have no data. Raises: ChildProcessError: the forked
         process failed.
     """
-    series = series_of(setup, log)
-    if not len(series.ticks):
+    if not len(run.series.ticks):
         return []
     folder.mkdir(parents=True, exist_ok=True)
 
@@ -82,7 +90,7 @@ def draw(
         files = []
         for name in names:
             figure = Figure()
-            if fill(figure, name, setup, log, series):
+            if fill(figure, name, run):
                 files.append(save(figure, folder / f"{name}.png", pdf=pdf)[0])
         return files
 
@@ -103,23 +111,26 @@ def draw(
     ]  # those have data at any tick
 
 
-def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -> bool:
+def fill(figure: Figure, name: str, run: AnalysedRun) -> bool:
     """Draw one of `FIGURES` of a run with at least one tick into an empty figure.
 
     Return whether there is any data.
 
     Figure and drawing take the style from `matplotlib.rcParams`: call it within `rc_context(RC)`.
     """
-    setup = setup.after(log.of(Target))
+    setup = run.setup
+    log = run.log
+    series = run.series
     if name == "trajectories":
         draw_trajectories(figure, setup, series)
         return True
     if name == "timing":
         return _draw_timing(figure, setup, log)
-    over_time = {
+    over_time: dict[str, Callable[..., list[Axes]]] = {
         "performance": _draw_performance,
         "inputs": _draw_inputs,
         "estimate": _draw_estimate,
+        "radio": draw_radio,
     }
     marks = marks_of(setup, log)
     panels = over_time[name](setup, log, series, partial(column_panels, figure, marks=marks))
@@ -137,7 +148,7 @@ def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -
 def _draw_performance(setup: Setup, _: RunLog, series: Series, panels_of: Panels) -> list[Axes]:
     """Draw position errors of UAVs and payload, payload attitude and cost over time."""
     t, swing_m = series.times_s, swing_of(setup, series)
-    panels = panels_of([_HEIGHT_IN] * 4)
+    panels = panels_of([_HEIGHT_IN] * 4, legend=_long_legend(setup))
     errors_m = np.where(
         series.on_rods, np.linalg.norm(series.uav_errors_I, axis=2), np.nan
     )  # released ones have left
@@ -200,6 +211,8 @@ def _draw_estimate(_: Setup, log: RunLog, series: Series, panels_of: Panels) -> 
         panel.errorbar(
             t[rows], pose[:, i], deviations[:, i], label=f"agent {agent}, 3 sigma", **style
         )
+        smallest = _SMALLEST_M if i < len(_PLACES) else _SMALLEST_DEG
+        widen(panel, -smallest, smallest)
         head(panel, title, legend=i == 0)
     return panels
 
@@ -216,7 +229,10 @@ def _draw_inputs(setup: Setup, log: RunLog, series: Series, panels_of: Panels) -
     for report in log.of(StepReport):
         if max(report.plan_ages, default=-1) >= 0:
             used.setdefault(report.agent, []).append((report.tick, max(report.plan_ages)))
-    panels = panels_of([_INPUT_IN] * (INPUTS + (setup.system.N > 1) + bool(obstacles) + bool(used)))
+    panels = panels_of(
+        [_INPUT_IN] * (INPUTS + (setup.system.N > 1) + bool(obstacles) + bool(used)),
+        legend=_long_legend(setup),
+    )
     others = iter(panels[INPUTS:])
     kind = "rate command (rad/s)" if setup.system.commands_rates else "moment (N m)"
     bounds = zip(setup.settings.lower(1), setup.settings.upper(1), strict=True)
@@ -235,6 +251,8 @@ def _draw_inputs(setup: Setup, log: RunLog, series: Series, panels_of: Panels) -
     if setup.system.N > 1:
         panel, text = next(others), "smallest distance between UAVs (m)"
         panel.plot(t, series.separation_m, color="#000000")
+        middle_m = sum(panel.get_ylim()) / 2.0
+        widen(panel, middle_m - _SMALLEST_M, middle_m + _SMALLEST_M)
         if separation is not None:
             limits(panel, separation.minimum_m)
             text += f", limit {separation.minimum_m:g}"
@@ -261,6 +279,17 @@ def _draw_inputs(setup: Setup, log: RunLog, series: Series, panels_of: Panels) -
         widen(panel, 0.0, setup.settings.sampling_period_s)
         head(panel, "oldest plan used (s)")
     return panels
+
+
+def _long_legend(setup: Setup) -> list[Line2D]:
+    """Return a legend of the UAVs for the top of a figure if it is too long for one beside a title.
+
+    The curve of an agent looks like that of its first UAV.
+    """
+    N = setup.system.N
+    if N <= MOST_BESIDE:
+        return []
+    return [Line2D([], [], label=f"UAV{i + 1}", **uav_style(i)) for i in range(N)]
 
 
 def _plot(

@@ -158,7 +158,7 @@ def _numbers(scene: Scene) -> Fields:
         "attitude_deg": dict(
             zip(("roll", "pitch", "yaw"), scene.attitude_deg.tolist(), strict=True)
         ),
-        "payload_error_m": scene.error_m,
+        "payload_error_norm_m": scene.error_m,
         "phase": scene.phase,
         "step_ms": [
             None if report is None else float(report.times_ms[-1]) for report in scene.reports

@@ -12,8 +12,10 @@ import orjson
 from rich.table import Table
 from rich.text import Text
 
+from transport.analysis.analysed_run import AnalysedRun, counted
 from transport.analysis.metrics import summarise
-from transport.analysis.series import SWING_S, counted, steps_columns, steps_rows
+from transport.analysis.series import SWING_S
+from transport.analysis.steps import steps_columns, steps_rows
 from transport.log.run_log import RecordedRun, open_run
 from transport.protocol.scenario.setup import Setup
 
@@ -57,10 +59,11 @@ def report_run(
 
     Figures take most of the time; with `forks` on two cores half of it.
     """
-    folder, setup, log = run.folder, run.setup, counted(run.setup, run.log)
-    summary = summarise(setup, log)
+    folder = run.folder
+    analysed = AnalysedRun.of(run.setup, counted(run.setup, run.log))
+    summary = summarise(analysed)
     write_whole(folder / "summary.json", orjson.dumps(summary, option=orjson.OPT_INDENT_2) + b"\n")
-    write_csv(folder / "steps.csv", steps_rows(setup, log), steps_columns(setup))
+    write_csv(folder / "steps.csv", steps_rows(analysed), steps_columns(analysed.setup))
     if figures:
         from transport.report.figures import (
             draw,  # loads matplotlib, 0.3 s that runs without figures save
@@ -72,7 +75,7 @@ def report_run(
             for file in (folder / "figures").glob(f"*.{kind}")
         ]:
             old.unlink()  # figures of an older run
-        draw(setup, log, folder / "figures", forks=forks, pdf=pdf)
+        draw(analysed, folder / "figures", forks=forks, pdf=pdf)
     return summary
 
 
@@ -172,6 +175,8 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         missed += f", {worst}" if deadline["missed"] else ""
         yield "deadlines", f"{missed}; ticks opened late: {_milliseconds(deadline['tick_late_ms'])}"
     yield "plans", _plans(summary["messages"], summary["plan_age_ticks"])
+    if radio := summary.get("radio"):
+        yield "radio", _radio(radio)
     yield "solver", _solver(summary["solver"])
     if summary["rejections"]:
         most = "{count} from {sender} to {by} ({reason})".format(**summary["rejections"][0])
@@ -206,7 +211,30 @@ def _plans(messages: Mapping[str, Any], ages: Mapping[str, Any]) -> str:
         else ""
     )
     age = f"age {_text(ages['mean'], '{:.2f}')} ticks, max {_text(ages['max'], '{:d}')}"
-    return f"{unsent}{messages['lost']} of {messages['sent']} lost, {messages['late']} late; {age}"
+    in_transit = messages.get("in_transit", 0)  # summaries of earlier versions lack it
+    unarrived = f"{in_transit} not arrived at the end, " if in_transit else ""
+    lost = f"{messages['lost']} of {messages['sent']} lost"
+    return f"{unsent}{lost}, {unarrived}{messages['late']} late; {age}"
+
+
+def _radio(radio: Mapping[str, Any]) -> str:
+    """Return airtime, deliveries, delays and losses of the team's radio in one line."""
+    parts = [
+        f"{radio['rate_mbps']:g} Mb/s, {_text(radio['airtime_share'], '{:.1%}')} of the airtime",
+        f"{_text(radio['delivered_share'], '{:.1%}')} delivered",
+    ]
+    delays = radio["delay_ms"]
+    if delays["p50"] is not None:
+        parts.append("delay median {p50:.1f} ms, p99 {p99:.1f} ms".format(**delays))
+    losses = {
+        "collisions": "lost by collisions",
+        "weak": "too weak",
+        "queue_drops": "dropped by queues",
+        "given_up": "given up",
+        "repetitions": "repetitions",
+    }
+    parts += [f"{radio[key]} {words}" for key, words in losses.items() if radio[key]]
+    return "; ".join(parts)
 
 
 def _milliseconds(spread: Mapping[str, Any]) -> str:

@@ -92,12 +92,17 @@ def label_decades(axis: Axis) -> None:
     axis.set_minor_locator(NullLocator())
 
 
+# Costs below it are rounding errors, such as those of a team at rest.
+LEAST_COST = 1e-6
+
+
 def scale_cost(axes: Axes, top: float, decades: int) -> None:
     """Set a logarithmic axis that shows so many decades of costs up to `top`.
 
     A run without cost keeps its axis.
     """
     if 0.0 < top < np.inf:
+        top = max(top, LEAST_COST)
         axes.set_yscale("log")
         axes.set_ylim(top * 10.0**-decades, top * 2.0)
 

@@ -19,6 +19,9 @@ _AGE_COLOURS = ((154, 154, 154), (230, 159, 0), (178, 24, 43))
 _OLDEST_S = 1.0
 DARK: Colour = (17, 17, 17)
 
+# Colour of a UAV whose agent is not on the roster.
+OFF_COLOUR: Colour = (170, 170, 170)
+
 
 def uav_style(i: int) -> dict[str, Any]:
     """Return line colour and style of UAV i (0-based)."""

@@ -5,13 +5,15 @@ payload, as a browser draws their points later than poses. All frames are relati
 one, z down; lengths in m.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 from transport.model.arrays import Array
+from transport.model.rotations import rotation
+from transport.model.state import StateView
 from transport.scene.bodies import (
     DARK_GREY,
     GREY,
@@ -104,23 +106,34 @@ class Drawing:
 
         Parts in other frames are not to be seen in it.
         """
-        level = np.eye(3)
-        poses: dict[str, Pose] = {
-            INERTIAL: (np.zeros(3), level),
-            PAYLOAD: (scene.payload_I, scene.R_payload),
-            TEAM: (scene.uavs_I.mean(axis=0), level),
-            LOAD: (scene.payload_I, level),
-            GOAL: (scene.payload_reference_I, level),
-        }
-        for i in range(self._N):
-            if i + 1 in scene.released:
-                continue
-            poses[f"uav{i + 1}"] = (scene.uavs_I[i], scene.R_uavs[i])
-
-            rod_I = scene.uavs_I[i] - scene.attachments_I[i]
-            turn, _ = Rotation.align_vectors(rod_I[None], [[0.0, 0.0, -1.0]])
-            poses[f"rod{i + 1}"] = (scene.attachments_I[i], turn.as_matrix())
+        payload = (scene.payload_I, scene.R_payload)
+        uavs = list(zip(scene.uavs_I, scene.R_uavs, strict=True))
+        poses = _team_poses(payload, uavs, scene.attachments_I)
+        for uav in scene.released:
+            del poses[f"uav{uav}"]
+            del poses[f"rod{uav}"]
+        poses[GOAL] = (scene.payload_reference_I, np.eye(3))
         return poses
+
+    def poses_at_start(self) -> dict[str, Pose]:
+        """Return the poses of the frames in the initial state, before a run has its first tick."""
+        x = self._setup.initial_state()
+        view = StateView(x)
+        R_payload = rotation(view.Theta0)
+        attachments_I = [view.r0_I + R_payload @ uav.rho for uav in self._setup.system.uavs]
+
+        uavs_I = self._setup.model.outputs(x)[: 3 * self._N].reshape(-1, 3)
+        R_uavs = [rotation(Theta) for Theta in view.Theta]
+        uavs = list(zip(uavs_I, R_uavs, strict=True))
+        return _team_poses((view.r0_I, R_payload), uavs, np.array(attachments_I))
+
+    def frames_off(self, scene: Scene) -> frozenset[str]:
+        """Return the frames of the UAVs whose agents are not on the roster in a scene."""
+        off = []
+        for agent, owned in enumerate(self._setup.owned, start=1):
+            if agent not in scene.members:
+                off += [f"uav{uav + 1}" for uav in owned]
+        return frozenset(off)
 
     def moving(self, scene: Scene) -> Iterator[Lines]:
         """Yield the lines of a scene except the actual paths.
@@ -234,6 +247,27 @@ class Drawing:
         outwards *= _NAME_OUTSIDE_M / np.maximum(distances, 1e-6)
         places: Array = outwards - np.array([0.0, 0.0, _NAME_ABOVE_M])
         return places
+
+
+def _team_poses(payload: Pose, uavs: Sequence[Pose], attachments_I: Array) -> dict[str, Pose]:
+    """Return the poses of the frames of payload, UAVs and rods, and of those that move along."""
+    level = np.eye(3)
+    payload_I, _ = payload
+    team_I = np.mean([position_I for position_I, _ in uavs], axis=0)
+    poses: dict[str, Pose] = {
+        INERTIAL: (np.zeros(3), level),
+        PAYLOAD: payload,
+        TEAM: (team_I, level),
+        LOAD: (payload_I, level),
+    }
+    for i, (pose, attachment_I) in enumerate(zip(uavs, attachments_I, strict=True), start=1):
+        poses[f"uav{i}"] = pose
+
+        position_I, _ = pose
+        rod_I = position_I - attachment_I
+        turn, _ = Rotation.align_vectors(rod_I[None], [[0.0, 0.0, -1.0]])
+        poses[f"rod{i}"] = (attachment_I, turn.as_matrix())
+    return poses
 
 
 def tree(poses: Mapping[str, Pose]) -> Iterator[tuple[str, str, Pose]]:

@@ -2,10 +2,11 @@
 
 from collections.abc import Iterable
 
-from transport.protocol.scenario.links import words_of
+from transport.protocol.scenario.link_changes import words_of
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.targets import target_in_words
 from transport.protocol.wire.messages import (
+    Airtime,
     Control,
     FaultNote,
     LinkChange,
@@ -23,7 +24,10 @@ _TOLD_ELSEWHERE = ("links ", "target (")
 # Kinds of messages that a history keeps.
 KINDS = frozenset(
     kind.kind
-    for kind in (PlantState, Plan, StepReport, LinkChange, Target, Roster, FaultNote, Control)
+    for kind in (
+        *(PlantState, Plan, StepReport, Airtime),
+        *(LinkChange, Target, Roster, FaultNote, Control),
+    )
 )
 
 
@@ -42,7 +46,8 @@ class RunHistory:
         self.control: Control | None = None  # the coordinator's message about the end
         # Ticks and sentences about faults, links and roster.
         self.events: list[tuple[int, str]] = []
-        self._changes = 0  # number of changes of links
+        self.airtimes: dict[int, list[Airtime]] = {}  # news of the radio, by tick
+        self.link_changes: list[LinkChange] = []
         self._rosters: list[Roster] = []
 
     def add(self, messages: Iterable[Message]) -> None:
@@ -55,8 +60,10 @@ class RunHistory:
                     self.plans[message.agent, message.tick] = message
                 case StepReport():
                     self.reports[message.agent, message.tick] = message
-                case LinkChange() if message.number == self._changes + 1:
-                    self._changes += 1
+                case Airtime():
+                    self.airtimes.setdefault(message.tick, []).append(message)
+                case LinkChange() if message.number == len(self.link_changes) + 1:
+                    self.link_changes.append(message)
                     self.events.append((message.tick, words_of(message)))
                 case Target() if message.number == len(self.setup.maneuver.targets) + 1:
                     self.setup = self.setup.after([message])

@@ -5,6 +5,7 @@ Nothing here draws or reads a clock.
 
 from dataclasses import dataclass
 from itertools import permutations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,13 +16,23 @@ from transport.model.state import INPUTS, StateView
 from transport.plant.actuators import FAIL_SAFE
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.stage_cost import StageCost
-from transport.protocol.wire.messages import PlantState, StepReport
+from transport.protocol.wire.messages import NO_NEWS, PlantState, StepReport
 from transport.scene.history import RunHistory
 from transport.scene.predictions import PredictedPaths, Predictions
 
 # Sender, receiver and age, s, of the sender's newest plan that the receiver used; None if it used
 # none.
 Link = tuple[int, int, float | None]
+
+# Time before a tick over which the radio is shown, s.
+_AIR_S = 1.0
+
+
+class Air(NamedTuple):
+    """The radio of the team over the last second."""
+
+    airtime_share: float
+    delivered_share: float | None  # None without plans
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,6 +61,7 @@ class Scene:
     attitude_deg: Array  # roll, pitch, yaw of the payload, (3,)
     fail_safe: tuple[int, ...]  # UAVs whose plans have run out
     released: tuple[int, ...]  # UAVs that have left their rods
+    air: Air | None = None  # without a radio: None
 
 
 class SceneBuilder:
@@ -122,6 +134,26 @@ class SceneBuilder:
             attitude_deg=np.degrees(view.Theta0),
             fail_safe=_without_plan(plant_state),
             released=() if roster is None else tuple(roster.released),
+            air=self._air(tick),
+        )
+
+    def _air(self, tick: int) -> Air | None:
+        """Return the load and the deliveries of the radio in the last second; None without one."""
+        if self.setup.scenario.radio is None:
+            return None
+
+        period_s = self.setup.settings.sampling_period_s
+        ticks = max(1, min(round(_AIR_S / period_s), tick))
+        news = []
+        for shown in range(tick - ticks + 1, tick + 1):
+            news += self.history.airtimes.get(shown, [])
+
+        # Arrivals of the messages whose fate is known, negative for lost ones.
+        arrivals = [one.arrivals[one.arrivals != NO_NEWS] for one in news]
+        decided = np.concatenate(arrivals) if arrivals else np.zeros(0)
+        return Air(
+            airtime_share=sum(one.busy_s for one in news) / (ticks * period_s),
+            delivered_share=float(np.mean(decided >= 0.0)) if len(decided) else None,
         )
 
     def _links(self, tick: int) -> tuple[Link, ...]:
@@ -158,7 +190,8 @@ class SceneBuilder:
 
         The paths have about the given number of points.
         """
-        earlier = sorted(recorded for recorded in self.history.plant_states if recorded < tick)
+        recorded = list(self.history.plant_states)  # a page may ask while the log is read
+        earlier = sorted(one for one in recorded if one < tick)
         stride = max(1, len(earlier) // points)
         positions_I = np.array([self._position(k) for k in [*earlier[::stride], tick]])
         return positions_I[:, 0], positions_I[:, 1:]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from transport.protocol.scenario.file import validate
 from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.team import FEWEST, resized
+from transport.protocol.scenario.team import FEWEST, Team, resized
 from transport.search.events import Death, Event, Silence, changes_of_links
 
 
@@ -19,7 +19,7 @@ class Base:
 
     def of_size(self, uavs: int) -> "Base":
         """Return the same with a smaller team, each agent with one UAV."""
-        smaller = resized(self.scenario, uavs, group=1, name=None, source=self.source)
+        smaller = resized(self.scenario, Team(uavs=uavs, group=1), self.source)
         return replace(self, scenario=smaller)
 
 
@@ -34,12 +34,15 @@ class Candidate:
         tree = base.scenario.tree()
         agents = len(base.scenario.owned)
         silences = [event for event in self.events if isinstance(event, Silence)]
+
         for event in self.events:
             if not isinstance(event, Silence):
                 event.apply(tree)
+
         changes = changes_of_links(silences, agents, tree["links"]["loss"])
         tree["links"]["change"] = [*tree["links"]["change"], *changes]
         tree["faults"]["event"].sort(key=lambda fault: fault["at_s"])
+
         return validate(tree, str(Path(base.source)))
 
     def without(self, index: int) -> "Candidate":

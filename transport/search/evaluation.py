@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
 from transport.flight.memory import simulate
 from transport.log.run_log import Recorded, RunLog
@@ -68,6 +69,7 @@ class Problem:
             return Evaluation(
                 key=key, robustness=1.0, value=0.0, outcome=REFUSED, end_s=0.0, reason=reason
             )
+
         return self.flown(key, setup)
 
     def flown(self, key: str, setup: Setup) -> Evaluation:
@@ -90,9 +92,12 @@ class Problem:
             outcome = "failed"
         else:
             outcome = control.outcome
-        summary = summarise(setup, RunLog(header={}, messages=tuple(messages), cut=""))
+
+        log = RunLog(header={}, messages=tuple(messages), cut="")
+        summary = summarise(AnalysedRun.of(setup, log))
         value = self.objective.value(summary)
         survived = 1.0 if outcome == "completed" else end_tick / setup.ticks
+
         return Evaluation(
             key=key,
             robustness=self.objective.robustness(value, survived),
@@ -131,6 +136,7 @@ def _centralized(scenario: Scenario) -> Scenario:
     tree["plant"]["sensors"] = "state"
     tree["plant"].pop("noise", None)
     tree["controller"]["estimator"] = "measured"
+
     return Scenario.model_validate(tree)
 
 

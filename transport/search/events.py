@@ -56,6 +56,7 @@ class Silence:
                 return receiver in self.agents
             case "cut":
                 return (sender in self.agents) != (receiver in self.agents)
+
         return True
 
     def in_words(self) -> str:
@@ -68,6 +69,7 @@ class Silence:
             "cut": f"{names} are cut off from the others",
         }[self.who.split()[0]]
         share = "" if self.loss == 1.0 else f" ({100.0 * self.loss:.0f} % of the messages)"
+
         return f"from {self.start_s:g} to {self.end_s:g} s {what}{share}"
 
     def simpler(self) -> Iterator["Silence"]:
@@ -76,6 +78,7 @@ class Silence:
             half_s = round(self.duration_s / 2.0, 6)
             yield replace(self, duration_s=half_s)
             yield replace(self, start_s=round(self.start_s + half_s, 6), duration_s=half_s)
+
         if self.loss < 1.0:
             yield replace(self, loss=1.0)
         for start_s in _rounder(self.start_s):
@@ -271,6 +274,7 @@ class TargetEvent:
                 kept = [0.0 if i == axis else value for i, value in enumerate(self.offset_m)]
                 if any(kept):
                     yield replace(self, offset_m=(kept[0], kept[1], kept[2]))
+
         x, y, z = (round(value) * 1.0 for value in self.offset_m)
         if (x, y, z) != self.offset_m and any((x, y, z)):
             yield replace(self, offset_m=(x, y, z))
@@ -290,6 +294,7 @@ def changes_of_links(silences: Sequence[Silence], agents: int, loss: float) -> l
     pairs = [(i, j) for i in range(1, agents + 1) for j in range(1, agents + 1) if i != j]
     in_force = dict.fromkeys(pairs, loss)
     changes: list[Tree] = []
+
     for at_s in sorted({time for one in silences for time in (one.start_s, one.end_s)}):
         active = [one for one in silences if one.start_s <= at_s < one.end_s]
         new = {
@@ -299,6 +304,7 @@ def changes_of_links(silences: Sequence[Silence], agents: int, loss: float) -> l
         changed = {pair: value for pair, value in new.items() if value != in_force[pair]}
         changes += [{"at_s": at_s, **entry} for entry in _entries(changed, new)]
         in_force = new
+
     return changes
 
 
@@ -312,12 +318,14 @@ def _entries(
         return [{"loss": next(iter(new.values()))}]
     entries: list[Tree] = []
     left = dict(changed)
+
     for end, key in ((0, "from"), (1, "to")):
         for agent in sorted({pair[end] for pair in left}):
             links = {pair: value for pair, value in new.items() if pair[end] == agent}
             if links.keys() <= left.keys() and len(set(links.values())) == 1:
                 entries.append({key: f"agent{agent}", "loss": next(iter(links.values()))})
                 left = {pair: value for pair, value in left.items() if pair not in links}
+
     for (sender, receiver), value in left.items():
         entries.append({"from": f"agent{sender}", "to": f"agent{receiver}", "loss": value})
     return entries

@@ -30,11 +30,13 @@ class Objective:
         if measure not in MEASURES:
             expected = f"expected one of {', '.join(MEASURES)}"
             raise ScenarioError("--objective", "", f"{expected}, got {measure!r}")
+
         if limit is not None and not (math.isfinite(limit) and limit > 0.0):
             raise ScenarioError("--limit", "", f"expected a number above 0, got {limit:g}")
         if limit is None and measure == "separation":
             separation = scenario.controller.separation
             limit = _SEPARATION_SHARE * (separation.minimum_m if separation else 0.4)
+
         return Objective(
             measure=measure,  # type: ignore[arg-type]  # checked above
             limit=_LIMITS.get(measure, 1.0) if limit is None else limit,

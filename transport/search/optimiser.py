@@ -41,6 +41,7 @@ class Optimiser:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # batches need not be powers of two
                 return list(self._sampler.random(BATCH))
+
         if self._evolution is None or self._evolution.stop() or self._stalled >= _STALL:
             self._start()
         return [np.array(point) for point in self._evolution.ask()]

@@ -14,7 +14,7 @@ from transport.search.evaluation import Problem
 from transport.search.objective import Objective
 from transport.search.progress import SearchProgress
 from transport.search.report import write
-from transport.search.search import Evaluations, Found, Search, on_cores
+from transport.search.search import Evaluations, Search, SearchResult, on_cores
 from transport.search.space import Bounds, Space, read_bounds
 
 OVER = ("silence", "deaths", "links")
@@ -36,7 +36,7 @@ class SearchOptions:
 
 def search(
     scenario: Scenario, source: str, options: SearchOptions, folder: Path | None, console: Console
-) -> Found:
+) -> SearchResult:
     """Search for the worst case of a scenario; with a folder, resume what is there and write the results.
 
     Raises: ScenarioError: scenario, bounds or options are refused, or the scenario fails without
@@ -56,14 +56,16 @@ def search(
     )
     compile_model(setup.system.N, console)
     evaluations = Evaluations(folder, _identity(problem, bounds, options))
+
     try:
         with SearchProgress(problem, options.budget, console) as progress:
-            found = chosen.run(evaluations, on_cores(options.jobs), progress)
+            result = chosen.run(evaluations, on_cores(options.jobs), progress)
     finally:
         evaluations.close()
+
     if folder is not None:
-        write(folder, found)
-    return found
+        write(folder, result)
+    return result
 
 
 def _identity(problem: Problem, bounds: Bounds, options: SearchOptions) -> dict[str, Any]:

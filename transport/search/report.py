@@ -23,7 +23,7 @@ from transport.protocol.wire.messages import Message
 from transport.report.column import column_panels
 from transport.report.style import RC, save
 from transport.search.events import Death, Event, Silence, TargetEvent
-from transport.search.search import Flown, Found, Minimal
+from transport.search.search import Flown, Minimal, SearchResult
 
 SCENARIO, FIGURE, SUMMARY = "minimal.toml", "minimal.png", "summary.json"
 _SHOWN = 10  # cases of the table
@@ -38,36 +38,36 @@ _TARGET: Any = {"color": "#D55E00", "linewidth": 0.9, "linestyle": "-."}
 _LIMIT: Any = {"color": "#B2182B", "linewidth": 0.9, "linestyle": ":"}
 
 
-def write(folder: Path, found: Found) -> None:
+def write(folder: Path, result: SearchResult) -> None:
     """Write the results of a search into its folder."""
-    if found.minimal is not None:
-        (folder / SCENARIO).write_text(scenario_text(found.minimal), encoding="utf-8")
+    if result.minimal is not None:
+        (folder / SCENARIO).write_text(scenario_text(result.minimal), encoding="utf-8")
         with mpl.rc_context(RC):
-            save(draw(Figure(), found.minimal), folder / FIGURE)
-    text = orjson.dumps(summary(found), option=orjson.OPT_INDENT_2)
+            save(draw(Figure(), result.minimal), folder / FIGURE)
+    text = orjson.dumps(summary(result), option=orjson.OPT_INDENT_2)
     (folder / SUMMARY).write_bytes(text + b"\n")
 
 
-def summary(found: Found) -> dict[str, Any]:
+def summary(result: SearchResult) -> dict[str, Any]:
     """Return the result of a search as JSON data."""
-    objective = found.problem.objective
+    objective = result.problem.objective
     return {
-        "scenario": found.problem.base.scenario.name,
+        "scenario": result.problem.base.scenario.name,
         "objective": objective.measure,
         "limit": objective.limit,
-        "without_events": found.without_events.value,
-        "cases": len(found.flown),
-        "failures": found.failures,
-        "first_failure": found.first_failure,
-        "worst": [_row(one) for one in ranked(found)],
-        "minimal": None if found.minimal is None else _minimal(found.minimal),
+        "without_events": result.without_events.value,
+        "cases": len(result.flown),
+        "failures": result.failures,
+        "first_failure": result.first_failure,
+        "worst": [_row(one) for one in ranked(result)],
+        "minimal": None if result.minimal is None else _minimal(result.minimal),
         "machine": machine(),
     }
 
 
-def ranked(found: Found) -> list[Flown]:
+def ranked(result: SearchResult) -> list[Flown]:
     """Return the worst cases, the worst first."""
-    order = sorted(found.flown, key=lambda one: (one.evaluation.robustness, one.number))
+    order = sorted(result.flown, key=lambda one: (one.evaluation.robustness, one.number))
     return order[:_SHOWN]
 
 
@@ -104,6 +104,7 @@ def in_words(minimal: Minimal) -> list[str]:
         if minimal.beyond_physics
         else "One agent for all UAVs with perfect information survives the same weather and targets."
     )
+
     return [*events, f"{end} {limit}", fault]
 
 
@@ -125,6 +126,7 @@ def scenario_text(minimal: Minimal) -> str:
         mode="json", by_alias=True, exclude_none=True, exclude_defaults=True
     )
     tree = {"schema": scenario.tree()["schema"], **tree}
+
     return "\n".join(comment) + "\n" + tomli_w.dumps(tree)
 
 
@@ -149,11 +151,13 @@ def draw(figure: Figure, minimal: Minimal) -> Figure:
     panels = column_panels(figure, [_HEIGHT_IN] * 3, legend=_legend(minimal.candidate.events))
     curves = _curves(series)
     shown = (series.times_s >= begin_s) & (series.times_s <= end_s)
+
     for panel, (label, values) in zip(panels, curves.items(), strict=True):
         panel.plot(series.times_s[shown], values[shown], color="#000000")
         panel.set_ylabel(label)
         _mark(panel, minimal.candidate.events)
         panel.set_xlim(begin_s, end_s)
+
     limited = {"attitude": 0, "payload": 1, "separation": 2}.get(minimal.problem.objective.measure)
     if limited is not None:
         panels[limited].axhline(minimal.problem.objective.limit, **_LIMIT)

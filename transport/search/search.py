@@ -42,7 +42,7 @@ class Minimal:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
+class SearchResult:
     """Result of a search."""
 
     problem: Problem
@@ -75,6 +75,7 @@ class Evaluations:
     def __init__(self, folder: Path | None, identity: dict[str, Any]) -> None:
         self._by_key: dict[str, Evaluation] = {}
         self._file: BinaryIO | None = None
+
         if folder is None:
             return
         try:
@@ -83,6 +84,7 @@ class Evaluations:
             self._file = (folder / EVALUATIONS).open("ab+", buffering=0)
         except OSError as error:
             raise ExperimentError(f"--out: cannot write {folder} ({error.strerror})") from error
+
         self._file.seek(0)
         for line in self._file.read().splitlines():
             with suppress(ValueError, TypeError):  # a line that a kill has cut is flown again
@@ -105,6 +107,7 @@ class Evaluations:
             if self._file is not None:
                 self._file.write(orjson.dumps(asdict(evaluation)) + b"\n")
             self._by_key[evaluation.key] = evaluation
+
         return [self._by_key[problem.key(candidate)] for candidate in candidates]
 
 
@@ -150,13 +153,14 @@ class Search:
     seed: int = 0
     until_failure: bool = False  # end with the first batch that has a failure
 
-    def run(self, evaluations: Evaluations, fly: Fly, progress: Progress) -> Found:
+    def run(self, evaluations: Evaluations, fly: Fly, progress: Progress) -> SearchResult:
         """Fly the budget, then shrink the worst case if it has failed.
 
         Raises: ScenarioError: the scenario fails without any event.
         """
         nothing = Candidate(())
         without_events = evaluations.of(self.problem, [nothing], fly)[0]
+
         if without_events.failed:
             words = self.problem.objective.in_words(without_events.value)
             problem = f"expected a scenario that holds its limit without events, got {words}"
@@ -166,13 +170,15 @@ class Search:
         worst = min(flown, key=lambda one: (one.evaluation.robustness, one.number))
         failed = worst.evaluation.failed
         minimal = self._minimal(worst.candidate, progress) if failed else None
-        return Found(
+
+        return SearchResult(
             problem=self.problem, without_events=without_events, flown=flown, minimal=minimal
         )
 
     def _fly(self, evaluations: Evaluations, fly: Fly, progress: Progress) -> Iterator[Flown]:
         optimiser = Optimiser(self.space.dimension, seed=self.seed)
         number = 0
+
         while number < self.budget:
             points = optimiser.ask()
             candidates = [self.space.candidate(point) for point in points]
@@ -205,6 +211,7 @@ def random_search(search: Search, fly: Fly) -> list[Flown]:
     points = rng.random((search.budget, search.space.dimension))
     candidates = [search.space.candidate(point) for point in points]
     results = Evaluations(None, {}).of(search.problem, candidates, fly)
+
     return [
         Flown(number=number, candidate=candidate, evaluation=evaluation)
         for number, (candidate, evaluation) in enumerate(zip(candidates, results, strict=True), 1)

@@ -40,6 +40,7 @@ class Shrinker:
                 self.candidate = simpler
                 self._progress(simpler, self.evaluations)
                 return True
+
         return False
 
     def _shrink_team(self) -> None:
@@ -61,6 +62,7 @@ class Shrinker:
                 self._failed[key] = problem.evaluate(candidate).failed
             except ScenarioError:
                 self._failed[key] = False
+
         return self._failed[key]
 
 

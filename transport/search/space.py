@@ -138,6 +138,7 @@ def read_bounds(file: Path | None, duration_s: float) -> Bounds:
     """
     tree = {} if file is None else read_tree(file)
     bounds = validated(Bounds, tree, str(file or "bounds"), Path())
+
     if file is not None:
         return bounds
     last_s = 0.8 * duration_s
@@ -145,6 +146,7 @@ def read_bounds(file: Path | None, duration_s: float) -> Bounds:
     deaths = bounds.deaths.model_copy(update={"at_s": (min(1.0, last_s), last_s)})
     targets = bounds.targets.model_copy(update={"at_s": (min(1.0, last_s), 0.4 * duration_s)})
     changed = {"silence": silence, "deaths": deaths, "targets": targets}
+
     return bounds.model_copy(update=changed)
 
 
@@ -164,8 +166,10 @@ class Space:
         if wrong or not kinds:
             expected = f"expected some of {', '.join(KINDS)}"
             raise ScenarioError("--over", "", f"{expected}, got {wrong[0] if wrong else 'none'}")
+
         agents = len(scenario.owned)
         slots: list[Slot] = []
+
         for kind in kinds:
             slots += _SLOTS[kind](getattr(bounds, kind), agents)
         self._slots = tuple(slots)
@@ -175,11 +179,13 @@ class Space:
         """Return the candidate at a point of the unit cube, (dimension,)."""
         events: list[Event] = []
         first = 0
+
         for slot in self._slots:
             event = slot.event(point[first : first + slot.dimension])
             first += slot.dimension
             if event is not None:
                 events.append(event)
+
         return Candidate(tuple(events))
 
 
@@ -204,6 +210,7 @@ def _silences(bounds: SilenceBounds, agents: int) -> list[Slot]:
         first = 1 + _choice(agents, agent)
         second = 1 + (first + _choice(agents - 1, other)) % agents
         named = {"mute": f" {first}", "deaf": f" {first}", "cut": f" {first} {second}"}
+
         return Silence(
             start_s=_between(bounds.start_s, start),
             duration_s=_between(bounds.duration_s, duration),
@@ -277,6 +284,7 @@ def _targets(bounds: TargetsBounds, _: int) -> list[Slot]:
         level = np.sqrt(1.0 - up**2)
         offset_I = away_m * np.array([level * np.cos(angle), level * np.sin(angle), -up])
         x, y, z = (round(float(value), 3) for value in offset_I)
+
         return TargetEvent(at_s=_between(bounds.at_s, at), offset_m=(x, y, z))
 
     return [Slot(5, event)] * bounds.count

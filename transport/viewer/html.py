@@ -1,33 +1,36 @@
 """HTML of the panel: notice, tables of payload and agents, events and legend."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 import numpy as np
 
 from transport.model.arrays import Array
+from transport.protocol.scenario.link_sections import LinkSection
 from transport.scene.colours import DARK, age_colour, uav_colour
 from transport.scene.parts import Colour
-from transport.scene.scene import Scene
+from transport.scene.scene import Air, Scene
 
 _TABLE = "font-size:12px;border-collapse:collapse;font-variant-numeric:tabular-nums;margin:4px 8px"
 _CELL = "padding:1px 4px;white-space:nowrap"
 _ALARM: Colour = (178, 24, 43)
 # Ages in the legend, s.
 _AGES = ((0.0, "fresh"), (0.2, "0.2 s"), (0.5, "0.5 s"))
-_SHOWN_EVENTS = 5
+# Links that are named.
+_SHOWN_LINKS = 8
 
 
 def notice(text: str, *, warning: bool) -> str:
     """Return a sentence in a box; nothing for an empty one."""
     colours = "#fff3cd;border:1px solid #d9a400" if warning else "#eef3f8;border:1px solid #b9c9da"
-    style = f"background:{colours};color:#222;border-radius:4px;padding:6px 8px;margin:4px 12px;font-size:12px"
-    return f'<div style="{style}">{escape(text)}</div>' if text else ""
+    box = "color:#222;border-radius:4px;padding:6px 8px;margin:4px 12px;font-size:12px"
+    return f'<div style="background:{colours};{box}">{escape(text)}</div>' if text else ""
 
 
 def flight(scene: Scene, duration_s: float) -> str:
     """Return a table of time, phase, cost, attitude and position error of the payload."""
     roll, pitch, yaw = scene.attitude_deg
+    rows = [] if scene.air is None else [("radio", _air(scene.air))]
     return _table(
         [
             ("time", f"{scene.time_s:.2f} of {duration_s:.1f} s, {escape(scene.phase)}"),
@@ -35,22 +38,30 @@ def flight(scene: Scene, duration_s: float) -> str:
             ("payload", f"roll {roll:+.2f}, pitch {pitch:+.2f}, yaw {yaw:+.2f} deg"),
             ("payload error", f"{scene.error_m:.3f} m"),
             ("fail-safe", ", ".join(f"UAV{uav}" for uav in scene.fail_safe) or "-"),
+            *rows,
         ]
     )
 
 
-def target(place_I: Array, arrives_s: float, scene: Scene) -> str:
-    """Return where the payload of a scene is sent, (3,), m, when its reference arrives, s, and how far it is."""
-    place, away_m = (
-        "({:g}, {:g}, {:g}) m".format(*place_I.tolist()),
-        float(np.linalg.norm(scene.payload_I - place_I)),
-    )
-    when = (
-        f"arrives at t = {arrives_s:.1f} s"
-        if arrives_s > scene.time_s
-        else f"since t = {arrives_s:.1f} s"
-    )
-    return _small(f"target {place}: {when}; {away_m:.2f} m away")
+def _air(air: Air) -> str:
+    delivered = "-" if air.delivered_share is None else f"{air.delivered_share:.0%} delivered"
+    return f"{air.airtime_share:.0%} of the airtime, {delivered} in the last second"
+
+
+def target(target_I: Array, arrives_s: float, scene: Scene) -> str:
+    """Return a sentence about the target of the payload in a scene.
+
+    Args:
+        target_I: Position of the target, (3,), inertial frame, m.
+        arrives_s: Time at which the reference arrives there, s.
+        scene: Scene with the present position of the payload.
+    """
+    x, y, z = target_I.tolist()
+    distance_m = float(np.linalg.norm(scene.payload_I - target_I))
+    when = f"since t = {arrives_s:.1f} s"
+    if arrives_s > scene.time_s:
+        when = f"arrives at t = {arrives_s:.1f} s"
+    return _small(f"target ({x:g}, {y:g}, {z:g}) m: {when}; {distance_m:.2f} m away")
 
 
 def agents(scene: Scene, owned: Sequence[Sequence[int]], period_s: float) -> str:
@@ -71,18 +82,20 @@ def agents(scene: Scene, owned: Sequence[Sequence[int]], period_s: float) -> str
         used = (_age(ages.get(peer, -1), period_s, usual=1) for peer in numbers)
         rows.append([name, step, _age(report.measurement_age, period_s, usual=0), *used])
     units = _small(
-        "step time in ms; age of the measurement and of each plan used, in s; off: not on the roster"
+        "step time in ms; age of the measurement and of each plan used, in s; "
+        "off: not on the roster"
     )
     return f'<div style="overflow-x:auto">{_table(rows)}</div>{units}'
 
 
-def events(entries: Sequence[tuple[int, str]], tick: int, period_s: float) -> str:
-    """Return the last events until a tick."""
-    past = [(when, text) for when, text in entries if when <= tick][-_SHOWN_EVENTS:]
-    return _small(
-        "".join(f"<div>{when * period_s:.2f} s: {escape(text)}</div>" for when, text in past)
-        or "none yet"
-    )
+def links(in_force: Mapping[tuple[int, int], LinkSection]) -> str:
+    """Return how many links between agents are impaired, and which are cut."""
+    cut = [ends for ends, section in in_force.items() if section.loss >= 1.0]
+    impaired = [ends for ends, section in in_force.items() if not section.perfect]
+    names = ", ".join(f"{sender} to {receiver}" for sender, receiver in cut[:_SHOWN_LINKS])
+    more = ", ..." if len(cut) > _SHOWN_LINKS else ""
+    text = f"{len(impaired)} of {len(in_force)} links impaired"
+    return _small(f"{text}; cut: {names}{more}" if cut else text)
 
 
 def legend() -> str:
@@ -92,7 +105,9 @@ def legend() -> str:
     return _small(
         f"age of the plan in use:<br>{ages}<br>"
         "the half of a link next to a UAV shows the plans it receives<br>"
-        "coloured lines: paths that each agent predicts for its UAVs and the payload; arrows: thrust<br>"
+        "coloured lines: paths that each agent predicts for its UAVs and the payload; "
+        "arrows: thrust<br>"
+        "grey UAV: its agent is off the roster<br>"
         "grid squares of 1 m; axes below the start: x red, y green, z (down) blue"
     )
 

@@ -5,19 +5,20 @@ import select
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
+from transport.flight.signals import take_interrupt
 from transport.protocol.network.parent import PARENT_PIPE, python
 
 _EXIT_S = 5.0
 
 
 class ViewerBeside:
-    """A viewer process that shows the run in a folder as soon as it is live, for at most `wait_s` seconds of waiting.
+    """A viewer process that shows the run in a folder as soon as it is live.
 
-    The folder need not exist yet. As a context it ends the process at its end.
+    The folder need not exist yet; the process waits for at most `wait_s` seconds. As a context it
+    ends the process at its end.
     """
 
     def __init__(self, folder: Path, host: str, port: int, wait_s: float) -> None:
@@ -41,7 +42,10 @@ class ViewerBeside:
         )
 
     def wait_until_ready(self) -> None:
-        """Wait until a browser can open the viewer, whose address goes to standard error, or it has ended."""
+        """Wait until a browser can open the viewer, or it has ended.
+
+        Its address goes to standard error.
+        """
         if self._process.stdout is not None:
             sys.stderr.write(self._process.stdout.readline())
             sys.stderr.flush()
@@ -49,9 +53,11 @@ class ViewerBeside:
     def wait_for_user(self) -> None:
         """Wait until the user ends the viewer."""
         if self._process.poll() is None:
-            with suppress(KeyboardInterrupt):
+            try:
                 sys.stderr.write("the viewer stays open; Ctrl-C ends it\n")
                 self._process.wait()
+            except KeyboardInterrupt:
+                take_interrupt()
 
     def __enter__(self) -> Self:
         return self

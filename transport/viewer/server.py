@@ -5,6 +5,7 @@ lead here (DNS rebinding). So the server answers only below a path that no other
 """
 
 import errno
+import gzip
 import hmac
 import io
 import logging
@@ -15,6 +16,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
+from html import escape
 from importlib.util import find_spec
 from typing import Any
 
@@ -24,6 +26,7 @@ from transport.protocol.wire.errors import TransportError
 _SILENT = logging.getLogger("transport.viewer.websockets")
 _SILENT.disabled = True
 _CLOSED = "Queued a .* on a closed connection"  # by viser
+_TITLE = b"<title>Viser</title>"
 _RECEIPT = re.compile(r"/shown/(\d{1,9})/(\d{1,9})")
 
 
@@ -39,11 +42,12 @@ def require_viser() -> None:
 
 @dataclass
 class Page:
-    """One page: the widget that asks it to tell, the newest frame sent, and since when it has not shown that one."""
+    """One page of a browser."""
 
-    receipt: Any
-    sent: int = 0
-    since_s: float | None = None
+    client: Any  # its connection
+    receipt: Any  # widget that asks the page to tell which frame it shows
+    sent: int = 0  # newest frame
+    since_s: float | None = None  # time since when the page has not told that it shows this frame
 
 
 class Guard:
@@ -52,14 +56,15 @@ class Guard:
     All are below its path; pages, by connection, tell the frames they show.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, title: str) -> None:
         self.path = f"/{secrets.token_urlsafe(24)}"
         self.serves = False  # whether a server uses it
         self.pages: dict[int, Page] = {}
+        self._title = f"<title>{escape(title)}</title>".encode()
 
     @contextmanager
     def installed(self) -> Iterator[None]:
-        """Check the requests to servers that viser starts meanwhile: it has no parameter for that."""
+        """Check the requests to servers that viser starts meanwhile; it has no option for it."""
         import websockets.asyncio.server as library
 
         serve: Any = library.serve
@@ -68,18 +73,7 @@ class Guard:
             self.serves = True
 
             def checked(connection: Any, request: Any) -> Any:
-                token = "/" + request.path.partition("?")[0].lstrip("/").partition("/")[0]
-                if not hmac.compare_digest(token.encode(), self.path.encode()):
-                    return connection.respond(
-                        403, "expected the link that the command has printed\n"
-                    )
-                request.path = request.path.removeprefix(self.path) or "/"
-                if receipt := _RECEIPT.fullmatch(request.path):
-                    number, frame = map(int, receipt.groups())
-                    if (page := self.pages.get(number)) is not None and frame == page.sent:
-                        page.since_s = None
-                    return connection.respond(204, "")
-                return process_request(connection, request)
+                return self._answer(connection, request, process_request)
 
             return serve(*arguments, process_request=checked, logger=_SILENT, **options)
 
@@ -89,11 +83,43 @@ class Guard:
         finally:
             library.serve = serve  # type: ignore[misc]
 
+    def _answer(self, connection: Any, request: Any, process_request: Any) -> Any:
+        """Return the answer to a request: a refusal, a receipt, or that of viser."""
+        token = "/" + request.path.partition("?")[0].lstrip("/").partition("/")[0]
+        if not hmac.compare_digest(token.encode(), self.path.encode()):
+            return connection.respond(403, "expected the link that the command has printed\n")
 
-def start_server(host: str, port: int) -> tuple[Any, Guard, str]:
+        request.path = request.path.removeprefix(self.path) or "/"
+        receipt = _RECEIPT.fullmatch(request.path)
+        if receipt:
+            self._note_shown(*map(int, receipt.groups()))
+            return connection.respond(204, "")
+
+        answer = process_request(connection, request)
+        if answer is not None and request.path.partition("?")[0] in ("/", "/index.html"):
+            self._set_title(answer)
+        return answer
+
+    def _note_shown(self, number: int, frame: int) -> None:
+        """Note that a page shows a frame, if it is the newest that it has been sent."""
+        page = self.pages.get(number)
+        if page is not None and frame == page.sent:
+            page.since_s = None
+
+    def _set_title(self, answer: Any) -> None:
+        """Give the page the title of the run; viser has one name for all its pages."""
+        is_packed = answer.headers.get("Content-Encoding") == "gzip"
+        body = gzip.decompress(answer.body) if is_packed else answer.body
+        body = body.replace(_TITLE, self._title, 1)
+        answer.body = gzip.compress(body, compresslevel=1) if is_packed else body
+        del answer.headers["Content-Length"]
+        answer.headers["Content-Length"] = str(len(answer.body))
+
+
+def start_server(host: str, port: int, title: str) -> tuple[Any, Guard, str]:
     """Start a viser server on the first free port from `port` on, or on any for 0.
 
-    Return it, its guard and its URL.
+    Return it, its guard and its URL. The title is that of its pages.
 
     Raises: ViewerError: viser is not installed, the address is not usable, or no port is free.
     """
@@ -113,7 +139,7 @@ def start_server(host: str, port: int) -> tuple[Any, Guard, str]:
                 raise ViewerError(
                     f"--host, --port: cannot listen on {host}:{port} ({error})"
                 ) from error
-    guard = Guard()
+    guard = Guard(title)
     with (
         guard.installed(),
         redirect_stdout(io.StringIO()),

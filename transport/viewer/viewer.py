@@ -20,48 +20,53 @@ from transport.log.run_log import LogTail, open_run, setup_of
 from transport.scene.drawing import Drawing
 from transport.scene.history import RunHistory
 from transport.scene.scene import Scene, SceneBuilder
-from transport.viewer.panel import Panel, Playback
+from transport.viewer.panel import Panel
+from transport.viewer.playback import Playback
 from transport.viewer.server import Page, start_server
 from transport.viewer.view3d import View3D
 
 LOG = "run.mcap"
-_FRAME_S, _FRAME_UNPACED_S = (
-    0.1,
-    0.5,
-)  # shortest time between frames; a run without pacing needs the processors itself
+# Shortest time between frames, s; a run without pacing needs the processors itself.
+_FRAME_S = 0.1
+_FRAME_UNPACED_S = 0.5
 # A page shows a frame before it gets the next, so that it is never behind by more than one; one
 # that has shown none for this long, such as that of a hidden tab, is no longer waited for, s.
 _PATIENCE_S = 2.0
-_NICE = 10  # of the viewer of a live run: the run gets the processors first, but requests are still sent in time
+# Priority of the viewer of a live run: the run gets the processors first, but requests are still
+# sent in time.
+_NICE = 10
 
 
 class Viewer:
     """Viewer of one run, on the first free port from `port` on, or on any for 0.
 
-    Its URL for browsers is `address`.
+    Its URL for browsers is `address`. A live run has a log that is read as it grows, and takes
+    requests. A notice, such as the name of a missing part of a log, is on top of the panel.
 
-    A live run has a log that is read as it grows, and takes requests. A notice, such as what a log
-    lacks, is on top of
-    the panel. Raises: ViewerError: viser is not installed, or no port is free.
+    Raises: ViewerError: viser is not installed, or no port is free.
     """
 
     def __init__(
         self, builder: SceneBuilder, *, host: str = "127.0.0.1", port: int = 8080, notice: str = "",
         tail: LogTail | None = None, live: LiveRun | None = None,
     ) -> None:  # fmt: skip
-        self._builder, self._tail, self._is_over = builder, tail, live is None
-        self._server, self._guard, self.address = start_server(host, port)
-        self._frame = 0
+        self._builder = builder
+        self._tail = tail
+        self._is_over = live is None
+        self._paced = builder.setup.scenario.clock.speed > 0.0
+        self._frame = 0  # number of the newest frame
+
+        name = builder.setup.scenario.name
+        title = f"{name}, active run" if live is not None else f"{name}, recorded run"
+        self._server, self._guard, self.address = start_server(host, port, title)
         self.playback = Playback(builder.setup.settings.sampling_period_s, follows=live is not None)
-        self.view3d = View3D(self._server, Drawing(builder), follows=live is not None)
+        self.view3d = View3D(self._server, Drawing(builder), builder, follows=live is not None)
         commands = None if live is None else Commands(live, self._show_result)
         self._panel = Panel(self._server, builder, self.playback, self.view3d, commands)
-        self._paced = builder.setup.scenario.clock.speed > 0.0
         self._set_notice(notice or ("" if live is None else "live"), warning=bool(notice))
+
         self._server.on_client_connect(self._add_page)
-        self._server.on_client_disconnect(
-            lambda client: self._guard.pages.pop(client.client_id, None)
-        )
+        self._server.on_client_disconnect(self._remove_page)
         self._updated_s = time.monotonic()
 
     def __enter__(self) -> Self:
@@ -77,33 +82,39 @@ class Viewer:
 
     def update(self) -> None:
         """Read the new part of the log and send a frame if there is anything new to show."""
-        now_s, history = time.monotonic(), self._builder.history
+        now_s = time.monotonic()
+        history = self._builder.history
         if self._tail is not None:
             history.add(self._tail.read())
         if history.last < 0:
             return
+
         tick = self.playback.advance(now_s - self._updated_s, history.first, history.last)
         self._updated_s = now_s
-        if not self._is_over and (control := history.control) is not None:
-            self._is_over = True
-            self.playback.follow(False)
-            self._panel.close_controls()
-            reason = f", {control.reason}" if control.reason else ""
-            self._set_notice(f"the run has ended: {control.outcome}{reason}", warning=bool(reason))
+        self._notice_end()
         pages = list(self._guard.pages.values())
         if not self._is_over and not pages:
-            return  # a browser that connects gets the newest frame
+            return  # a page that connects gets the newest frame
         self._panel.show_playback()
-        if any(page.since_s is not None and now_s - page.since_s < _PATIENCE_S for page in pages):
+
+        if any(_is_waited_for(page, now_s) for page in pages):
             return
-        if (
-            any(not page.sent for page in pages)
-            or self.shown is None
-            or history.nearest(tick) != self.shown.tick
-        ):
+        is_first = self.shown is None or any(not page.sent for page in pages)
+        if is_first or self.shown is None or history.nearest(tick) != self.shown.tick:
             asyncio.run_coroutine_threadsafe(
                 self._send(self._builder.at(tick)), self._server.get_event_loop()
             ).result()
+
+    def _notice_end(self) -> None:
+        """Close the controls of an active run once its end has been read."""
+        control = self._builder.history.control
+        if self._is_over or control is None:
+            return
+        self._is_over = True
+        self.playback.follow(False)
+        self._panel.close_controls()
+        reason = f", {control.reason}" if control.reason else ""
+        self._set_notice(f"the run has ended: {control.outcome}{reason}", warning=bool(reason))
 
     def show_until(self, ended: Callable[[], bool]) -> None:
         """Show the run until `ended()`."""
@@ -127,7 +138,10 @@ class Viewer:
             self._panel.show(scene)
         self._frame += 1
         for number, page in list(self._guard.pages.items()):
-            page.sent, page.since_s = self._frame, page.since_s or time.monotonic()
+            if not page.sent:
+                self.view3d.place_camera(page.client)
+            page.sent = self._frame
+            page.since_s = page.since_s or time.monotonic()
             source = f"{self._guard.path}/shown/{number}/{self._frame}"  # of an invisible image
             page.receipt.content = f'<img src="{source}" alt="" style="display:none">'
 
@@ -141,7 +155,15 @@ class Viewer:
         self._panel.set_notice(text, warning=warning)
 
     def _add_page(self, client: Any) -> None:
-        self._guard.pages[client.client_id] = Page(client.gui.add_html(""))
+        self._guard.pages[client.client_id] = Page(client, client.gui.add_html(""))
+
+    def _remove_page(self, client: Any) -> None:
+        self._guard.pages.pop(client.client_id, None)
+
+
+def _is_waited_for(page: Page, now_s: float) -> bool:
+    """Return whether a page has not shown its newest frame yet, but may do so."""
+    return page.since_s is not None and now_s - page.since_s < _PATIENCE_S
 
 
 def open_viewer(folder: Path, host: str, port: int) -> Viewer:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from rich.console import Console
@@ -113,3 +114,16 @@ def test_anything_can_be_reported(experiment: Experiment, mix: str, tmp_path: Pa
     text = console.export_text()
     assert "…" not in text
     assert max(len(line.rstrip()) for line in text.splitlines()) <= WIDTH
+
+
+@pytest.mark.parametrize("experiment", [LATENCY, built("loss")], ids=lambda value: value.name)
+def test_markers_stand_on_their_values(experiment: Experiment) -> None:
+    """On an axis of numbers the points of all curves are exactly at the values of their runs."""
+    figure = Figure()
+    with mpl.rc_context(RC):
+        fill(figure, experiment, made(experiment, MIXES["repeated"]))
+    for panel in figure.axes:
+        values = {float(tick) for tick in panel.get_xticks()}
+        for line in panel.lines:
+            if line.get_marker() not in ("None", "", "_", "|"):
+                assert set(np.asarray(line.get_xdata(), float).tolist()) <= values

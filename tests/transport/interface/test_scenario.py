@@ -80,10 +80,10 @@ def test_a_refused_change_leaves_it_as_it_was(settings: dict[str, Any], text: st
 def test_changes_that_are_valid_only_together() -> None:
     """`set` takes several at once; one of them alone is refused."""
     scenario = transport.Scenario("paper")
-    with pytest.raises(transport.ScenarioError, match="expected a number > 0 with mode realtime"):
-        scenario.clock.mode = "realtime"
-    scenario.set({"clock.mode": "realtime", "clock.speed": 1.0})
-    assert scenario.clock.speed == 1.0
+    with pytest.raises(transport.ScenarioError, match="expected measured delays, got nothing"):
+        scenario.links.distribution = "empirical"
+    scenario.set({"links.distribution": "empirical", "links.samples_s": [0.1]})
+    assert scenario.links.samples_s == (0.1,)
 
 
 def test_sections_are_attributes() -> None:
@@ -142,6 +142,6 @@ def test_files_are_the_callers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     (tmp_path / "d.csv").write_text("0.1 0.2", encoding="utf-8")
     (tmp_path / "way.csv").write_text("t_s,x_m,y_m,z_m\n0,0,0,0\n2,1,0,0\n", encoding="utf-8")
     scenario = transport.Scenario("resilient", phases=[{"name": "way", "file": "way.csv"}])
-    scenario.set({"links.samples": "d.csv", "links.distribution": "empirical"})
-    assert scenario.links.samples == (0.1, 0.2)
+    scenario.set({"links.samples_s": "d.csv", "links.distribution": "empirical"})
+    assert scenario.links.samples_s == (0.1, 0.2)
     assert scenario.maneuver.phase[0].displacement_m == (1.0, 0.0, 0.0)

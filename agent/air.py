@@ -1,0 +1,46 @@
+"""What an agent knows of the team's radio: which plans and proposals have come through the air."""
+
+from transport.protocol.admission.arrivals import Arrivals
+from transport.protocol.wire.messages import NO_NEWS, Airtime, Plan
+from transport.protocol.wire.names import agent_name
+
+Iteration = tuple[int, int]  # tick, and exchanges that follow within it
+
+
+class AirNews:
+    """News of the radio for one agent, 1-based. They outlast a new start of the agent."""
+
+    def __init__(self, agent: int) -> None:
+        self.tick = 0  # until which news are here
+        self._agent = agent
+        self._heard: dict[Iteration, set[int]] = {}  # senders of proposals that came in time
+
+    def take(self, news: Airtime, plans: Arrivals[Plan]) -> None:
+        """Note which plans have come through the air, and which proposals of an exchange."""
+        heard = set()
+        arrivals_s = news.arrivals[:, self._agent - 1].tolist()
+        rows = zip(news.agents, news.plan_ticks, news.exchanges, arrivals_s, strict=True)
+        for sender, tick, exchange, arrival_s in rows:
+            if arrival_s == NO_NEWS:
+                continue
+            if exchange == 0:
+                plans.air(agent_name(sender), tick, arrival_s if arrival_s >= 0.0 else None)
+            elif (tick, exchange) == (news.tick, news.negotiation) and arrival_s >= 0.0:
+                heard.add(sender)
+
+        if news.negotiation > 0:
+            self._heard[news.tick, news.negotiation] = heard
+        else:
+            self.tick = news.tick
+
+    def is_decided(self, iteration: Iteration) -> bool:
+        """Return whether the news of an exchange are here."""
+        return iteration in self._heard
+
+    def heard(self, iteration: Iteration) -> set[int]:
+        """Return the agents whose proposals came through the air before the end of an exchange."""
+        return self._heard.get(iteration, set())
+
+    def forget_before(self, tick: int) -> None:
+        """Forget the exchanges of earlier ticks."""
+        self._heard = {key: heard for key, heard in self._heard.items() if key[0] >= tick}

@@ -1,0 +1,1 @@
+"""Comparison of protocol/radio with ns-3: the same cases in both."""

@@ -1,0 +1,66 @@
+"""Random numbers from a counter keyed by seed, purpose and tick: no order of arrivals matters."""
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numpy.random import Generator, Philox
+
+from transport.model.arrays import Array
+
+Key = npt.NDArray[np.uint64]
+
+
+def draw_key(*purpose: object) -> Key:
+    """Return the key of an independent stream of random numbers, for a seed and a purpose, (2,)."""
+    digest = hashlib.sha256("/".join(map(str, purpose)).encode()).digest()
+    return np.frombuffer(digest[:16], dtype="<u8")
+
+
+def generator(key: Key, tick: int, stream: int = 0) -> Generator:
+    """Return the generator that belongs to a key, a tick and one of the streams of that tick."""
+    counter = np.array([0, 0, stream, tick], dtype=np.uint64)
+    return Generator(Philox(key=key, counter=counter))
+
+
+@dataclass(frozen=True, slots=True)
+class Draw:
+    """Uniform random numbers of one message, from 0 to 1.
+
+    The order is that in which they are drawn; a further one goes to the end.
+    """
+
+    COUNT = 8
+
+    numbers: Array  # (COUNT,)
+
+    @property
+    def loss(self) -> float:
+        """Number that decides over an independent loss."""
+        return float(self.numbers[0])
+
+    @property
+    def burst(self) -> float:
+        """Number that decides over a loss in a burst."""
+        return float(self.numbers[1])
+
+    @property
+    def jitter(self) -> Array:
+        """Numbers of the random part of the delay, (2,)."""
+        return self.numbers[2:4]
+
+    @property
+    def duplicate(self) -> float:
+        """Number that decides over a second arrival."""
+        return float(self.numbers[4])
+
+    @property
+    def echo_jitter(self) -> Array:
+        """Numbers of the delay of the second arrival, (2,)."""
+        return self.numbers[5:7]
+
+    @property
+    def reorder(self) -> float:
+        """Number that decides over holding the message back."""
+        return float(self.numbers[7])

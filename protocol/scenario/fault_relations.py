@@ -1,0 +1,70 @@
+"""Relations between scripted faults, their targets and the rest of a scenario."""
+
+from collections.abc import Collection, Iterator
+
+from transport.protocol.scenario.faults import OF_UAVS
+from transport.protocol.scenario.schema import FaultSection, Scenario
+from transport.protocol.wire.names import COORDINATOR, PLANT, agent_name
+
+Problems = Iterator[tuple[str, str, object]]  # field, what was expected there, and what came
+
+
+def processes_of(scenario: Scenario) -> list[str]:
+    """Return the names of plant and agents."""
+    return [PLANT, *(agent_name(agent) for agent in range(1, len(scenario.owned) + 1))]
+
+
+def fault_problems(scenario: Scenario) -> Problems:
+    """Yield faults of targets that do not exist, or at a time at which they are not possible."""
+    events = sorted(enumerate(scenario.faults.event, start=1), key=lambda entry: entry[1].at_s)
+    last: dict[str, str] = {}  # action on each target
+    for i, event in events:
+        field = f"faults.event.{i}"
+        yield from _fault(scenario, event, field)
+
+        before = last.get(event.target, "start")
+        if before == "release" or (event.do == "continue" and before != "stop"):
+            expected = f"an action possible for {event.target} after its {before}"
+            yield f"{field}.do", expected, repr(event.do)
+        last[event.target] = event.do
+
+    yield from _last_uav(scenario, last)
+
+
+def _fault(scenario: Scenario, event: FaultSection, field: str) -> Problems:
+    """Yield what is wrong with one fault, whatever the others."""
+    possible = _targets_of(scenario, event)
+    if event.target not in possible:
+        yield f"{field}.target", f"one of {', '.join(possible)}", repr(event.target)
+
+    is_degraded = event.do == "degrade"
+    if is_degraded != (event.efficiency is not None):
+        expected = "an efficiency" if is_degraded else "no efficiency without 'degrade'"
+        yield f"{field}.efficiency", expected, event.efficiency or "nothing"
+
+    if event.do == "motor_off" and scenario.maneuver.reference == "flat":
+        yield f"{field}.do", "'release' with maneuver.reference = 'flat'", "'motor_off'"
+
+
+def _targets_of(scenario: Scenario, event: FaultSection) -> Collection[str]:
+    """Return the targets that the action of a fault may have."""
+    if event.do in OF_UAVS:
+        return [f"uav{section.id}" for section in scenario.system.uav]
+
+    plant_and_agents = processes_of(scenario)
+    if event.do == "restart":
+        return plant_and_agents[1:]
+    return [COORDINATOR, *plant_and_agents]
+
+
+def _last_uav(scenario: Scenario, last: dict[str, str]) -> Problems:
+    """Yield a run that no UAV flies, unless the payload was set down on the ground before."""
+    uavs = [f"uav{section.id}" for section in scenario.system.uav]
+    without_motors = {
+        event.target for event in scenario.faults.event if event.do in ("motor_off", "release")
+    }
+    has_ground = scenario.plant.ground_m is not None
+    is_set_down = has_ground and all(last.get(uav) == "release" for uav in uavs)
+    if not is_set_down and without_motors.issuperset(uavs):
+        got = f"motor_off or release for all {len(uavs)}"
+        yield "faults.event", "at least one UAV that keeps its motors", got

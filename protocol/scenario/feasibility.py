@@ -1,0 +1,179 @@
+"""Limits of a team along a path, and the least slowing of the path with which it keeps them."""
+
+import math
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from transport.model.arrays import Array
+from transport.model.flat import LEAST_TENSION, MOST_TILT, Flight, flight, slowed
+from transport.model.hover import Hover
+from transport.model.parameters import System
+from transport.model.state import INPUTS, StateView
+from transport.mpc.settings import ControllerSettings
+
+# Largest slowing that is tried, and relative accuracy of the least one.
+_SLOWEST = 64.0
+_ACCURACY = 1e-3
+
+# Instants whose motion is computed at once: the memory of a long path stays that of a short one.
+_AT_ONCE = 4096
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Extreme:
+    """The value of a quantity on a path that is furthest towards its bound, or beyond it."""
+
+    quantity: str  # in words, with "at most" or "at least"
+    unit: str  # with a blank before it; empty for none
+    bound: float
+    is_upper: bool  # whether the bound is the largest value admitted
+    value: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the bound is kept; not so by a value that is no number."""
+        return self.value <= self.bound if self.is_upper else self.value >= self.bound
+
+    def joined(self, other: "Extreme") -> "Extreme":
+        """Return the further one of two extremes of a quantity, or the one that is not a number."""
+        if math.isnan(self.value) or math.isnan(other.value):
+            return self if math.isnan(self.value) else other
+        is_further = other.value > self.value if self.is_upper else other.value < self.value
+        return other if is_further else self
+
+    def text(self) -> str:
+        """Return expected and got in words."""
+        expected = f"expected {self.quantity} {self.bound:.4g}{self.unit} along the reference"
+        return f"{expected}, got {self.value:.4g}{self.unit}"
+
+
+def exceeded(
+    path: Array,
+    system: System,
+    hover: Hover,
+    settings: ControllerSettings,
+    released: Collection[int] = (),
+) -> str | None:
+    """Return the first limit that the team exceeds along a path, in words; None if it keeps all.
+
+    The path is given by its jets at k instants, (7, k, 3), or (7, k, 5) with a formation. The
+    instants must be dense (`path_instants`): nothing is known between them. UAVs, 0-based, were
+    released before it.
+    Source: docs/equations.md (69).
+    """
+    left = [uav for uav in range(system.N) if uav not in released]
+    held_N = hover.tensions[left]
+    if not held_N.min() >= LEAST_TENSION * held_N.mean():
+        expected = "expected all rods of the UAVs left to carry the payload at hover"
+        return f"{expected}, got {held_N.min():.4g} N in one"
+
+    aside = _aside(path, system)
+    if aside >= 1.0:
+        expected = "expected a formation with UAVs less than a rod's length off their attachments"
+        return f"{expected}, got {aside:.3g}"
+
+    extremes: list[Extreme] = []
+    for first in range(0, path.shape[1], _AT_ONCE):
+        part = path[:, first : first + _AT_ONCE]
+        flown = flight(system, hover, part, released=released)
+        further = list(_extremes(flown, system, hover, settings, left))
+        before = extremes or further
+        extremes = [one.joined(other) for one, other in zip(before, further, strict=True)]
+
+    return next((extreme.text() for extreme in extremes if not extreme.holds), None)
+
+
+def least_slowing(
+    path: Array,
+    system: System,
+    hover: Hover,
+    settings: ControllerSettings,
+    released: Collection[int] = (),
+) -> float | None:
+    """Return the least factor on all durations with which the limits are kept; None without one."""
+
+    def is_kept(factor: float) -> bool:
+        return exceeded(slowed(path, factor), system, hover, settings, released) is None
+
+    low = 1.0
+    high = 2.0
+    while not is_kept(high):
+        if high >= _SLOWEST:
+            return None
+        low = high
+        high *= 2.0
+
+    while high > (1.0 + _ACCURACY) * low:
+        middle = (low + high) / 2.0
+        if is_kept(middle):
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+def _aside(path: Array, system: System) -> float:
+    """Return the largest horizontal offset of a UAV from its attachment, over its rod length."""
+    rho = np.array([uav.rho for uav in system.uavs])
+    lengths_m = np.array([uav.rod_length for uav in system.uavs])
+    stretch = path[0, :, None, 3:] - 1.0
+    aside_m = np.linalg.norm(stretch * rho[:, : path.shape[-1] - 3], axis=-1)
+    return float((aside_m / lengths_m).max())
+
+
+def _extremes(
+    flown: Flight, system: System, hover: Hover, settings: ControllerSettings, left: list[int]
+) -> Iterator[Extreme]:
+    """Yield the extremes of the quantities that are limited, always in the same order."""
+    limits = settings.limits
+    inputs = flown.u.reshape(len(flown.x), system.N, INPUTS)[:, left]
+    tensions_of_hover = (flown.tensions / hover.tensions)[:, left]
+
+    yield _highest("a thrust of at most", " N", limits.thrust_N[1], inputs[..., 0])
+
+    Theta = StateView(flown.x).Theta[:, left]
+    tilt_deg = math.degrees(MOST_TILT)
+    if settings.tilt is not None:
+        tilt_deg = min(tilt_deg, settings.tilt.limit_deg)
+    yield _highest("a UAV tilt of at most", " deg", tilt_deg, np.degrees(np.abs(Theta)))
+
+    kind, unit = ("a commanded rate", " rad/s") if system.commands_rates else ("a moment", " N m")
+    for axis, bound in enumerate(settings.upper(1)[1:], start=1):
+        quantity = f"{kind} about axis {axis} of at most"
+        yield _highest(quantity, unit, float(bound), np.abs(inputs[..., axis]))
+
+    yield _lowest("a thrust of at least", " N", limits.thrust_N[0], inputs[..., 0])
+
+    share = "a share of the rod tension at hover of at least"
+    yield _lowest(share, "", LEAST_TENSION, tensions_of_hover)
+    if settings.tension is not None:
+        yield _lowest("a rod tension of at least", " N", settings.tension.minimum_N, flown.tensions)
+
+    if settings.separation is not None and len(left) > 1:
+        quantity = "a distance of UAVs of at least"
+        yield _lowest(
+            quantity, " m", settings.separation.minimum_m, _distances(flown, system, left)
+        )
+
+
+def _highest(quantity: str, unit: str, bound: float, values: Array) -> Extreme:
+    value = float(values.max())
+    return Extreme(quantity=quantity, unit=unit, bound=bound, is_upper=True, value=value)
+
+
+def _lowest(quantity: str, unit: str, bound: float, values: Array) -> Extreme:
+    value = float(values.min())
+    return Extreme(quantity=quantity, unit=unit, bound=bound, is_upper=False, value=value)
+
+
+def _distances(flown: Flight, system: System, left: list[int]) -> Array:
+    """Return the distances of all pairs of UAVs left at every instant, (pairs, k), m."""
+    rho = np.array([uav.rho for uav in system.uavs])
+    lengths_m = np.array([uav.rod_length for uav in system.uavs])
+    r_P = rho - lengths_m[:, None] * StateView(flown.x).e_P
+    return np.array(
+        [np.linalg.norm(r_P[:, i] - r_P[:, j], axis=1) for i, j in combinations(left, 2)]
+    )

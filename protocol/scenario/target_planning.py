@@ -1,0 +1,258 @@
+"""Timing of a target given during a run: approach and way that the team can fly, or a refusal."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from transport.model.arrays import Array
+from transport.model.curves import ORDERS, Curve
+from transport.model.maneuver import Target
+from transport.model.parameters import resting_height
+from transport.protocol.scenario.clearance import first_blocked
+from transport.protocol.scenario.errors import RequestError
+from transport.protocol.scenario.feasibility import exceeded, least_slowing
+from transport.protocol.scenario.maneuver_sections import TargetSection
+from transport.protocol.scenario.path_instants import (
+    WayPointError,
+    check_way_points,
+    curve_instants,
+    maneuver_instants,
+)
+from transport.protocol.scenario.planned_run import PlannedRun
+
+SPEED_MPS = 1.0  # largest speed where none is given
+
+# Time of speeding up that is tried first, the factor from one to the next, and the longest one.
+_RAMP_S = 2.0
+_LONGER = 1.25
+_LONGEST_RAMP_S = 64.0 * _RAMP_S
+
+ON_GROUND_M = 1e-3  # how far a payload that takes off or lands may be from the ground
+_ROUNDING_M = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Window:
+    """Time that is left for a target."""
+
+    since_s: float  # instant from which on the path changes
+    last_s: float  # last sampling instant of the run
+
+    def check(self, duration_s: float) -> None:
+        """Raise RequestError for a motion that does not end within it."""
+        ends_s = self.since_s + duration_s
+        if ends_s > self.last_s:
+            expected = f"expected a target before the end of the run at t = {self.last_s:.2f} s"
+            raise RequestError(f"{expected}, got {ends_s:.2f} s")
+
+
+def planned(setup: PlannedRun, section: TargetSection, tick: int) -> dict[str, Any]:
+    """Return the numbers of the message for a target from a tick on.
+
+    The least duration is compared with the rest of the run before anything is sampled, and the work
+    depends on the number of way points alone, whatever the distances, speeds and times.
+
+    Raises: RequestError: it cannot be flown.
+    """
+    points_I = np.array(section.points_m)
+    period_s = setup.settings.sampling_period_s
+    window = Window(since_s=tick * period_s, last_s=(setup.ticks - 1) * period_s)
+
+    _check_places(setup, points_I, window.since_s)
+    window.check(_least_approach_s(setup, section, window) + _least_way_s(section))
+
+    approach = _approach(setup, section, window)
+    way = _way(setup, section) if len(points_I) > 1 else None
+    way_s = 0.0 if way is None else way.duration_s
+    window.check(approach.duration_s + way_s)
+    if way is not None:
+        way_I = points_I[0] + way.path(curve_instants(way), 1)[0]
+        _check_places(setup, way_I, window.since_s)
+
+    target = Target(since_s=window.since_s, point_I=points_I[0], approach=approach, way=way)
+    _check_obstacles(setup, target)
+
+    times = np.zeros(len(points_I))
+    if way is not None and way.times_s is not None:
+        times[1:] = way.times_s
+    return {
+        "tick": tick,
+        "points": points_I,
+        "times": times,
+        "approach_s": approach.duration_s,
+        "approach_ramp_s": approach.ramp_s,
+        "way_s": way_s,
+        "way_ramp_s": 0.0 if way is None else way.ramp_s,
+    }
+
+
+def spline(
+    further_I: Array, duration_s: float, ramp_s: float, times_s: list[float] | None
+) -> Curve:
+    """Return the curve through points relative to the target, (k, 3), m, at times or a speed."""
+    return Curve(
+        kind="spline",
+        duration_s=duration_s,
+        ramp_s=ramp_s,
+        points_I=further_I.tolist(),
+        times_s=times_s,
+    )
+
+
+def straight(duration_s: float, ramp_s: float) -> Curve:
+    """Return the curve of length 1 whose share of the way is that of the target in the path."""
+    return Curve(kind=None, duration_s=duration_s, ramp_s=ramp_s, size_I=(1.0, 0.0, 0.0))
+
+
+def _ramped_s(length_m: float, speed_mps: float, ramp_s: float) -> float:
+    """Return the duration of a way with ramps at both ends and a largest speed, s."""
+    # A ramp covers half of what its time at full speed would: T = length / speed + ramp.
+    return max(length_m / speed_mps + ramp_s, 2.0 * ramp_s)
+
+
+def _speed_of(section: TargetSection) -> float:
+    return SPEED_MPS if section.speed_mps is None else section.speed_mps
+
+
+def _least_approach_s(setup: PlannedRun, section: TargetSection, window: Window) -> float:
+    """Return the duration of the approach with the shortest ramps that are tried, s."""
+    distance_m = _approach_m(setup, np.array(section.points_m[0]), window)
+    return _ramped_s(distance_m, _speed_of(section), _RAMP_S)
+
+
+def _least_way_s(section: TargetSection) -> float:
+    """Return the least duration of the way through further points, s.
+
+    A spline is no shorter than the distances between its points.
+    """
+    if section.times_s is not None:
+        return section.times_s[-1] - section.times_s[0]
+    if len(section.points_m) == 1:
+        return 0.0
+
+    steps_I = np.diff(np.array(section.points_m), axis=0)
+    length_m = float(np.linalg.norm(steps_I, axis=1).sum())
+    return _ramped_s(length_m, _speed_of(section), _RAMP_S)
+
+
+def _approach_m(setup: PlannedRun, point_I: Array, window: Window) -> float:
+    """Return the larger distance of a target from the path now and from its end, m."""
+    ends_s = np.array([window.since_s, setup.maneuver.duration_s])
+    ends_I = setup.maneuver.path(ends_s)[0]
+    return max(float(np.linalg.norm(point_I - end_I)) for end_I in ends_I)
+
+
+def _approach(setup: PlannedRun, section: TargetSection, window: Window) -> Curve:
+    """Return the approach of a target: the fastest of those tried that keeps the limits."""
+    point_I = np.array(section.points_m[0])
+    distance_m = _approach_m(setup, point_I, window)
+
+    ramp_s = _RAMP_S
+    problem: str | None = None
+    while ramp_s <= _LONGEST_RAMP_S:
+        approach = straight(_ramped_s(distance_m, _speed_of(section), ramp_s), ramp_s)
+        if problem is not None:  # slower ones are longer
+            window.check(approach.duration_s)
+
+        path = _approach_path(setup, approach, point_I, window)
+        problem = exceeded(path, setup.system, setup.hover, setup.settings)
+        if problem is None:
+            return approach
+        ramp_s *= _LONGER
+    raise RequestError(f"points_m: {problem}")
+
+
+def _approach_path(setup: PlannedRun, approach: Curve, point_I: Array, window: Window) -> Array:
+    """Return the jets of the path during an approach, (7, k, 3), or (7, k, 5) with a formation."""
+    instants_s = curve_instants(approach)
+    if setup.scenario.maneuver.reference == "hover":
+        # The controllers' reference has no accelerations: those from rest are the target's own.
+        here_I = setup.maneuver.path(np.array([window.since_s]))[0][0]
+        return np.asarray(approach.covered(instants_s, ORDERS)[..., None] * (point_I - here_I))
+
+    target = Target(since_s=window.since_s, point_I=point_I, approach=approach)
+    led = setup.maneuver.with_target(target)
+    return led.jets(_between(maneuver_instants(led), window.since_s, approach.duration_s))
+
+
+def _way(setup: PlannedRun, section: TargetSection) -> Curve:
+    """Return the curve through further way points, as fast as given, or as feasible."""
+    way = _way_as_given(section)
+    path = way.path(curve_instants(way))
+    problem = exceeded(path, setup.system, setup.hover, setup.settings)
+    if problem is None:
+        return way
+
+    factor = least_slowing(path, setup.system, setup.hover, setup.settings)
+    if factor is None:
+        raise RequestError(f"points_m: {problem}")
+    if section.times_s is not None:
+        raise RequestError(f"times_s: {problem}; feasible in {factor:.3f} times the time")
+    if section.speed_mps is not None:
+        raise RequestError(f"speed_mps: {problem}; feasible in {factor:.3f} times the time")
+    return replace(way, duration_s=factor * way.duration_s, ramp_s=factor * way.ramp_s)
+
+
+def _way_as_given(section: TargetSection) -> Curve:
+    """Return the curve through the way points after the first, not slowed."""
+    points_I = np.array(section.points_m)
+    further_I = points_I[1:] - points_I[0]
+    try:
+        if section.times_s is not None:
+            times_s = [time_s - section.times_s[0] for time_s in section.times_s[1:]]
+            way = spline(further_I, times_s[-1], min(_RAMP_S, times_s[-1] / 2.0), times_s)
+            check_way_points(way)
+            return way
+
+        slowest = spline(further_I, 2.0 * _RAMP_S, _RAMP_S, None)
+        check_way_points(slowest)
+        duration_s = _ramped_s(slowest.fastest(), _speed_of(section), _RAMP_S)
+        return replace(slowest, duration_s=duration_s)
+    except WayPointError as error:
+        raise RequestError(str(error)) from error
+
+
+def _check_places(setup: PlannedRun, points_I: Array, since_s: float) -> None:
+    """Check that points are above the ground, and that the payload flies.
+
+    Without a ground the lowest place is z = 0, or as low as the payload has been.
+    """
+    ground_m = setup.scenario.plant.ground_m
+    start_I, here_I = setup.maneuver.path(np.array([0.0, since_s]))[0]
+    lowest_m = max(0.0, start_I[2], here_I[2])
+    if ground_m is not None:
+        lowest_m = resting_height(setup.system, ground_m)
+
+    deepest_m = points_I[:, 2].max()
+    if deepest_m > lowest_m + _ROUNDING_M:
+        expected = f"expected z (down) of at most {lowest_m:g} m"
+        raise RequestError(f"points_m: {expected}, got {deepest_m:g}")
+
+    phase = setup.maneuver.phase_at(since_s)
+    is_vertical = phase.kind in ("take_off", "land")
+    if ground_m is not None and (is_vertical or here_I[2] > lowest_m - ON_GROUND_M):
+        raise RequestError(
+            f"expected a payload in flight, got phase {phase.name!r} at t = {since_s:.2f} s"
+        )
+
+
+def _check_obstacles(setup: PlannedRun, target: Target) -> None:
+    """Check that the way to a target and through its points keeps the margins of obstacles."""
+    if not setup.obstacles:
+        return
+
+    led = setup.with_target(target)
+    instants_s = _between(
+        maneuver_instants(led.maneuver), target.since_s, target.ends_s - target.since_s
+    )
+    blocked = first_blocked(setup.system, setup.obstacles, led.reference.states, instants_s)
+    if blocked is not None:
+        raise RequestError(f"points_m: {blocked[1]}")
+
+
+def _between(instants_s: Array, since_s: float, duration_s: float) -> Array:
+    """Return the instants within a duration from a time on, with its ends, s, rising."""
+    until_s = since_s + duration_s
+    inside = (instants_s > since_s) & (instants_s < until_s)
+    return np.array([since_s, *instants_s[inside], until_s])

@@ -1,0 +1,295 @@
+"""Channel: carrier sense, collisions, capture, hidden nodes, queues and retries."""
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.protocol.radio.channels import (
+    MS,
+    NEAR_MW,
+    NOISE_MW,
+    SILENT_MW,
+    broadcast,
+    equal_powers,
+    parameters,
+    run,
+)
+from transport.protocol.radio.channel import Channel, ChannelState
+from transport.protocol.radio.frames import Frame, Outcome, Result
+from transport.protocol.radio.standard import OFDM
+
+AIRTIME_NS = OFDM.message_airtime_ns(1500, 6.0)
+SECOND_NS = 1_000 * MS
+PERIOD_NS = 50 * MS
+
+
+def results(outcomes: list[Outcome]) -> Counter[Result]:
+    """Return the outcomes by result."""
+    return Counter(outcome.result for outcome in outcomes)
+
+
+def random_frames(stations: int, periods: int, spread_ns: int, seed: int = 4) -> list[Frame]:
+    """Return one broadcast per station and period, spread at random."""
+    random = np.random.default_rng(seed)
+    return [
+        broadcast(
+            stations, station, period * PERIOD_NS + int(random.integers(spread_ns)), period, 800
+        )
+        for period in range(periods)
+        for station in range(stations)
+    ]
+
+
+def random_powers(stations: int, seed: int = 5) -> list[list[float]]:
+    """Return powers from inaudible to near, the same in both directions."""
+    random = np.random.default_rng(seed)
+    level = random.uniform(-2.0, 5.0, (stations, stations))
+    return [
+        [float(NOISE_MW * 10.0 ** level[min(i, j), max(i, j)]) for j in range(stations)]
+        for i in range(stations)
+    ]
+
+
+def test_a_frame_on_an_idle_channel_arrives_after_difs_and_its_airtime() -> None:
+    """Without other traffic the delay is DIFS and the airtime."""
+    outcomes, counts = run(parameters(), equal_powers(3), [broadcast(3, 0, MS)], SECOND_NS)
+    arrival_ns = MS + OFDM.difs_ns + AIRTIME_NS
+    assert [(outcome.receiver, outcome.result, outcome.time_ns) for outcome in outcomes] == [
+        (1, Result.DELIVERED, arrival_ns),
+        (2, Result.DELIVERED, arrival_ns),
+    ]
+    assert counts.busy_ns == AIRTIME_NS
+
+
+@pytest.mark.parametrize("stations", [2, 4, 16])
+def test_sends_at_one_instant_all_collide(stations: int) -> None:
+    """Stations that find the channel idle at one instant transmit at one instant."""
+    frames = [broadcast(stations, station, MS) for station in range(stations)]
+    outcomes, counts = run(parameters(), equal_powers(stations), frames, SECOND_NS)
+    assert results(outcomes) == {Result.COLLISION: stations * (stations - 1)}
+    assert counts.transmissions == stations
+
+
+def test_a_station_defers_to_a_frame_on_the_air() -> None:
+    """A frame sent during another one waits for its end, DIFS and a whole number of slots."""
+    frames = [broadcast(2, 0, MS), broadcast(2, 1, MS + AIRTIME_NS // 2)]
+    outcomes, _ = run(parameters(), equal_powers(2), frames, SECOND_NS)
+    first, second = outcomes
+    waited_ns = second.time_ns - AIRTIME_NS - first.time_ns - OFDM.difs_ns
+    assert results(outcomes) == {Result.DELIVERED: 2}
+    assert waited_ns % OFDM.slot_ns == 0
+    assert 0 <= waited_ns <= OFDM.cw_min * OFDM.slot_ns
+
+
+def test_post_backoff_keeps_a_sender_from_the_next_frame() -> None:
+    """Behind its own frame a station waits for a random backoff, also on an idle channel."""
+    frames = [broadcast(2, 0, MS, sequence) for sequence in range(400)]
+    outcomes, _ = run(parameters(queue_length=400), equal_powers(2), frames, 10 * SECOND_NS)
+    ends_ns = [outcome.time_ns for outcome in outcomes]
+    waits = np.diff(ends_ns) - AIRTIME_NS - OFDM.difs_ns
+    assert set(waits // OFDM.slot_ns) == set(range(OFDM.cw_min + 1))
+    assert not np.any(waits % OFDM.slot_ns)
+
+
+@pytest.mark.parametrize("draws", [True, False])
+def test_an_interrupted_wait_draws_a_backoff_or_keeps_none(draws: bool) -> None:
+    """Frames whose wait for DIFS was interrupted all follow at once, or draw."""
+    # The second and the third station wait when the first one starts; without a draw they collide.
+    frames = [broadcast(3, station, MS + 10_000 * station) for station in range(3)]
+    collided = 0
+    for seed in range(40):
+        given = parameters(interrupted_wait_draws=draws, seed=seed)
+        outcomes, _ = run(given, equal_powers(3), frames, SECOND_NS)
+        collided += Result.COLLISION in results(outcomes)
+    # Two draws among 16 slots are equal in 2.5 of 40 cases; more than 10 would be 5 sigma.
+    assert collided <= 10 if draws else collided == 40
+
+
+def test_the_near_one_of_two_colliding_frames_is_captured() -> None:
+    """Of two frames at one instant a receiver decodes the one whose power stands out."""
+    powers = equal_powers(3)
+    powers[1][2] = powers[2][1] = NEAR_MW / 100.0
+    frames = [broadcast(3, 0, MS), broadcast(3, 1, MS)]
+    outcomes, _ = run(parameters(), powers, frames, SECOND_NS)
+    fate = {(outcome.frame.sender, outcome.receiver): outcome.result for outcome in outcomes}
+    assert fate[0, 2] is Result.DELIVERED
+    assert fate[1, 2] is Result.COLLISION
+    assert fate[0, 1] is fate[1, 0] is Result.COLLISION  # both transmit
+
+
+@pytest.mark.parametrize(("excess_db", "captured"), [(3.0, False), (5.0, True)])
+def test_capture_needs_the_threshold_of_preambles(excess_db: float, captured: bool) -> None:
+    """A preamble 4 dB above noise and interference is detected, a weaker one is not."""
+    powers = equal_powers(3)
+    powers[0][2] = NEAR_MW * 10.0 ** (excess_db / 10.0)
+    frames = [broadcast(3, 0, MS), broadcast(3, 1, MS)]
+    outcomes, _ = run(parameters(), powers, frames, SECOND_NS)
+    fate = {(outcome.frame.sender, outcome.receiver): outcome.result for outcome in outcomes}
+    assert (fate[0, 2] is Result.DELIVERED) == captured
+
+
+def test_a_higher_rate_needs_more_signal_over_interference() -> None:
+    """A payload 6 dB above interference is decoded at 6 Mb/s, not at 54."""
+    powers = equal_powers(3)
+    powers[0][2] = NEAR_MW * 10.0**0.6
+    frames = [broadcast(3, 0, MS), broadcast(3, 1, MS)]
+    for rate_mbps, expected in ((6.0, Result.DELIVERED), (54.0, Result.COLLISION)):
+        outcomes, _ = run(parameters(rate_mbps=rate_mbps), powers, frames, SECOND_NS)
+        fate = {(outcome.frame.sender, outcome.receiver): outcome.result for outcome in outcomes}
+        assert fate[0, 2] is expected
+
+
+def test_hidden_nodes_collide_at_the_station_between_them() -> None:
+    """Stations that do not hear each other do not defer, and collide at one that hears both."""
+    powers = equal_powers(3)
+    powers[0][2] = powers[2][0] = SILENT_MW
+    frames = [broadcast(3, 0, MS), broadcast(3, 2, MS + AIRTIME_NS // 2)]
+    outcomes, counts = run(parameters(), powers, frames, SECOND_NS)
+    fate = {(outcome.frame.sender, outcome.receiver): outcome.result for outcome in outcomes}
+    assert fate == {
+        (0, 1): Result.COLLISION,
+        (2, 1): Result.COLLISION,
+        (0, 2): Result.WEAK,
+        (2, 0): Result.WEAK,
+    }
+    assert counts.busy_ns < 2 * AIRTIME_NS
+
+    powers[0][2] = powers[2][0] = NEAR_MW
+    outcomes, _ = run(parameters(), powers, frames, SECOND_NS)
+    assert results(outcomes) == {Result.DELIVERED: 4}
+
+
+def test_power_too_weak_to_decode_keeps_the_channel_busy() -> None:
+    """A station defers to power above its threshold, although it detects no preamble."""
+    sensed_mw = 2.0 * NOISE_MW
+    powers = [[SILENT_MW, sensed_mw], [sensed_mw, SILENT_MW]]
+    frames = [broadcast(2, 0, MS), broadcast(2, 1, MS + AIRTIME_NS // 2)]
+    _, counts = run(parameters(carrier_sense_mw=sensed_mw), powers, frames, SECOND_NS)
+    assert counts.busy_ns == 2 * AIRTIME_NS
+    _, counts = run(parameters(carrier_sense_mw=1.1 * sensed_mw), powers, frames, SECOND_NS)
+    assert counts.busy_ns < 2 * AIRTIME_NS
+
+
+def test_a_frame_below_the_sensitivity_is_weak() -> None:
+    """A frame that no receiver could hear on an idle channel is lost as weak."""
+    powers = equal_powers(2, 9.0 * NOISE_MW)
+    outcomes, _ = run(parameters(), powers, [broadcast(2, 0, MS)], SECOND_NS)
+    assert results(outcomes) == {Result.WEAK: 1}
+
+
+def test_a_queue_holds_its_length_and_drops_the_newest() -> None:
+    """Of frames sent at once a queue keeps as many as it holds, the oldest."""
+    frames = [broadcast(2, 0, MS, sequence) for sequence in range(10)]
+    outcomes, _ = run(parameters(queue_length=4), equal_powers(2), frames, SECOND_NS)
+    delivered = [o.frame.sequence for o in outcomes if o.result is Result.DELIVERED]
+    dropped = [o.frame.sequence for o in outcomes if o.result is Result.QUEUE]
+    assert delivered == [0, 1, 2, 3]
+    assert dropped == [4, 5, 6, 7, 8, 9]
+
+
+def test_unicast_frames_at_one_instant_arrive_after_retries() -> None:
+    """Acknowledged frames survive the collision that loses broadcasts, by repetitions."""
+    frames = [Frame(MS, station, 0, 1500, ((station + 1) % 4,)) for station in range(4)]
+    outcomes, counts = run(parameters(unicast=True), equal_powers(4), frames, SECOND_NS)
+    assert results(outcomes) == {Result.DELIVERED: 4}
+    assert counts.repetitions >= 4
+    assert counts.acknowledgements == 4
+
+
+def test_unicast_to_a_silent_receiver_exhausts_the_attempts() -> None:
+    """A frame without acknowledgement is sent as often as allowed, then given up."""
+    frame = Frame(MS, 0, 0, 1500, (1,))
+    powers = equal_powers(2, SILENT_MW)
+    outcomes, counts = run(parameters(unicast=True, attempts=5), powers, [frame], SECOND_NS)
+    assert results(outcomes) == {Result.RETRIES: 1}
+    assert counts.transmissions == 5
+
+
+def test_a_lost_acknowledgement_delivers_once() -> None:
+    """A receiver that is heard badly reports its frame once, however often it is repeated."""
+    powers = [[SILENT_MW, NEAR_MW], [SILENT_MW, SILENT_MW]]
+    frame = Frame(MS, 0, 0, 1500, (1,))
+    outcomes, counts = run(parameters(unicast=True), powers, [frame], SECOND_NS)
+    assert results(outcomes) == {Result.DELIVERED: 1}
+    assert counts.transmissions == 7
+
+
+def test_unicast_to_several_receivers_sends_to_each_in_turn() -> None:
+    """A unicast frame takes as many transmissions as it has receivers."""
+    outcomes, counts = run(
+        parameters(unicast=True), equal_powers(4), [broadcast(4, 0, MS)], SECOND_NS
+    )
+    assert [outcome.receiver for outcome in outcomes] == [1, 2, 3]
+    assert counts.transmissions == counts.acknowledgements == 3
+
+
+@pytest.mark.parametrize("unicast", [False, True])
+@pytest.mark.parametrize("spread_ns", [1, MS, 40 * MS])
+def test_each_frame_has_one_outcome_per_receiver(unicast: bool, spread_ns: int) -> None:
+    """Frames are conserved: each is delivered or lost for one reason at each of its receivers."""
+    frames = random_frames(8, 20, spread_ns)
+    given = parameters(unicast=unicast, queue_length=20)
+    outcomes, _ = run(given, random_powers(8), frames, 100 * SECOND_NS)
+    expected = Counter((frame, receiver) for frame in frames for receiver in frame.receivers)
+    assert Counter((outcome.frame, outcome.receiver) for outcome in outcomes) == expected
+    assert all(outcome.time_ns >= outcome.frame.sent_ns for outcome in outcomes)
+
+
+@pytest.mark.parametrize("unicast", [False, True])
+def test_the_order_of_the_frames_changes_nothing(unicast: bool) -> None:
+    """Frames in any order have equal outcomes."""
+    frames = random_frames(6, 10, 2 * MS)
+    given = parameters(unicast=unicast)
+    expected = run(given, random_powers(6), frames, 10 * SECOND_NS)
+    shuffled = [frames[place] for place in np.random.default_rng(6).permutation(len(frames))]
+    assert run(given, random_powers(6), shuffled, 10 * SECOND_NS) == expected
+
+
+@pytest.mark.parametrize("unicast", [False, True])
+def test_windows_do_not_change_the_outcomes(unicast: bool) -> None:
+    """Any division of time into windows has the same outcomes: the state has all."""
+    frames = random_frames(6, 8, 2 * MS)
+    given = parameters(unicast=unicast)
+    powers = random_powers(6)
+    expected, counts = run(given, powers, frames, SECOND_NS)
+
+    state = ChannelState.idle(6, OFDM)
+    outcomes: list[Outcome] = []
+    busy_ns = 0
+    # 0.7 ms ends windows within frames, waits and acknowledgements.
+    for until_ns in [*range(0, SECOND_NS, 700_000), SECOND_NS]:
+        begin_ns = state.time_ns
+        sent = [frame for frame in frames if begin_ns <= frame.sent_ns < until_ns]
+        state, more, counted = Channel(given).advance(state, powers, sent, until_ns)
+        outcomes += more
+        busy_ns += counted.busy_ns
+    assert outcomes == expected
+    assert busy_ns == counts.busy_ns
+
+
+def test_a_state_is_not_changed_by_its_use() -> None:
+    """The same state twice gives the same channel: `advance` has no memory."""
+    frames = random_frames(5, 2, MS)
+    given = parameters()
+    powers = random_powers(5)
+    state, *_ = Channel(given).advance(ChannelState.idle(5, OFDM), powers, frames, 2 * MS)
+    assert state.air or state.events
+    channel = Channel(given)
+    first = channel.advance(state, powers, [], SECOND_NS)
+    assert channel.advance(state, powers, [], SECOND_NS) == first
+
+
+def test_the_seed_changes_the_backoffs() -> None:
+    """Another seed is another channel."""
+    frames = random_frames(8, 5, MS)
+    first = run(parameters(seed=1), equal_powers(8), frames, SECOND_NS)
+    assert run(parameters(seed=1), equal_powers(8), frames, SECOND_NS) == first
+    assert run(parameters(seed=2), equal_powers(8), frames, SECOND_NS) != first
+
+
+def test_parameters_are_values() -> None:
+    """Equal settings are equal, so that they can be keys."""
+    assert parameters() == parameters()
+    assert replace(parameters(), seed=2) != parameters()

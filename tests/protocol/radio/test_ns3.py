@@ -1,0 +1,28 @@
+"""The channel against ns-3: committed numbers of `make radio`, for the same sends."""
+
+import pytest
+
+from benchmarks.radio import model
+from benchmarks.radio.cases import Case, cases
+from benchmarks.radio.results import differences, numbers, read
+
+REFERENCE = read()
+MOST_QUICK = 4  # stations of a case that takes a fraction of a second
+
+
+def parameter(case: Case) -> object:
+    """Return a case as a parameter; those of large teams take seconds."""
+    is_slow = len(case.positions) > MOST_QUICK
+    return pytest.param(case, id=case.name, marks=[pytest.mark.slow] if is_slow else [])
+
+
+@pytest.mark.parametrize("case", [parameter(case) for case in cases()])
+def test_deliveries_and_delays_are_those_of_ns3(case: Case) -> None:
+    """Delivered share within 3 points, p50 and p99 of the delay within 10 % or 0.2 ms."""
+    arrivals, _ = model.run(case)
+    assert differences(numbers(case, arrivals), REFERENCE[case.name]) == []
+
+
+def test_every_case_has_a_reference() -> None:
+    """The committed numbers are those of the cases as they are."""
+    assert list(REFERENCE) == [case.name for case in cases()]

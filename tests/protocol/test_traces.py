@@ -1,0 +1,75 @@
+"""Traces of links: recorded delays and losses, in their order."""
+
+import importlib.util
+import threading
+from pathlib import Path
+
+import pytest
+
+from tests.support.runs import setup
+from transport.protocol.scenario.file import ScenarioError, validate
+from transport.protocol.scenario.links import traced_delay_s
+from transport.protocol.scenario.setup import Setup
+
+TRACE = "links.trace=[[0.0,0.01],[0.05,0.3],[0.1,-1.0],[0.15,0.02]]"
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "record_link.py"
+
+
+def test_a_trace_is_followed_and_repeated() -> None:
+    """Messages have the delays of the rows at their instants, lost ones none, and again from the start."""
+    link = setup(TRACE).link("agent1", "agent2")
+    delays = [link.delays(tick) for tick in range(8)]
+    assert delays == 2 * [[0.01], [0.3], [], [0.02]]
+
+
+def test_rows_hold_until_the_next() -> None:
+    """Between two rows the earlier one holds; the last one as long as the one before."""
+    trace = [[1.0, 0.1], [1.2, 0.2], [1.5, 0.3]]
+    at_s = {0.0: 0.1, 0.19: 0.1, 0.2: 0.2, 0.49: 0.2, 0.5: 0.3, 0.79: 0.3, 0.8: 0.1}
+    assert {t_s: traced_delay_s(trace, t_s) for t_s in at_s} == at_s
+
+
+def test_losses_act_beside_a_trace() -> None:
+    """Loss of the link takes messages that the trace has delivered."""
+    link = setup(TRACE, "links.loss=1.0").link("agent1", "agent2")
+    assert [link.delays(tick) for tick in range(4)] == [[], [], [], []]
+
+
+def test_a_trace_comes_from_a_file(tmp_path: Path) -> None:
+    """A file is read relative to the scenario; garbage in it is refused with its name."""
+    tree = setup().scenario.tree()
+    tree["links"] = {"override": [{"from": "agent2", "trace": "roof.csv"}]}
+    source = str(tmp_path / "scenario.toml")
+    (tmp_path / "roof.csv").write_text("t_s,delay_s\n0.0,0.02\n0.05,lost\n")
+    built = Setup.of(validate(tree, source), source)
+    assert built.link("agent2", "agent1").delays(0) == [0.02]
+    assert built.link("agent2", "agent1").delays(1) == []
+    assert built.link("agent1", "agent2").delays(1) == [0.0]
+    for content in (
+        "0.0,0.02\n0.05,0.1\n",
+        "t_s,delay_s\n0.0,0.1\n",
+        "t_s,delay_s\n0.1,0.1\n0.0,0.1\n",
+        "t_s,delay_s\n0.0,0.1\n0.1,soon\n",
+        "t_s,delay_s\n-1.0,0.1\n0.0,0.1\n",
+    ):
+        (tmp_path / "roof.csv").write_text(content)
+        with pytest.raises(ScenarioError, match="trace"):
+            Setup.of(validate(tree, source), source)
+
+
+def test_the_example_records_a_trace(tmp_path: Path) -> None:
+    """The example's recorder and answerer write a trace of the loopback that a scenario accepts."""
+    spec = importlib.util.spec_from_file_location("record_link", EXAMPLE)
+    assert spec is not None
+    assert spec.loader is not None
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+
+    path = tmp_path / "trace.csv"
+    answerer = threading.Thread(target=example.answer, args=(example.PORT, 4), daemon=True)
+    answerer.start()
+    example.record("127.0.0.1", str(path), seconds=0.2)
+    heading, *rows = path.read_text().splitlines()
+    assert heading == "t_s,delay_s"
+    assert [row.split(",")[0] for row in rows] == ["0.000", "0.050", "0.100", "0.150"]
+    assert setup(f"links.trace={path}").scenario.links.trace is not None

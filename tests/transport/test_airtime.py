@@ -1,0 +1,101 @@
+"""Radio in summary, report and viewer: the numbers of the coordinator's news."""
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from tests.support.runs import recorded, setup, ticks
+from transport.analysis.airtime import radio_of
+from transport.analysis.analysed_run import AnalysedRun
+from transport.experiments.cases import run_in_memory
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Airtime
+from transport.report.figures import fill
+from transport.report.report import _radio
+from transport.report.style import RC
+from transport.scene.history import RunHistory
+from transport.scene.scene import SceneBuilder
+from transport.viewer import html
+
+TICKS = 10
+AT_ONE_INSTANT = "radio={offsets='none',computation_deviation_s=0.0}"
+CLOSED_LOOP = "controller.prediction=closed_loop", "controller.received_plans=by_age"
+ROUNDING = 1e-9
+
+
+def run_of(*settings: str) -> Setup:
+    """Return a short run."""
+    return setup(ticks(TICKS), *CLOSED_LOOP, *settings)
+
+
+def test_numbers_of_slots() -> None:
+    """With slots every plan arrives; each link has its share and delays."""
+    run = run_of("radio={}")
+    radio = radio_of(run, run_in_memory(run))
+    assert radio is not None
+    assert radio["delivered_share"] == 1.0
+    assert radio["transmissions"] == 4 * (TICKS - 1)
+    assert radio["repetitions"] == radio["collisions"] == 0
+    assert 0.0 < radio["delay_ms"]["p50"] <= radio["delay_ms"]["p99"] <= radio["delay_ms"]["max"]
+    assert len(radio["links"]) == 4 * 3
+    assert {link["delivered_share"] for link in radio["links"]} == {1.0}
+
+
+def test_numbers_at_one_instant() -> None:
+    """With all sends at one instant there are collisions, and no delay."""
+    run = run_of(AT_ONE_INSTANT)
+    radio = radio_of(run, run_in_memory(run))
+    assert radio is not None
+    assert radio["delivered_share"] == 0.0
+    assert radio["collisions"] == 4 * 3 * (TICKS - 1)
+    assert radio["delay_ms"] == {"p50": None, "p99": None, "max": None}
+    assert "0.0% delivered" in _radio(radio)
+    assert f"{4 * 3 * (TICKS - 1)} lost by collisions" in _radio(radio)
+
+
+def test_without_a_radio_there_are_no_numbers() -> None:
+    """A run without `[radio]` has none of its numbers."""
+    run = run_of()
+    assert radio_of(run, run_in_memory(run)) is None
+
+
+def test_the_viewer_shows_the_last_second() -> None:
+    """The panel has airtime and deliveries of the ticks until the one shown."""
+    run = run_of("radio={}")
+    messages = recorded(run)
+    history = RunHistory(run)
+    history.add(messages)
+    builder = SceneBuilder(run, history)
+    scene = builder.at(TICKS - 1)
+    assert scene.air is not None
+    busy_s = sum(one.busy_s for one in messages if isinstance(one, Airtime))
+    period_s = run.settings.sampling_period_s
+    assert scene.air.airtime_share == pytest.approx(busy_s / ((TICKS - 1) * period_s), rel=ROUNDING)
+    assert scene.air.delivered_share == 1.0
+    assert "100% delivered" in html.flight(scene, 1.0)
+
+    first = builder.at(0)
+    assert first.air is not None
+    assert first.air.delivered_share is None
+    assert np.isclose(first.air.airtime_share, 0.0)
+
+
+def test_the_viewer_of_a_run_without_a_radio() -> None:
+    """The panel has no row for a radio that is not there."""
+    run = run_of()
+    history = RunHistory(run)
+    history.add(recorded(run))
+    assert "radio" not in html.flight(SceneBuilder(run, history).at(3), 1.0)
+
+
+def test_the_figure_has_airtime_deliveries_and_delays() -> None:
+    """A run with a radio has a figure of it, one without has none."""
+    for settings, expected in (("radio={}",), 3), ((), 0):
+        run = run_of(*settings)
+        log = run_in_memory(run)
+        figure = Figure()
+        with mpl.rc_context(RC):
+            drawn = fill(figure, "radio", AnalysedRun.of(run, log))
+        assert drawn == bool(expected)
+        assert len(figure.axes) == expected

@@ -1,0 +1,99 @@
+"""Numbers of the team's radio over a run, from the coordinator's news in its log (docs/radio.md)."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from transport.log.run_log import RunLog
+from transport.model.arrays import Array
+from transport.protocol.radio.frames import Result
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import NO_NEWS, Airtime
+from transport.protocol.wire.names import agent_name
+
+_MS_PER_S = 1e3
+# Losses in the summary.
+_LOSSES = {
+    "collisions": Result.COLLISION,
+    "weak": Result.WEAK,
+    "queue_drops": Result.QUEUE,
+    "given_up": Result.RETRIES,
+}
+
+
+def radio_of(setup: Setup, log: RunLog) -> dict[str, Any] | None:
+    """Return what the team's radio carried, as JSON data; None without one."""
+    section = setup.scenario.radio
+    if section is None:
+        return None
+    news = list(log.of(Airtime))
+    fates = _Fates(news)
+    duration_s = max((one.tick for one in news), default=0) * setup.settings.sampling_period_s
+    busy_s = sum(one.busy_s for one in news)
+    return {
+        "standard": section.standard,
+        "rate_mbps": section.rate_mbps,
+        "airtime_share": busy_s / duration_s if duration_s else None,
+        "delivered_share": fates.delivered_share(),
+        "delay_ms": fates.delays_ms(),
+        **{name: fates.count(result) for name, result in _LOSSES.items()},
+        "transmissions": sum(one.transmissions for one in news),
+        "repetitions": sum(one.repetitions for one in news),
+        "links": _links(setup, fates),
+    }
+
+
+class _Fates:
+    """Arrivals and losses of plans: senders, receivers, delays, a row for each plan and receiver."""
+
+    def __init__(self, news: Iterable[Airtime]) -> None:
+        rows = [_rows(one) for one in news if one.agents]
+        self.table: Array = np.vstack(rows) if rows else np.zeros((0, 4))
+
+    def of_link(self, sender: int, receiver: int) -> "_Fates":
+        """Return those of one link."""
+        part = _Fates([])
+        part.table = self.table[(self.table[:, 0] == sender) & (self.table[:, 1] == receiver)]
+        return part
+
+    def count(self, result: Result) -> int:
+        """Return the number of losses of a kind."""
+        return int(np.count_nonzero(self.table[:, 2] == -float(result)))
+
+    def delivered_share(self) -> float | None:
+        """Return delivered plans over all; None without any."""
+        return float(np.mean(self.table[:, 2] >= 0.0)) if len(self.table) else None
+
+    def delays_ms(self) -> dict[str, float | None]:
+        """Return quantiles of the time from the send to the arrival, ms."""
+        delays_ms = _MS_PER_S * self.table[self.table[:, 2] >= 0.0, 3]
+        if not len(delays_ms):
+            return {"p50": None, "p99": None, "max": None}
+        p50, p99 = np.percentile(delays_ms, [50.0, 99.0])
+        return {"p50": float(p50), "p99": float(p99), "max": float(delays_ms.max())}
+
+
+def _rows(news: Airtime) -> Array:
+    """Return sender, receiver, arrival or loss, and delay of the plans with news, (F, 4)."""
+    agents = np.repeat(np.array(news.agents, dtype=np.float64), len(news.receivers))
+    receivers = np.tile(np.array(news.receivers, dtype=np.float64), len(news.agents))
+    arrivals = news.arrivals.ravel()
+    delays = (news.arrivals - news.sent[:, None]).ravel()
+    rows = np.column_stack([agents, receivers, arrivals, delays])
+    decided: Array = rows[arrivals != NO_NEWS]
+    return decided
+
+
+def _links(setup: Setup, fates: _Fates) -> list[dict[str, Any]]:
+    links = []
+    for sender in setup.agents:
+        for receiver in setup.agents:
+            if sender == receiver:
+                continue
+            link = fates.of_link(sender, receiver)
+            delays_ms = link.delays_ms()
+            ends = {"from": agent_name(sender), "to": agent_name(receiver)}
+            numbers = {"delivered_share": link.delivered_share(), "delay_ms": delays_ms}
+            links.append({**ends, **numbers})
+    return links
