@@ -53,27 +53,31 @@ class RunHistory:
     def add(self, messages: Iterable[Message]) -> None:
         """Add messages; skip those that do not fit the run."""
         for message in messages:
-            match message:
-                case PlantState() if message.x.shape == self.setup.hover.x.shape:
-                    self._add_plant_state(message)
-                case Plan(negotiation=0):
-                    self.plans[message.agent, message.tick] = message
-                case StepReport():
-                    self.reports[message.agent, message.tick] = message
-                case Airtime():
-                    self.airtimes.setdefault(message.tick, []).append(message)
-                case LinkChange() if message.number == len(self.link_changes) + 1:
-                    self.link_changes.append(message)
-                    self.events.append((message.tick, words_of(message)))
-                case Target() if message.number == len(self.setup.maneuver.targets) + 1:
-                    self.setup = self.setup.after([message])
-                    self.events.append((message.tick, target_in_words(message)))
-                case Roster():
-                    self._add_roster(message)
-                case FaultNote():
-                    self.events.append((message.tick, f"{message.target} {message.what}"))
-                case Control():
-                    self.control = message
+            self._add(message)
+
+    def _add(self, message: Message) -> None:
+        """Add a message, if it fits the run."""
+        match message:
+            case PlantState() if message.x.shape == self.setup.hover.x.shape:
+                self._add_plant_state(message)
+            case Plan(negotiation=0):
+                self.plans[message.agent, message.tick] = message
+            case StepReport():
+                self.reports[message.agent, message.tick] = message
+            case Airtime():
+                self.airtimes.setdefault(message.tick, []).append(message)
+            case LinkChange() if message.number == len(self.link_changes) + 1:
+                self.link_changes.append(message)
+                self.events.append((message.tick, words_of(message)))
+            case Target() if message.number == len(self.setup.maneuver.targets) + 1:
+                self.setup = self.setup.after([message])
+                self.events.append((message.tick, target_in_words(message)))
+            case Roster():
+                self._add_roster(message)
+            case FaultNote():
+                self.events.append((message.tick, f"{message.target} {message.what}"))
+            case Control():
+                self.control = message
 
     def _add_plant_state(self, state: PlantState) -> None:
         """Keep a state of the plant, and the range of ticks that can be shown."""
