@@ -29,7 +29,7 @@ from simulations import (
     values,
 )
 
-from transport.experiments.comparison import grade
+from transport.experiments.verdicts import grade
 from transport.plant.engines import engine_version
 
 LATE = ("links.delay_s=0.2", "links.loss=0.3")

@@ -45,7 +45,8 @@ from transport.model.arrays import Array
 from transport.protocol.network.parent import PARENT_PIPE
 from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.protocol.wire.messages import LinkChange, PlantState, Target
-from transport.scene.scene import RunHistory, SceneBuilder
+from transport.scene.history import RunHistory
+from transport.scene.scene import SceneBuilder
 from transport.viewer.playback import Playback
 from transport.viewer.viewer import Viewer, open_viewer
 

@@ -20,7 +20,8 @@ from tests.support.commands import PATIENCE_S, wait_for
 from tests.support.logs import record_run
 from transport.flight.live import LiveRun
 from transport.log.run_log import LogTail
-from transport.scene.scene import RunHistory, SceneBuilder
+from transport.scene.history import RunHistory
+from transport.scene.scene import SceneBuilder
 from transport.viewer.viewer import Viewer
 
 Sent = list[tuple[str, dict[str, Any]]]

@@ -14,7 +14,8 @@ from transport.protocol.wire.messages import Airtime
 from transport.report.figures import fill
 from transport.report.report import _radio
 from transport.report.style import RC
-from transport.scene.scene import RunHistory, SceneBuilder
+from transport.scene.history import RunHistory
+from transport.scene.scene import SceneBuilder
 from transport.viewer import html
 
 TICKS = 10

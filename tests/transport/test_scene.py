@@ -12,13 +12,11 @@ from scipy.spatial import ConvexHull
 from tests.support import runs
 from tests.support.logs import record_run
 from transport.model.arrays import Array
-from transport.scene.drawing import (
-    Drawing,
-    Lines,
-    Mesh,
-    payload_points,
-)
-from transport.scene.scene import RunHistory, SceneBuilder
+from transport.scene.bodies import payload_points
+from transport.scene.drawing import Drawing
+from transport.scene.history import RunHistory
+from transport.scene.parts import Lines, Mesh
+from transport.scene.scene import SceneBuilder
 
 # One step of order 5 over a sampling period against the plant's five, and rounding of the announced
 # inputs.

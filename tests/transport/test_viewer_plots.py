@@ -27,8 +27,10 @@ from transport.flight.live import LiveRun
 from transport.log.run_log import LogTail
 from transport.protocol.scenario.link_changes import PERFECT
 from transport.protocol.wire.messages import LinkChange
-from transport.scene.drawing import OFF_COLOUR, Label
-from transport.scene.scene import RunHistory, SceneBuilder
+from transport.scene.colours import OFF_COLOUR
+from transport.scene.history import RunHistory
+from transport.scene.parts import Label
+from transport.scene.scene import SceneBuilder
 from transport.viewer.camera import FIELD_OF_VIEW
 from transport.viewer.link_controls import groups_of
 from transport.viewer.plots import Plots, rounded_range

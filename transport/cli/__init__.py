@@ -1,1 +1,1 @@
-"""The command line: a module for each command or family of commands, imported when a command is called."""
+"""Command line: a module for each command or family of commands, imported when one is called."""

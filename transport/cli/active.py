@@ -17,7 +17,8 @@ RunOption = Annotated[
     Option(
         "--run",
         metavar="RUN",
-        help="Run folder or name; by default the most recent active run, in runs/ or else anywhere.",
+        help="Run folder or name; by default the most recent active run, in runs/ or else "
+        "anywhere.",
     ),
 ]
 ConnectOption = Annotated[

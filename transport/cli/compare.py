@@ -1,4 +1,4 @@
-"""The command `transport compare`."""
+"""Command `transport compare`: recorded runs in a table and in figures."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -11,7 +11,7 @@ from transport.cli.options import FiguresOption, FormatOption, complete_run, new
 from transport.cli.output import Format, blame, fail, rows, show
 from transport.flight.run_files import new_folder
 from transport.log.run_log import open_run
-from transport.report.compare import Compared, doubts, draw_compared
+from transport.report.compare import Compared, Row, doubts, draw_compared
 from transport.report.compare import rows as quantities
 from transport.report.report import write_csv
 
@@ -31,38 +31,23 @@ def compare(
 ) -> None:
     """Compare recorded runs in a table and in figures.
 
-    Differences are relative to the first run, in percent. Notes on standard error name the differences that make runs
-    hard to compare: another maneuver, other weights, a truncated log.
+    Differences are relative to the first run, in percent. Notes on standard error name the
+    differences that make runs hard to compare: another maneuver, other weights, a truncated log.
 
     Example: transport compare paper=runs/20260102-101500-paper resilient=runs/20260102-101600-resilient
     """
-    chosen = runs or [str(folder) for folder in reversed(newest_runs()[:2])]
-    if len(chosen) < 2:
-        fail(f"RUN: expected at least two runs, got {len(chosen)}")
-    compared = list(_read(chosen))
-    usable = sum(len(one.series.ticks) > 0 for one in compared)
-    if usable < 2:
-        fail(f"expected at least two logs with a simulated tick, got {usable} of {len(compared)}")
+    compared = _chosen(runs or [])
     labels = [one.label for one in compared]
-    if len(set(labels)) < len(labels):
-        fail(f"RUN: expected each label once, got {', '.join(labels)}; LABEL=RUN names one")
-    table, notes = quantities(compared), list(doubts(compared))
+    table = quantities(compared)
+    notes = list(doubts(compared))
+
     folder = out or new_folder(Path("comparisons"), f"{len(compared)}-runs")
-    columns = [
-        "quantity",
-        "unit",
-        *labels,
-        *(f"{label}, more than {labels[0]} (%)" for label in labels[1:]),
-    ]
-    lines = ((row.name, row.unit, *row.values, *row.percent[1:]) for row in table)
     with blame("--out"):
         folder.mkdir(parents=True, exist_ok=True)
-        write_csv(
-            folder / "compare.csv",
-            (dict(zip(columns, line, strict=True)) for line in lines),
-            columns,
-        )
-        files = [folder / "compare.csv", *(draw_compared(compared, folder) if figures else ())]
+        files = [_written(folder / "compare.csv", labels, table)]
+        if figures:
+            files += draw_compared(compared, folder)
+
     for note in notes:
         typer.echo(f"note: {note}", err=True)
     content = {
@@ -71,25 +56,58 @@ def compare(
         "notes": notes,
         "files": [str(file) for file in files],
     }
-    shown: list[dict[str, Any]] = [
-        {"": f"{row.name} ({row.unit})" if row.unit else row.name}
-        | {
-            label: value
-            if i == 0 or percent is None
-            else f"{value:.4g}  {f'{percent:+.1f}%' if percent else '=':>7}"
-            for i, (label, value, percent) in enumerate(
-                zip(labels, row.values, row.percent, strict=True)
-            )
-        }
-        for row in table
-    ]
+    shown = [_in_words(row, labels) for row in table]
     show(output, content, rows(shown, ""), *(f" {file}" for file in files))
 
 
+def _chosen(runs: Sequence[str]) -> list[Compared]:
+    """Return the runs that are compared.
+
+    End the command if there are not two with labels of their own.
+    """
+    chosen = runs or [str(folder) for folder in reversed(newest_runs()[:2])]
+    if len(chosen) < 2:
+        fail(f"RUN: expected at least two runs, got {len(chosen)}")
+
+    compared = list(_read(chosen))
+    usable = sum(len(one.series.ticks) > 0 for one in compared)
+    if usable < 2:
+        fail(f"expected at least two logs with a simulated tick, got {usable} of {len(compared)}")
+
+    labels = [one.label for one in compared]
+    if len(set(labels)) < len(labels):
+        fail(f"RUN: expected each label once, got {', '.join(labels)}; LABEL=RUN names one")
+    return compared
+
+
+def _written(path: Path, labels: Sequence[str], table: Sequence[Row]) -> Path:
+    """Write a table with the values and the differences of all runs; return its path."""
+    differences = [f"{label}, more than {labels[0]} (%)" for label in labels[1:]]
+    columns = ["quantity", "unit", *labels, *differences]
+    lines = [(row.name, row.unit, *row.values, *row.percent[1:]) for row in table]
+    write_csv(path, [dict(zip(columns, line, strict=True)) for line in lines], columns)
+    return path
+
+
+def _in_words(row: Row, labels: Sequence[str]) -> dict[str, Any]:
+    """Return a line of the table on the console: values, and differences from the first run."""
+    line: dict[str, Any] = {"": f"{row.name} ({row.unit})" if row.unit else row.name}
+    runs = zip(labels, row.values, row.percent, strict=True)
+    for i, (label, value, percent) in enumerate(runs):
+        line[label] = value
+        if i > 0 and percent is not None:
+            difference = f"{percent:+.1f}%" if percent else "="
+            line[label] = f"{value:.4g}  {difference:>7}"
+    return line
+
+
 def _read(arguments: Sequence[str]) -> Iterator[Compared]:
+    """Yield the runs of arguments RUN or LABEL=RUN."""
     for argument in arguments:
-        name, equals, path = argument.partition("=")
+        label, equals, path = argument.partition("=")
         # The name of a folder may contain an equals sign.
-        label, given = (name, path) if equals and not Path(argument).exists() else ("", argument)
-        folder = run_folder(Path(given))
+        if not equals or Path(argument).exists():
+            label = ""
+            path = argument
+        folder = run_folder(Path(path))
         yield Compared.of(label or folder.resolve().name, open_run(folder, horizons=False))

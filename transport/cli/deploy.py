@@ -1,4 +1,4 @@
-"""The commands `transport deploy`: keys and folders for a run on several hosts."""
+"""Commands `transport deploy`: keys and folders for a run on several hosts."""
 
 from pathlib import Path
 
@@ -32,12 +32,14 @@ def keys(
     processes = process_names(read_setup(scenario, allow_large=True).scenario)
     names = [*processes, *OTHERS]
     addresses = {name: list(LOOPBACK) for name in names}
+
     if hosts is not None:
         inventory = read_inventory(hosts, processes)
         for host in inventory.host:
             for name in host.runs:
                 addresses[name].append(host.address)
         addresses[ROUTER] = [*LOOPBACK, *[host.address for host in inventory.routers]]
+
     make_certificates(out, addresses, days)
     show(output, {"folder": str(out), "processes": names})
     if output is Format.text:
@@ -66,9 +68,8 @@ def render(
     setup = read_setup(scenario, settings, allow_large=large)
     inventory = read_inventory(hosts, process_names(setup.scenario))
     folders = [str(folder) for folder in render_folders(setup, inventory, keys, out)]
+
     if keys is None:
-        typer.echo(
-            "warning: without keys, all who can reach these hosts can read and send every message",
-            err=True,
-        )
+        risk = "all who can reach these hosts can read and send every message"
+        typer.echo(f"warning: without keys, {risk}", err=True)
     show(output, {"folders": folders}, *(f" {folder}" for folder in folders))

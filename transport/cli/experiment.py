@@ -1,4 +1,4 @@
-"""The commands `transport experiment`: one for each declared experiment, and the paper's comparison."""
+"""Commands `transport experiment`: one for each declared experiment, and the paper's comparison."""
 
 import inspect
 import math
@@ -29,7 +29,7 @@ from transport.experiments import (
 from transport.experiments.cases import Case, Result, cases_of, refused
 from transport.experiments.declaration import EXPERIMENTS, Experiment, Values
 from transport.experiments.statistics import TITLE, WIDTH, PointStatistics, conclusions, table_of
-from transport.experiments.sweep import Results, sweep, write_markdown
+from transport.experiments.sweep import Results, Swept, sweep, write_markdown
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.run_files import machine
 from transport.protocol.scenario.budget import ADMITTED, MB, MOST_TOTAL_BYTES, most_workers
@@ -53,6 +53,8 @@ _SCENARIO = (
     "deaths, sharing: resilient; agile: eight). Repeatable."
 )
 _QUICK_SEEDS = 2
+# Drawing of the experiments whose runs are timed.
+_TIMED = "scaling"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,16 +91,20 @@ class ExperimentOptions:
     @property
     def repetitions(self) -> int:
         """Number of seeds of random runs."""
-        seeds = self.declared.seeds
-        return self.seeds or (min(seeds, _QUICK_SEEDS) if self.quick else seeds)
+        if self.seeds:
+            return self.seeds
+        return min(self.declared.seeds, _QUICK_SEEDS) if self.quick else self.declared.seeds
 
     def changes(self) -> list[str]:
         """Return the changes of every scenario, the experiment's own maneuver first."""
         maneuver = self.declared.quick_maneuver if self.quick else self.declared.maneuver
-        return [*([maneuver] if maneuver else []), *(self.settings or [])]
+        own = [maneuver] if maneuver else []
+        return [*own, *(self.settings or [])]
 
     def read(self) -> dict[str, Scenario]:
-        """Return the scenarios by name, with the changes of every scenario; none for teams of the experiment's own.
+        """Return the scenarios by name, with the changes of every scenario.
+
+        There are none if the experiment has teams of its own.
 
         Raises: ExperimentError: options exclude each other. ScenarioError: a scenario is refused.
         """
@@ -106,6 +112,7 @@ class ExperimentOptions:
             if self.jobs is not None:
                 raise refused("--dask", "only one of --dask and --jobs", "both")
             check_cluster(self.dask)
+
         names = self.scenarios or list(self.declared.scenarios)
         if len(set(names)) < len(names):
             raise refused("--scenario", "each value once", ", ".join(names))
@@ -118,7 +125,8 @@ class ExperimentOptions:
         """Return the folder of an experiment; say that `--quick` gives no measurement."""
         if self.quick:
             typer.echo("--quick: a trial, no measurement", err=True)
-        return self.out or RUNS / f"experiment-{name}-{datetime.now(UTC).strftime('%Y%m%d-%H%M%S')}"
+        time_utc = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
+        return self.out or RUNS / f"experiment-{name}-{time_utc}"
 
     def simulate(self, cases: Sequence[Case]) -> Iterable[Result]:
         """Simulate cases: on a cluster, or on the cores of this machine.
@@ -129,6 +137,7 @@ class ExperimentOptions:
         """
         if self.dask is not None:
             return on_cluster(cases, address=self.dask)
+
         jobs = min(len(cases), self.jobs or self.declared.jobs or joblib.cpu_count())
         most = jobs if self.allow_large else most_workers(case.scenario for case in cases)
         if jobs > most and self.jobs is not None:
@@ -138,9 +147,12 @@ class ExperimentOptions:
 
 
 def _options_of(declared: Experiment) -> Callable[..., ExperimentOptions]:
-    """Return the options of an experiment; one with teams of its own takes no scenario and runs on this machine."""
-    fixed: dict[str, Any] = {} if declared.scenarios else {"scenarios": None, "dask": None}
-    return partial(ExperimentOptions, declared=declared, **fixed)
+    """Return the options of an experiment.
+
+    One with teams of its own takes no scenario and runs on this machine.
+    """
+    bound: dict[str, Any] = {} if declared.scenarios else {"scenarios": None, "dask": None}
+    return partial(ExperimentOptions, declared=declared, **bound)
 
 
 def __getattr__(name: str) -> Callable[..., None]:
@@ -152,39 +164,47 @@ def __getattr__(name: str) -> Callable[..., None]:
     def command(options: ExperimentOptions, **given: Any) -> None:
         _conduct(name, declared, options, given)
 
-    command.__name__, command.__doc__ = name, declared.build.__doc__
-    first = inspect.Parameter("options", inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    command.__name__ = name
+    command.__doc__ = declared.build.__doc__
+    common = inspect.Parameter("options", inspect.Parameter.POSITIONAL_OR_KEYWORD)
     own = [
         _parameter(option, values) for option, values in declared.options.items() if values.metavar
     ]
-    command.__signature__ = inspect.Signature([first, *own])  # type: ignore[attr-defined]
+    command.__signature__ = inspect.Signature([common, *own])  # type: ignore[attr-defined]
     return with_options(_options_of(declared))(command)
 
 
 def _parameter(name: str, values: Values) -> inspect.Parameter:
-    """Return an option as a parameter of its command; None stands for a default that depends on `--quick`."""
-    several = isinstance(values.default, list)
-    depends = several or values.quick is not None
-    help_text = values.help
-    if depends:
-        shown = (
-            value if isinstance(value, str) else f"{value:g}"
-            for value in np.atleast_1d(values.default).tolist()
-        )
-        help_text = (
-            f"{help_text.rstrip('.')}; by default {', '.join(shown)}.{' Repeatable.' * several}"
-        )
+    """Return an option as a parameter of its command.
+
+    None stands for a default that depends on `--quick`.
+    """
+    is_list = isinstance(values.default, list)
+    is_open = is_list or values.quick is not None
     option = Option(
-        f"--{name}", metavar=values.metavar, help=help_text, min=values.least, max=values.most
+        f"--{name}",
+        metavar=values.metavar,
+        help=_help_of(values) if is_open else values.help,
+        min=values.least,
+        max=values.most,
     )
-    one = type(values.default[0] if several else values.default)
-    kind: Any = list[one] if several else one  # type: ignore[valid-type]
+
+    element = type(values.default[0] if is_list else values.default)
+    kind: Any = list[element] if is_list else element  # type: ignore[valid-type]
     return inspect.Parameter(
         name,
         inspect.Parameter.KEYWORD_ONLY,
-        default=None if depends else values.default,
-        annotation=Annotated[kind | None if depends else kind, option],
+        default=None if is_open else values.default,
+        annotation=Annotated[kind | None if is_open else kind, option],
     )
+
+
+def _help_of(values: Values) -> str:
+    """Return the help of an option with its default, which the command line does not show."""
+    defaults = np.atleast_1d(values.default).tolist()
+    texts = [value if isinstance(value, str) else f"{value:g}" for value in defaults]
+    repeatable = " Repeatable." if isinstance(values.default, list) else ""
+    return f"{values.help.rstrip('.')}; by default {', '.join(texts)}.{repeatable}"
 
 
 def _conduct(
@@ -195,37 +215,46 @@ def _conduct(
     Raises: ExperimentError: a case raised an error, a worker was lost, or the options are refused.
     """
     experiment = declared.experiment(options.read(), given, quick=options.quick)
-    timed = experiment.drawn_as == "scaling"
     cases = cases_of(
         experiment.points,
         options.changes(),
         options.repetitions,
-        timed=timed,
+        timed=experiment.drawn_as == _TIMED,
         allow_large=options.allow_large,
     )
+
     folder = options.folder(name)
     with Results(name, folder) as results:
         done = sum(results.done(case.key) for case in cases)
         if done:
             typer.echo(f"{done} of {len(cases)} runs are done already", err=True)
         swept = sweep(experiment, cases, options.simulate, results, Console(stderr=True))
+
     measured = swept.measured
-    title = f"{name}: {TITLE}" + (" (trial, no measurement)" if options.quick else "")
-    if timed:
-        phases = cases[0].scenario.maneuver.phase  # the same in all cases
-        title += f"\n{sum(phase.duration_s for phase in phases):g} s of {', '.join(phase.name for phase in phases)}"
-    sentences, table = conclusions(measured), table_of(title, measured)
+    sentences = conclusions(measured)
+    table = table_of(_title(name, swept, options), measured)
     files = swept.write(folder)
     lines = write_markdown(folder, sentences, table, files)
     content = {
         "experiment": name,
-        "points": [_content(m) for m in measured],
+        "points": [_content(point) for point in measured],
         "findings": sentences,
         "machine": machine(),
         "files": [str(file) for file in files],
     }
     show(options.output, content, table, *lines, width=WIDTH)
     swept.check()
+
+
+def _title(name: str, swept: Swept, options: ExperimentOptions) -> str:
+    """Return the title of a table; that of a timed experiment names its maneuver."""
+    title = f"{name}: {TITLE}" + (" (trial, no measurement)" if options.quick else "")
+    if swept.experiment.drawn_as != _TIMED:
+        return title
+
+    phases = swept.cases[0].scenario.maneuver.phase  # the same in all cases
+    duration_s = sum(phase.duration_s for phase in phases)
+    return f"{title}\n{duration_s:g} s of {', '.join(phase.name for phase in phases)}"
 
 
 @with_options(_options_of(comparison.DECLARED))
@@ -237,15 +266,17 @@ def paper(
 ) -> None:
     """The paper's claim: centralized against distributed.
 
-    Runs both controllers at a grid of sampling periods and compares mean cost over processor time, which is measured
-    first.
+    Runs both controllers at a grid of sampling periods and compares mean cost over processor time,
+    which is measured first.
 
-    Prints a table, and verdicts at equal sampling rate and at equal computation with their ranges; writes figures.
+    Prints a table, and verdicts at equal sampling rate and at equal computation with their ranges;
+    writes figures.
 
     Example: transport experiment paper --seeds 10
     """
     if not 0.0 <= gust < math.inf:
         raise refused("--gust", "a speed >= 0 m/s", f"{gust:g}")
+
     folder = options.folder("paper")
     compared = comparison_report.ComparisonOptions(
         settings=options.changes(),
@@ -259,18 +290,20 @@ def paper(
     show(options.output, content, table, *lines, width=WIDTH)
 
 
-def _content(m: PointStatistics) -> dict[str, Any]:
+def _content(statistics: PointStatistics) -> dict[str, Any]:
     """Return the statistics of a point as JSON data."""
+    point = statistics.point
     return {
-        "scenario": m.point.scenario,
-        "point": m.point.text,
-        "labels": dict(m.point.labels),
-        "runs": m.runs,
-        "completed": m.completed,
-        "errors": m.errors,
-        "diverged_s": list(m.diverged_s),
-        "cost_ratio": m.cost_ratio,
+        "scenario": point.scenario,
+        "point": point.text,
+        "labels": dict(point.labels),
+        "runs": statistics.runs,
+        "completed": statistics.completed,
+        "errors": statistics.errors,
+        "diverged_s": list(statistics.diverged_s),
+        "cost_ratio": statistics.cost_ratio,
         "numbers": {
-            name: None if value is None else value._asdict() for name, value in m.numbers.items()
+            name: None if value is None else value._asdict()
+            for name, value in statistics.numbers.items()
         },
     }

@@ -1,6 +1,7 @@
-"""Command groups that import a command when it is called: `--help` and other commands do not pay for its imports.
+"""Command groups that import a command when it is called.
 
-Errors of all commands become one line and an exit code here.
+`--help` and other commands do not pay for its imports. Errors of all commands become one line and
+an exit code here.
 """
 
 import gc
@@ -23,7 +24,10 @@ _PLAIN: dict[str, Any] = {
 }
 # As in protocol.wire.exit_codes, which `--help` does not import.
 _USAGE = 2
+
+# Beginning of the example in a docstring; after \b the paragraph is not wrapped.
 _EXAMPLE = "\n\nExample:"
+_UNWRAPPED_EXAMPLE = "\n\n\b\nExample:"
 # Optional packages, and the extra that installs each.
 _EXTRAS = {
     "cryptography": "deploy",
@@ -37,7 +41,10 @@ Entry = tuple[str, str]
 
 
 def load(module: str) -> Any:
-    """Import a module without garbage collections: they find nothing, and take a tenth of the time."""
+    """Import a module without garbage collections.
+
+    They find nothing, and take a tenth of the time.
+    """
     gc.disable()
     try:
         return import_module(module)
@@ -46,44 +53,54 @@ def load(module: str) -> Any:
 
 
 class Command(TyperCommand):
-    """Command whose help keeps the example on one line, and that tells an error which the user can solve in a line."""
+    """Command that tells an error which the user can solve in one line.
+
+    Its help keeps the example on one line.
+    """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         if self.help:
-            self.help = self.help.replace(
-                _EXAMPLE, f"\n\n\b{_EXAMPLE[1:]}"
-            )  # \b: the paragraph is not wrapped
+            self.help = self.help.replace(_EXAMPLE, _UNWRAPPED_EXAMPLE)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; other errors are bugs and keep their traceback."""
-        from transport.protocol.scenario.errors import ScenarioError
         from transport.protocol.wire.errors import TransportError
 
         try:
             return super().invoke(ctx)
         except TransportError as error:
-            blamed = (
-                error.blaming(ctx.params.get("settings") or [])
-                if isinstance(error, ScenarioError)
-                else error
-            )
-            text, code = str(blamed), error.exit_code
+            text = _blamed(error, ctx.params.get("settings") or [])
+            code = error.exit_code
         except OSError as error:
-            if error.filename is not None:
-                text = f"{error.filename}: {error.strerror}"
-            elif _current_folder_is_gone():
-                text = "expected a current folder, got one that has been removed"
-            else:
-                raise
+            text = _file_problem(error)
             code = _USAGE
+            if not text:
+                raise
         except ModuleNotFoundError as error:
             if error.name not in _EXTRAS:
                 raise
             extra = f"pip install 'payload-transport[{_EXTRAS[error.name]}]'"
-            text, code = f"expected the package {error.name}, got none: {extra}", _USAGE
+            text = f"expected the package {error.name}, got none: {extra}"
+            code = _USAGE
         typer.echo(f"transport: {text}", err=True)
         raise typer.Exit(code)
+
+
+def _blamed(error: Exception, settings: Sequence[str]) -> str:
+    """Return the text of an error, which names the settings that caused it."""
+    from transport.protocol.scenario.errors import ScenarioError
+
+    return str(error.blaming(settings) if isinstance(error, ScenarioError) else error)
+
+
+def _file_problem(error: OSError) -> str:
+    """Return the text of an error that the user can solve; empty for another one."""
+    if error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    if _current_folder_is_gone():
+        return "expected a current folder, got one that has been removed"
+    return ""
 
 
 def _current_folder_is_gone() -> bool:
@@ -96,20 +113,22 @@ def _current_folder_is_gone() -> bool:
 
 
 class LazyGroup(TyperGroup):
-    """Group whose `commands` are stand-ins with a name and one line of help until one of them is called."""
+    """Group whose commands are stand-ins until they are called.
+
+    A stand-in has a name and one line of help.
+    """
 
     table: ClassVar[Mapping[str, Entry]] = {}
-    sections: ClassVar[
-        Mapping[str, Sequence[str]]
-    ] = {}  # names of commands and groups by heading of the help
+    # Names of commands and groups by heading of the help.
+    sections: ClassVar[Mapping[str, Sequence[str]]] = {}
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        stand_ins = {
+        commands: dict[str, Any] = {
             name: TyperCommand(name, short_help=line) for name, (_, line) in self.table.items()
         }
-        found = {**stand_ins, **self.commands}
-        self.commands = {name: found[name] for names in self.sections.values() for name in names}
+        commands |= self.commands
+        self.commands = {name: commands[name] for names in self.sections.values() for name in names}
 
     def main(self, *arguments: Any, **options: Any) -> Any:
         """Run the command line; a usage error is one line, like every other error."""
@@ -118,62 +137,81 @@ class LazyGroup(TyperGroup):
         except typer.TyperException as error:
             context = getattr(error, "ctx", None)
             path = "transport" if context is None else context.command_path
-            text = " ".join(error.format_message().split()).rstrip(".")
-            problems: list[Any] = getattr(
-                error.__cause__, "errors", list
-            )()  # pydantic's, without the given value
-            if problems:
-                given = repr(problems[0]["input"])
-                text = text.replace("Input should be", "expected").replace("Value error, ", "")
-                text += f", got {given}" * (given not in text)
+            text = _usage_problem(error)
             typer.echo(f"transport: {text[:1].lower()}{text[1:]} ({path} --help)", err=True)
             code = error.exit_code
+
         sys.exit(code if isinstance(code, int) else 0)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Return the arguments after the options of the group; without any, print the help instead."""
+        """Return the arguments after the options of the group.
+
+        Without any arguments the help is printed instead.
+        """
         if not args and not ctx.resilient_parsing:
             typer.echo(ctx.get_help(), err=True)
             raise typer.Exit(_USAGE)
         return super().parse_args(ctx, args)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return name, command and remaining arguments, with the stand-in replaced by the imported command."""
+        """Return name, command and remaining arguments.
+
+        A stand-in is replaced by the imported command.
+        """
         name, command, rest = super().resolve_command(ctx, args)
-        return name, self.load(name) if name and name in self.table else command, rest
+        if name and name in self.table:
+            command = self.load(name)
+        return name, command, rest
 
     def load(self, name: str) -> Any:
         """Import the command of a name in the table."""
-        module, _, function = self.table[name][0].partition(":")
+        module, _, function_name = self.table[name][0].partition(":")
+        function = getattr(load(f"transport.cli.{module}"), function_name)
+        settings = getattr(function, "context_settings", None)
+
         single = typer.Typer(**_PLAIN)
-        found = getattr(load(f"transport.cli.{module}"), function)
-        single.command(
-            name, cls=Command, context_settings=getattr(found, "context_settings", None)
-        )(found)
+        single.command(name, cls=Command, context_settings=settings)(function)
         return typer.main.get_command(single)
 
     def format_commands(self, _: Any, formatter: Any) -> None:
         """Write a list of commands under each heading, with equal columns."""
         width = max(map(len, self.commands))
+        most = formatter.width - 6 - width
         for heading, names in self.sections.items():
+            lines = [
+                (name.ljust(width), self.commands[name].get_short_help_str(most)) for name in names
+            ]
             with formatter.section(heading):
-                lines = {
-                    name: self.commands[name].get_short_help_str(formatter.width - 6 - width)
-                    for name in names
-                }
-                formatter.write_dl([(name.ljust(width), line) for name, line in lines.items()])
+                formatter.write_dl(lines)
+
+
+def _usage_problem(error: Any) -> str:
+    """Return a usage error in one line, with the value that was given."""
+    text = " ".join(error.format_message().split()).rstrip(".")
+    problems: list[Any] = getattr(error.__cause__, "errors", list)()  # pydantic's
+    if not problems:
+        return text
+
+    text = text.replace("Input should be", "expected").replace("Value error, ", "")
+    given = repr(problems[0]["input"])
+    return text if given in text else f"{text}, got {given}"
 
 
 def lazy_group(
     sections: Mapping[str, Mapping[str, Entry | typer.Typer]], **options: Any
 ) -> typer.Typer:
-    """Return a group of commands and groups under headings, with options of `typer.Typer`, such as help and epilog."""
+    """Return a group of commands and groups under headings.
+
+    `options` are those of `typer.Typer`, such as help and epilog.
+    """
     entries = {name: entry for members in sections.values() for name, entry in members.items()}
-    own = {
+    attributes = {
         "table": {name: entry for name, entry in entries.items() if isinstance(entry, tuple)},
         "sections": {heading: list(members) for heading, members in sections.items()},
     }
-    group = typer.Typer(cls=type("Group", (LazyGroup,), own), **_PLAIN | options)
+    group_class = type("Group", (LazyGroup,), attributes)
+    group = typer.Typer(cls=group_class, **_PLAIN | options)
+
     for name, entry in entries.items():
         if isinstance(entry, typer.Typer):
             group.add_typer(entry, name=name)
@@ -185,30 +223,22 @@ def with_options(
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that gives a command shared options, after its own.
 
-    The annotated parameters of all `options`, but those that a `partial` has bound, become options, and their results
-    the first arguments of the command.
+    The annotated parameters of all `options`, but those that a `partial` has bound, become options,
+    and their results the first arguments of the command.
     """
+    shared = [_parameters_of(option) for option in options]
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         own = list(inspect.signature(command).parameters.values())[len(options) :]
-        shared = [
-            {
-                name: parameter
-                for name, parameter in inspect.signature(option).parameters.items()
-                if get_origin(parameter.annotation) is Annotated
-                and name not in getattr(option, "keywords", ())
-            }
-            for option in options
-        ]
+        parameters = [*own, *(parameter for names in shared for parameter in names.values())]
 
         @wraps(command)
         def with_shared(**given: Any) -> None:
-            made = [{name: given.pop(name) for name in names} for names in shared]
-            command(
-                *(option(**values) for option, values in zip(options, made, strict=True)), **given
-            )
+            results = []
+            for option, names in zip(options, shared, strict=True):
+                results.append(option(**{name: given.pop(name) for name in names}))
+            command(*results, **given)
 
-        parameters = [*own, *(parameter for of in shared for parameter in of.values())]
         with_shared.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         with_shared.__annotations__ = {
             parameter.name: parameter.annotation for parameter in parameters
@@ -216,3 +246,13 @@ def with_options(
         return with_shared
 
     return decorate
+
+
+def _parameters_of(option: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """Return the annotated parameters of shared options that a `partial` has not bound."""
+    bound = getattr(option, "keywords", ())
+    return {
+        name: parameter
+        for name, parameter in inspect.signature(option).parameters.items()
+        if get_origin(parameter.annotation) is Annotated and name not in bound
+    }

@@ -28,7 +28,10 @@ LogArgument = Annotated[
 
 
 def _open(given: Path | None) -> tuple[Path, RunLog, Setup | None]:
-    """Return file and content of a log, and its run, None if its scenario is missing or of another version."""
+    """Return file and content of a log, and its run.
+
+    The run is None if its scenario is missing or of another version.
+    """
     path = run_folder(given)
     file = path / "run.mcap" if path.is_dir() else path
     log = read_log(file)
@@ -107,7 +110,10 @@ class TableOptions:
     ] = None
 
     def check(self) -> None:
-        """End the command if a kind of message does not exist; load the package that writes Parquet."""
+        """End the command if a kind of message does not exist.
+
+        Loads the package that writes Parquet.
+        """
         unknown = sorted(set(self.kinds or []) - set(KINDS))
         if unknown:
             fail(f"--kind: expected one of {', '.join(KINDS)}, got {unknown[0]!r}")
@@ -129,7 +135,8 @@ def export(
 ) -> None:
     """Write a log as tables, for Foxglove, or as a bag for ROS 2.
 
-    A table for each kind of message: arrays become columns whose names end in their units; docs/log.md lists them.
+    A table for each kind of message: arrays become columns whose names end in their units;
+    docs/log.md lists them.
 
     Example: transport log export runs/20260102-101500-paper --parquet --out tables
     """
@@ -205,7 +212,10 @@ def _write_parquet(target: Path, table: list[Row], metadata: Mapping[str, str]) 
 
 
 def _export_scenes(log: RunLog, setup: Setup, out: Path, *, is_bag: bool) -> int:
-    """Write a log with its 3D scene, as a bag of ROS 2 or for Foxglove; return the number of ticks."""
+    """Write a log with its 3D scene, as a bag of ROS 2 or for Foxglove.
+
+    Returns: The number of ticks.
+    """
     from transport.scene.scene import SceneBuilder
 
     if is_bag:

@@ -1,4 +1,4 @@
-"""The command `transport`: the tables of its commands, and what it answers without one."""
+"""Command `transport`: the tables of its commands, and its answer without one."""
 
 from importlib import metadata
 
@@ -45,8 +45,8 @@ app = lazy_group(
                 {"Commands": _EXPERIMENTS},
                 help="Simulate many variations of a scenario and compare them.\n\n"
                 "Prints a table and confidence intervals; writes tables and a figure.",
-                epilog="Exit codes: 0 done, whatever the result; 2 usage, 3 scenario, 4 cluster or worker lost, "
-                "7 some simulations raised an error, 130 interrupted.",
+                epilog="Exit codes: 0 done, whatever the result; 2 usage, 3 scenario, "
+                "4 cluster or worker lost, 7 some simulations raised an error, 130 interrupted.",
             ),
             "worst": ("worst:worst", "Search for the network that brings the team down."),
             "scenario": lazy_group(
@@ -111,7 +111,8 @@ app = lazy_group(
     },
     name="transport",
     add_completion=True,
-    help="Several UAVs carry one payload; each runs its own model predictive controller in a separate process.\n\n"
+    help="Several UAVs carry one payload; each runs its own model predictive controller in a "
+    "separate process.\n\n"
     "Start with: transport run paper",
     epilog="Exit codes: 0 done, 2 usage, 3 scenario, 4 peer lost or not reachable, "
     "5 deadlines missed, 6 diverged, 7 steps of a controller failed, 8 plans differ (replay), "

@@ -1,4 +1,4 @@
-"""Commands that act on an active run: `status`, `fault`, `link`, `target`, and `metrics` for Prometheus."""
+"""Commands that act on an active run: `status`, `fault`, `link`, `target` and `metrics`."""
 
 import inspect
 import json
@@ -26,7 +26,8 @@ from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER
 
-# Numbers in the answer of a process to `health` (docs/protocol.md): name in Prometheus, description. Two only grow.
+# Numbers in the answer of a process to `health` (docs/protocol.md): name in Prometheus and
+# description. Two only grow.
 METRICS = {
     "tick": ("tick", "Newest tick of the process"),
     "memory_bytes": ("memory_bytes", "Resident memory"),
@@ -61,7 +62,7 @@ def status(
 
 
 class Exporter:
-    """Collector of `prometheus_client` that asks every process of a run, each at its endpoints, at each reading."""
+    """Collector of `prometheus_client` that asks every process of a run at each reading."""
 
     def __init__(self, run: str, places: dict[str, Endpoints]) -> None:
         self._run = run
@@ -263,9 +264,9 @@ def target(
 ) -> None:
     """Send the payload of an active run to a target.
 
-    From the next tick on the reference leaves its path smoothly, also that to an earlier target, and comes to rest
-    there. A target that cannot be flown is refused with the reason. Way points are run through on a smooth curve after
-    the first one.
+    From the next tick on the reference leaves its path smoothly, also that to an earlier target,
+    and comes to rest there. A target that cannot be flown is refused with the reason. Way points
+    are run through on a smooth curve after the first one.
 
     Exit codes: 0 accepted; 2 refused; 4 no answer.
 
@@ -294,4 +295,5 @@ def target(
     show(output, answer, f"{begin}, {reached}, {end}")
 
 
-target.context_settings = {"ignore_unknown_options": True}  # type: ignore[attr-defined]  # -2 is no option
+# A negative coordinate such as -2 is no option.
+target.context_settings = {"ignore_unknown_options": True}  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""Arguments and options that several commands have, each defined once, and the scenario or run that they name."""
+"""Arguments and options that several commands have, and the scenario or run that they name."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -19,13 +19,16 @@ _LOG = "run.mcap"
 
 
 def _scenarios(incomplete: str) -> list[str]:
-    """Return the ready-made scenarios that begin like an incomplete word, for the shell, which adds files itself."""
+    """Return the ready-made scenarios that begin like an incomplete word.
+
+    The shell adds files itself.
+    """
     folder = Path(__file__).resolve().parents[2] / "scenarios"
     return sorted(path.stem for path in folder.glob("*.toml") if path.stem.startswith(incomplete))
 
 
 def complete_run(incomplete: str) -> list[str]:
-    """Return the folders of runs that begin like an incomplete word, the most recent first, for the shell."""
+    """Return the folders of runs that begin like an incomplete word, the most recent first."""
     return [str(folder) for folder in newest_runs() if str(folder).startswith(incomplete)]
 
 
@@ -33,8 +36,8 @@ ScenarioArgument = Annotated[
     str,
     Argument(
         metavar="SCENARIO",
-        help="Scenario file, or name: paper, centralized, resilient, precise, centralized_lq, windy, delivery, "
-        "collision, eight, gap, playground, alone.",
+        help="Scenario file, or name: paper, centralized, resilient, precise, centralized_lq, "
+        "windy, delivery, collision, eight, gap, playground, alone.",
         autocompletion=_scenarios,
         show_default=True,
     ),
@@ -100,19 +103,21 @@ def read_setup(
 ) -> Setup:
     """Return the setup of a scenario, file or name, with changes KEY=VALUE.
 
-    With `allow_large` the run may exceed the limits of `protocol.scenario.budget`. The last setup is kept until its
-    file changes: the fork server reads it for all processes of a run.
+    With `allow_large` the run may exceed the limits of `protocol.scenario.budget`. The last setup
+    is kept until its file changes: the fork server reads it for all processes of a run.
 
     Raises: ScenarioError: it is refused.
     """
     path = find_scenario(scenario)
-    version = path.stat().st_mtime_ns if path.exists() else 0
-    return _setup(path, tuple(settings or ()), allow_large, version)
+    version_ns = path.stat().st_mtime_ns if path.exists() else 0
+    return _setup(path, tuple(settings or ()), allow_large, version_ns)
 
 
 @lru_cache(maxsize=1)
-def _setup(path: Path, settings: tuple[str, ...], allow_large: bool, _: int) -> Setup:
-    return Setup.of(read_scenario(path, settings, allow_large=allow_large), str(path))
+def _setup(path: Path, settings: tuple[str, ...], allow_large: bool, _version_ns: int) -> Setup:
+    """Read a setup; the version of the file is a key of the cache only."""
+    scenario = read_scenario(path, settings, allow_large=allow_large)
+    return Setup.of(scenario, str(path))
 
 
 def newest_runs() -> list[Path]:
@@ -121,13 +126,18 @@ def newest_runs() -> list[Path]:
     for log in RUNS.glob(f"*/{_LOG}"):
         if log.parent.is_symlink():  # `latest` is one of the others
             continue
+
         with suppress(OSError):  # the folder has gone meanwhile
             written_ns[log.parent] = log.stat().st_mtime_ns
+
     return sorted(written_ns, key=lambda folder: written_ns[folder], reverse=True)
 
 
 def run_folder(given: Path | None) -> Path:
-    """Return the folder of the run that was named, or of the most recent one, which is told on standard error."""
+    """Return the folder of the run that was named, or of the most recent one.
+
+    The most recent one is told on standard error.
+    """
     if given is not None:
         in_runs = RUNS / given
         return in_runs if not given.exists() and in_runs.exists() else given

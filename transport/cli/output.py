@@ -28,7 +28,10 @@ def fail(text: str, code: int = EXIT_USAGE) -> NoReturn:
 
 @contextmanager
 def blame(option: str, *errors: type[Exception]) -> Iterator[None]:
-    """Name an option in front of an error that it has caused: one that the user can solve, of a file, or of a type."""
+    """Name an option in front of an error that it has caused.
+
+    That is an error which the user can solve, one of a file, or one of the given types.
+    """
     solvable: tuple[type[Exception], ...] = (TransportError, *errors)
     try:
         yield
@@ -39,7 +42,7 @@ def blame(option: str, *errors: type[Exception]) -> Iterator[None]:
 
 
 def show(output: Format, content: Any, *shown: Any, width: int = 0) -> None:
-    """Print a result: its content as one JSON value, or what is shown of it, texts and tables of at least a width."""
+    """Print a result as one JSON value, or as texts and tables of at least a width."""
     if output is Format.json:
         sys.stdout.write(orjson.dumps(content, option=orjson.OPT_INDENT_2).decode() + "\n")
         sys.stdout.flush()
@@ -67,7 +70,10 @@ def facts(content: Iterable[tuple[str, Any]]) -> Any:
 
 
 def rows(content: Sequence[Mapping[str, Any]], *left: str) -> Any:
-    """Return a table with a column for each key of the rows; those named are aligned to the left."""
+    """Return a table with a column for each key of the rows.
+
+    The columns in `left` are aligned to the left.
+    """
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 1, 0, 0))
@@ -79,10 +85,18 @@ def rows(content: Sequence[Mapping[str, Any]], *left: str) -> Any:
 
 
 def _cell(value: Any) -> Any:
-    """Return a value as text: numbers with four digits, entries of lists one after the other, "-" for none."""
+    """Return a value as text.
+
+    Numbers have four digits, entries of lists follow one another, none is "-".
+    """
     from rich.text import Text
 
+    if isinstance(value, Text):
+        return value
+    if value is None:
+        return Text("-")
+    if isinstance(value, float):
+        return Text(f"{value:.4g}")
     if isinstance(value, list | tuple):
-        value = " ".join(map(str, value))
-    text = "-" if value is None else f"{value:.4g}" if isinstance(value, float) else value
-    return text if isinstance(text, Text) else Text(str(text))
+        return Text(" ".join(map(str, value)))
+    return Text(str(value))

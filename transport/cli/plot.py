@@ -1,4 +1,7 @@
-"""The command `transport plot`, and the report of a run: summary and figures in its folder, the summary on stdout."""
+"""Command `transport plot`, and the report of a run.
+
+Summary and figures are written to the folder of the run, the summary is printed, too.
+"""
 
 from pathlib import Path
 
@@ -34,25 +37,25 @@ def plot(
     load("transport.report.figures")  # before the wait
     if not stand_by():  # started by `transport run`, which has ended
         raise typer.Exit(EXIT_UNREACHABLE)
+
     if animation is not None:
         from transport.report.animation import animate_run, check_animation
 
         with blame("--animate"):
             check_animation(animation)
+
     run = open_run(folder, horizons=False)
     if not run.log.messages:
-        fail(
-            f"{folder / 'run.mcap'}: expected a log with messages, got one without a readable message"
-        )
+        problem = "expected a log with messages, got one without a readable message"
+        fail(f"{folder / 'run.mcap'}: {problem}")
     try:
         report_run(run, forks=True, pdf=pdf)
     except KeyboardInterrupt:
-        fail(
-            f"interrupted; the report is not complete, make it with: transport plot {folder}",
-            EXIT_INTERRUPTED,
-        )
+        hint = f"the report is not complete, make it with: transport plot {folder}"
+        fail(f"interrupted; {hint}", EXIT_INTERRUPTED)
     except OSError as error:
-        fail(f"{folder}: cannot write the report ({error.strerror or error})", EXIT_UNRECORDED)
+        fail(_unwritten(folder, error), EXIT_UNRECORDED)
+
     show_report(folder, output)
     if animation is not None:
         with blame("--animate"):
@@ -72,9 +75,14 @@ def report(
             write_report(folder, figures=figures, setup=setup)
         show_report(folder, output)
     except OSError as error:
-        fail(f"{folder}: cannot write the report ({error.strerror or error})", EXIT_UNRECORDED)
+        fail(_unwritten(folder, error), EXIT_UNRECORDED)
     except LogError as error:
         fail(f"cannot write the report: {error}", EXIT_UNRECORDED)
+
+
+def _unwritten(folder: Path, error: OSError) -> str:
+    """Return the text of a report that cannot be written."""
+    return f"{folder}: cannot write the report ({error.strerror or error})"
 
 
 def show_report(folder: Path, output: Format) -> None:
@@ -82,10 +90,7 @@ def show_report(folder: Path, output: Format) -> None:
     summary = orjson.loads((folder / "summary.json").read_bytes())
     for warning in warnings(summary):
         typer.echo(f"warning: {warning}", err=True)
-    files = [
-        "summary.json",
-        "steps.csv",
-        "run.mcap",
-        *[f"figures/{p.name}" for p in folder.glob("figures/*.png")],
-    ]
+
+    figures = [f"figures/{path.name}" for path in folder.glob("figures/*.png")]
+    files = ["summary.json", "steps.csv", "run.mcap", *figures]
     show(output, summary, summary_table(summary), *(f" {folder / file}" for file in files))

@@ -1,4 +1,6 @@
-"""The commands that start one process of a run by hand, or connect hosts: agent, plant, coordinator, record, router.
+"""Commands that start one process of a run by hand, or connect hosts.
+
+These are agent, plant, coordinator, record and router.
 
 Each imports only its own role: the processes of a run start with these commands.
 """
@@ -75,21 +77,30 @@ class ProcessOptions:
         run = self.run or scenario.name
         with blame("--run"):
             Keys(run)
-        for option, given in (("--listen", self.listen), ("--connect", self.connect)):
-            for endpoint in given or []:
-                if not re.fullmatch(r"[a-z0-9-]+/\S+", endpoint):
-                    fail(
-                        f"{option}: expected an endpoint such as tcp/127.0.0.1:7447, got {endpoint!r}"
-                    )
-        timeout_s = self.join_timeout
-        if timeout_s is not None and timeout_s > LONGEST_WAIT_S:
-            fail(f"--join-timeout: expected 0 to {LONGEST_WAIT_S:g} s, got {timeout_s:g}")
+        self._check_endpoints()
+
+        incarnation = self.incarnation
+        if incarnation is None:
+            incarnation = time.time_ns() // 10**6
+        join_timeout_s = self.join_timeout
+        if join_timeout_s is None:
+            join_timeout_s = scenario.clock.join_timeout_s
+        elif join_timeout_s > LONGEST_WAIT_S:
+            fail(f"--join-timeout: expected 0 to {LONGEST_WAIT_S:g} s, got {join_timeout_s:g}")
         return Place(
             run=run,
-            incarnation=time.time_ns() // 10**6 if self.incarnation is None else self.incarnation,
+            incarnation=incarnation,
             endpoints=endpoints_of(name, scenario, self.listen, self.connect),
-            join_timeout_s=scenario.clock.join_timeout_s if timeout_s is None else timeout_s,
+            join_timeout_s=join_timeout_s,
         )
+
+    def _check_endpoints(self) -> None:
+        """End the command if an endpoint has another form than protocol/address."""
+        for option, endpoints in (("--listen", self.listen), ("--connect", self.connect)):
+            for endpoint in endpoints or []:
+                if not re.fullmatch(r"[a-z0-9-]+/\S+", endpoint):
+                    expected = "an endpoint such as tcp/127.0.0.1:7447"
+                    fail(f"{option}: expected {expected}, got {endpoint!r}")
 
 
 @with_options(ProcessOptions)
@@ -105,8 +116,9 @@ def agent(
 
     setup = options.setup()
     if number not in setup.agents:
-        known = f"1 to {len(setup.agents)} of scenario {setup.scenario.name}"
-        fail(f"--id: expected an agent from {known}, got {number}")
+        allowed = f"1 to {len(setup.agents)} of scenario {setup.scenario.name}"
+        fail(f"--id: expected an agent from {allowed}, got {number}")
+
     place = options.place(agent_name(number))
     node = AgentNode(setup, number, place.incarnation, time.perf_counter_ns)
     node.warm_up()
@@ -127,7 +139,8 @@ def coordinator(
     """
     from transport.coordinator.node import CoordinatorNode
 
-    setup, place = options.setup(), options.place(COORDINATOR)
+    setup = options.setup()
+    place = options.place(COORDINATOR)
     node = CoordinatorNode(setup, place.incarnation, observer or [])
     others = [PLANT, *map(agent_name, setup.agents), *(observer or [])]
     raise typer.Exit(run_node(node, place, setup, others, node.interrupt, others))
@@ -141,7 +154,8 @@ def plant(options: ProcessOptions) -> None:
     """
     from transport.plant.node import PlantNode
 
-    setup, place = options.setup(), options.place(PLANT)
+    setup = options.setup()
+    place = options.place(PLANT)
     node = PlantNode(setup, place.incarnation)
     node.engine.warm_up(setup)
     raise typer.Exit(run_node(node, place, setup, [COORDINATOR, *map(agent_name, setup.agents)]))
@@ -156,7 +170,8 @@ def record(
 ) -> None:
     """Record and report a run whose processes were started by hand.
 
-    Start the recorder before the first tick: `transport coordinator --observer recorder` waits for it.
+    Start the recorder before the first tick: `transport coordinator --observer recorder` waits for
+    it.
 
     Example: transport record --scenario paper --out runs/by-hand
     """
@@ -166,10 +181,10 @@ def record(
     from transport.flight.run import observe
     from transport.flight.run_files import new_folder
 
-    setup, place = options.setup(), options.place(RECORDER)
-    finished = observe(
-        setup, place, out or new_folder(RUNS, setup.scenario.name), Console(stderr=True)
-    )
+    setup = options.setup()
+    place = options.place(RECORDER)
+    folder = out or new_folder(RUNS, setup.scenario.name)
+    finished = observe(setup, place, folder, Console(stderr=True))
     report(finished.folder, output, figures=figures, setup=setup)
     if finished.exit_code != 0:
         fail(finished.reason, finished.exit_code)
@@ -194,14 +209,15 @@ def router(
     from transport.protocol.network.session import route
 
     setup = read_setup(scenario, settings, allow_large=True)
-    endpoints = Endpoints(
-        listen=listen, connect=connect or [], mode="router", security=security_of(setup.scenario)
-    )
-    over = threading.Event()
+    security = security_of(setup.scenario)
+    endpoints = Endpoints(listen=listen, connect=connect or [], mode="router", security=security)
+
+    is_over = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: over.set())
+        signal.signal(number, lambda *_: is_over.set())
+
     journal = Journal("any", ROUTER)
     with route(endpoints.checked(ROUTER, setup.scenario)):
         journal.log("listening", at=", ".join(listen))
-        over.wait()
+        is_over.wait()
     journal.log("finished")

@@ -1,4 +1,4 @@
-"""The command `transport replay`: one agent of a recorded run again, as recorded or with other settings."""
+"""Command `transport replay`: one agent of a recorded run, as recorded or with other settings."""
 
 from bdb import BdbQuit
 from collections.abc import Callable, Iterator
@@ -24,7 +24,8 @@ from transport.protocol.wire.exit_codes import EXIT_DIFFERENT
 from transport.protocol.wire.messages import Measurement
 from transport.report.figures import draw_replay
 
-# Smaller differences of inputs, N or N m, are rounding: other numbers on the way to the same decision.
+# Smaller differences of inputs, N or N m, are rounding: other numbers on the way to the same
+# decision.
 _ROUNDING = 1e-6
 
 
@@ -78,7 +79,7 @@ class ReplayOptions:
 
     @property
     def is_changed(self) -> bool:
-        """Whether the controller is not the recorded one, so that plans may differ."""
+        """True if the controller is not the recorded one, so that plans may differ."""
         return bool(self.settings or self.against)
 
 
@@ -94,9 +95,10 @@ def replay(
 ) -> None:
     """Feed a recorded run to one agent and compare its plans.
 
-    The messages the agent received are taken from the log; its answers are compared with the recorded ones, bit for
-    bit. Without --set or --against the plans of a lockstep run must be identical. With them the result is the first
-    tick at which the plans differ, and by how much; the plant states are the recorded ones.
+    The messages the agent received are taken from the log; its answers are compared with the
+    recorded ones, bit for bit. Without --set or --against the plans of a lockstep run must be
+    identical. With them the result is the first tick at which the plans differ, and by how much;
+    the plant states are the recorded ones.
 
     Exit codes: 0 all plans identical, 8 plans differ, 2 nothing can be compared, 3 scenario.
 
@@ -248,11 +250,13 @@ def _notes(
     yield from again.notes
     if comparison.unrecorded:
         ticks = ", ".join(map(str, comparison.unrecorded))
-        yield f"not compared, as the log has no answer of the agent (down, or at its end): tick {ticks}"
+        reason = "as the log has no answer of the agent (down, or at its end)"
+        yield f"not compared, {reason}: tick {ticks}"
     if run.log.cut:
         yield run.log.cut
     if run.setup.scenario.clock.mode == "realtime":
-        yield "real time: exact unless links have jitter, reordering or duplicates, or measurements are delayed"
+        exceptions = "links have jitter, reordering or duplicates, or measurements are delayed"
+        yield f"real time: exact unless {exceptions}"
     if comparison.first is not None and not is_changed:
         recorded = [run.log.header.get(name) for name in ("versions", "machine")]
         if recorded != [versions(), machine()]:

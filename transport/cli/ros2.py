@@ -1,15 +1,13 @@
-"""The command `transport ros2`: publishes an active run for ROS 2, and hands on its targets.
+"""Command `transport ros2`: publishes an active run for ROS 2, and hands on its targets.
 
-It reads the log of the run as it grows, as the viewer does: no process of the run knows it. A target becomes the
-request of `transport target`.
+It reads the log of the run as it grows, as the viewer does: no process of the run knows it. A
+target becomes the request of `transport target`.
 """
 
 import os
 import time
-from collections.abc import Callable
 from contextlib import closing
-from functools import partial
-from itertools import chain
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,16 +20,19 @@ from transport.flight.live import Commands
 from transport.flight.live import read as read_live_run
 from transport.log.run_log import LogTail, setup_of
 from transport.protocol.network.rmw_zenoh import RosNode
-from transport.scene.scene import RunHistory, SceneBuilder
+from transport.scene.history import RunHistory
+from transport.scene.scene import SceneBuilder
 
 if TYPE_CHECKING:
     from transport.report.ros2 import Ros2Messages
 
 _LOG = "run.mcap"
-# Intervals, s: between two looks into the log, and between two repetitions of the markers that do not change.
-_POLL_S, _AGAIN_S = 0.01, 1.0
+# Interval between two looks into the log, s.
+_POLL_S = 0.01
 # Interval between two looks at the parent of the run, s.
 _LOOK_S = 0.5
+# Interval between two repetitions of the markers that do not change, s.
+_AGAIN_S = 1.0
 # Shortest time between two targets that are handed on, s.
 _INTERVAL_S = 0.5
 _NICE = 10  # the processes of the run have the processors first
@@ -46,10 +47,10 @@ def ros2(
 ) -> None:
     """Publish an active run for ROS 2 over rmw_zenoh.
 
-    Poses, twists, plans, transforms and markers of payload and UAVs, at every tick, until the run ends or is killed.
-    The command reads the log of the run as it grows: no process of the run waits for it or knows it. A
-    geometry_msgs/PoseStamped on /target, in the frame inertial or map, sends the payload to its position, as transport
-    target does.
+    Poses, twists, plans, transforms and markers of payload and UAVs, at every tick, until the run
+    ends or is killed. The command reads the log of the run as it grows: no process of the run waits
+    for it or knows it. A geometry_msgs/PoseStamped on /target, in the frame inertial or map, sends
+    the payload to its position, as transport target does.
 
     Exit codes: 0 the run has ended; 2 no such run; 4 no router; 130 Ctrl-C.
 
@@ -58,76 +59,124 @@ def ros2(
     from transport.report.ros2 import TARGET, Ros2Messages, types
 
     os.nice(_NICE)
-    folder, there = find_active(run, "name its folder with --run")
+    folder, live_run = find_active(run, "name its folder with --run")
     setup = setup_of(folder)
-    history, tail = RunHistory(setup), LogTail(folder / _LOG, setup)
+    history = RunHistory(setup)
+    tail = LogTail(folder / _LOG, setup)
     messages = Ros2Messages(SceneBuilder(setup, history))
-    kinds = {topic: (kind, types().hash_rihs01(kind)) for topic, kind in messages.topics.items()}
-    heard = {TARGET[0]: (TARGET[1], types().hash_rihs01(TARGET[1]))}
-    commands = Commands(there, lambda text, _: typer.echo(text, err=True))
+
+    published = {
+        topic: (kind, types().hash_rihs01(kind)) for topic, kind in messages.topics.items()
+    }
+    topic, kind = TARGET
+    heard = {topic: (kind, types().hash_rihs01(kind))}
     with blame("--connect"):
-        node = RosNode(connect, domain, kinds, heard)
+        node = RosNode(connect, domain, published, heard)
+
+    commands = Commands(live_run, lambda text, _: typer.echo(text, err=True))
     with closing(node):
-        typer.echo(f"{folder}: {len(kinds)} topics in domain {domain} through {connect}", err=True)
-        is_active = partial(_is_active, folder)
-        _publish(messages, history, tail, node, commands, is_active)
+        where = f"{len(published)} topics in domain {domain} through {connect}"
+        typer.echo(f"{folder}: {where}", err=True)
+        reader = _Reader(folder=folder, tail=tail, history=history)
+        targets = _Targets(node=node, commands=commands)
+        _publish(reader, _Publisher(messages=messages, node=node), targets)
 
 
-def _is_active(folder: Path) -> bool:
-    """Return whether the processes of a run still have their parent, which writes the log."""
-    return read_live_run(folder) is not None
-
-
-def _publish(
-    messages: "Ros2Messages",
-    history: RunHistory,
-    tail: LogTail,
-    node: RosNode,
-    commands: Commands,
-    is_active: Callable[[], bool],
-) -> None:
-    """Publish the ticks of a run until it has ended: the states of all, plans and drawing of the newest.
-
-    A run whose parent was killed has ended without a word.
-
-    Of the targets that come in each interval the newest is handed on; a refused one is told.
-    """
-    from transport.report.ros2 import TARGET, GoalError, goal_in
-
-    history.add(tail.read())
-    done, again_s, began_ns, next_target_s = history.last - 1, 0.0, 0, 0.0
-    is_left = False
-    look_s = 0.0
+def _publish(reader: "_Reader", publisher: "_Publisher", targets: "_Targets") -> None:
+    """Publish the ticks of a run until it has ended, and hand on targets."""
+    history = reader.history
+    reader.read()
+    next_tick = history.last
     while True:
-        if time.monotonic() >= look_s:
-            look_s = time.monotonic() + _LOOK_S
-            is_left = not is_active()
-        history.add(tail.read())
-        if time.monotonic() >= next_target_s and (data := node.take(TARGET[0])) is not None:
-            next_target_s = time.monotonic() + _INTERVAL_S
-            try:
-                commands.target(goal_in(data))
-            except GoalError as error:
-                typer.echo(f"{TARGET[0]}: {error}", err=True)
-        ticks = [
-            tick
-            for tick in range(max(done + 1, history.first), history.last + 1)
-            if tick in history.plant_states
-        ]
+        has_ended = reader.read()
+        targets.hand_on()
+
+        first = max(next_tick, history.first)
+        ticks = [t for t in range(first, history.last + 1) if t in history.plant_states]
         for tick in ticks:
-            at_ns = time.time_ns()
-            if messages.speed > 0.0:  # stamps of a paced run without the jitter of this process
-                since_ns = round(tick * messages.period_ns / messages.speed)
-                began_ns = min(began_ns or at_ns, at_ns - since_ns)
-                at_ns = began_ns + since_ns
-            told = messages.states(tick, at_ns)
-            if tick == ticks[-1]:
-                fixed = time.monotonic() >= again_s
-                again_s = time.monotonic() + _AGAIN_S if fixed else again_s
-                told = chain(told, messages.scenes(tick, at_ns, fixed=fixed))
-            for topic, data in told:
-                node.put(topic, data)
-            done = tick
-        if history.control is not None or tail.ended or is_left:
+            publisher.publish(tick, is_newest=tick == ticks[-1])
+            next_tick = tick + 1
+
+        if has_ended:
             return
         time.sleep(_POLL_S)
+
+
+@dataclass(slots=True, kw_only=True)
+class _Reader:
+    """Reader of the log of a run as it grows, until the run has ended or its parent was killed."""
+
+    folder: Path
+    tail: LogTail
+    history: RunHistory
+    next_look_s: float = 0.0  # steady-clock time of the next look at the parent
+    is_left: bool = False  # whether the parent, which writes the log, was killed
+
+    def read(self) -> bool:
+        """Read new messages; return whether they are the last ones."""
+        # Before the messages: all that a killed parent has written is then read.
+        if time.monotonic() >= self.next_look_s:
+            self.next_look_s = time.monotonic() + _LOOK_S
+            self.is_left = read_live_run(self.folder) is None
+        self.history.add(self.tail.read())
+        return self.history.control is not None or self.tail.ended or self.is_left
+
+
+@dataclass(slots=True, kw_only=True)
+class _Publisher:
+    """Publisher of the ticks of a run: the states of all, plans and drawing of the newest."""
+
+    messages: "Ros2Messages"
+    node: RosNode
+    next_fixed_s: float = 0.0  # steady-clock time of the next markers that do not change
+    began_ns: int = 0  # wall-clock time of the start of a paced run, 0 before its first tick
+
+    def publish(self, tick: int, *, is_newest: bool) -> None:
+        """Publish a tick."""
+        stamp_ns = self._stamp_ns(tick)
+        for topic, data in self.messages.states(tick, stamp_ns):
+            self.node.put(topic, data)
+        if not is_newest:
+            return
+
+        is_fixed_due = time.monotonic() >= self.next_fixed_s
+        if is_fixed_due:
+            self.next_fixed_s = time.monotonic() + _AGAIN_S
+        for topic, data in self.messages.scenes(tick, stamp_ns, fixed=is_fixed_due):
+            self.node.put(topic, data)
+
+    def _stamp_ns(self, tick: int) -> int:
+        """Return the stamp of a tick; those of a paced run have no jitter of this process."""
+        now_ns = time.time_ns()
+        if self.messages.speed <= 0.0:
+            return now_ns
+
+        since_ns = round(tick * self.messages.period_ns / self.messages.speed)
+        self.began_ns = min(self.began_ns or now_ns, now_ns - since_ns)
+        return self.began_ns + since_ns
+
+
+@dataclass(slots=True, kw_only=True)
+class _Targets:
+    """Targets from ROS 2: the newest of each interval is handed on; a refused one is told."""
+
+    node: RosNode
+    commands: Commands
+    next_s: float = 0.0  # steady-clock time of the next one
+
+    def hand_on(self) -> None:
+        """Send the payload to the newest target, if one has come and the interval is over."""
+        from transport.report.ros2 import TARGET, GoalError, goal_in
+
+        if time.monotonic() < self.next_s:
+            return
+        topic, _ = TARGET
+        data = self.node.take(topic)
+        if data is None:
+            return
+
+        self.next_s = time.monotonic() + _INTERVAL_S
+        try:
+            self.commands.target(goal_in(data))
+        except GoalError as error:
+            typer.echo(f"{topic}: {error}", err=True)

@@ -1,7 +1,7 @@
-"""The command `transport run`: its viewer, processes, record and report.
+"""Command `transport run`: its viewer, processes, record and report.
 
-The imports take long, so the fork server is started before them (`transport.__main__`), and the report is imported
-after the simulation.
+The imports take long, so the fork server is started before them (`transport.__main__`), and the
+report is imported after the simulation.
 """
 
 import os
@@ -28,8 +28,10 @@ from transport.protocol.wire.names import COORDINATOR
 from transport.viewer.process import ViewerBeside
 from transport.viewer.server import require_viser
 
-# A process that does not end is given up after this long, and killed, which takes at most the second time.
-_LONGEST_S, _KILLED_S = 120.0, 1.0
+# Time after which a process that does not end is given up and killed, s.
+_LONGEST_S = 120.0
+# Time that killing takes at most, s.
+_KILLED_S = 1.0
 
 
 def run(
@@ -50,66 +52,74 @@ def run(
 ) -> None:
     """Run a scenario with all its processes; record and report it.
 
-    Starts one process per agent, a plant and a coordinator; writes log, metrics and figures to a run folder.
+    Starts one process per agent, a plant and a coordinator; writes log, metrics and figures to a
+    run folder.
 
     Example: transport run paper --set controller.relaxation=0.5 --out runs/relaxed
     """
     setup = options.read_setup(scenario, settings, allow_large=allow_large)
-    _check_external(setup, external or [])
+    started_by_user = external or []
+    _check_external(setup, started_by_user)
     folder = out if out is not None else new_folder(options.RUNS, setup.scenario.name)
+
+    viewer: ViewerBeside | nullcontext[None] = nullcontext()
     if view:
         require_viser()
-    viewer = (
-        ViewerBeside(folder, host, port, setup.scenario.clock.join_timeout_s)
-        if view
-        else nullcontext()
-    )
+        viewer = ViewerBeside(folder, host, port, setup.scenario.clock.join_timeout_s)
+
+    console = Console(stderr=True)
     with viewer as beside:
         with ReportProcess(folder) as reporter, _interrupts_told(folder):
             prepare = reporter.prepare if figures else lambda: None
             ready = beside.wait_until_ready if beside is not None else lambda: None
-            finished = simulate(setup, folder, Console(stderr=True), prepare, ready, external or [])
+            finished = simulate(setup, folder, console, prepare, ready, started_by_user)
+
             plot = load("transport.cli.plot")
             is_written = reporter.report()
             plot.report(folder, output, figures=figures, setup=setup, is_written=is_written)
+
         if beside is not None and finished.exit_code != EXIT_INTERRUPTED:
             beside.wait_for_user()
+
     if finished.exit_code != 0:
         fail(finished.reason, finished.exit_code)
 
 
 @contextmanager
 def _interrupts_told(folder: Path) -> Iterator[None]:
-    """End the command after Ctrl-C by telling which log is kept in the run folder, and how to report it."""
+    """End the command after Ctrl-C by telling which log is kept in the run folder.
+
+    The text names the command that reports it.
+    """
     try:
         yield
     except KeyboardInterrupt:
         log = folder / "run.mcap"
-        kept = (
-            f"kept {log}, report it with: transport plot {folder}"
-            if log.exists()
-            else "nothing is recorded"
-        )
-        fail(f"interrupted; {kept}", EXIT_INTERRUPTED)
+        kept = f"kept {log}, report it with: transport plot {folder}"
+        text = kept if log.exists() else "nothing is recorded"
+        fail(f"interrupted; {text}", EXIT_INTERRUPTED)
 
 
 def _check_external(setup: Setup, external: list[str]) -> None:
-    """End the command if a process that is not to be started does not exist, or has scripted faults."""
+    """End the command if a process that is not to be started does not exist.
+
+    Scripted faults act only on processes of the run, so one with faults is refused, too.
+    """
     names = [name for name in process_names(setup.scenario) if name != COORDINATOR]
     for name in external:
         if name not in names:
             fail(f"--external: expected one of {', '.join(names)}, got {name!r}")
+
         if any(fault.target == name for fault in setup.faults):
-            expected = (
-                "expected a process without scripted faults, which act only on processes of the run"
-            )
-            fail(f"--external: {expected}, got {name!r}")
+            expected = "a process without scripted faults, which act only on processes of the run"
+            fail(f"--external: expected {expected}, got {name!r}")
 
 
 class ReportProcess:
-    """A forked `transport plot` of one run folder that waits for the end of the run; leaving the context ends it.
+    """Forked `transport plot` of one run folder that waits for the end of the run.
 
-    It may fork in turn, to draw on several cores, which this process with its threads may not.
+    Leaving the context ends it. It may fork in turn, to draw on several cores, which this process
+    with its threads may not.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -131,7 +141,8 @@ class ReportProcess:
     def report(self) -> bool:
         """Let the process report, and wait for its end; return whether it has written the report.
 
-        If not, it has ended as well: it must not write the same files as the caller, who makes the report instead.
+        If not, it has ended as well: it must not write the same files as the caller, who makes the
+        report instead.
         """
         if self._child is None or not self._child.go():
             return False
@@ -141,8 +152,10 @@ class ReportProcess:
 
     def _end(self) -> None:
         """Kill the process and those that draw for it."""
-        if self._child is not None:
-            with suppress(ProcessLookupError):
-                os.killpg(self._child.process.pid, signal.SIGKILL)
-            self._child.wait(_KILLED_S)
-            self._child.close()
+        if self._child is None:
+            return
+
+        with suppress(ProcessLookupError):
+            os.killpg(self._child.process.pid, signal.SIGKILL)
+        self._child.wait(_KILLED_S)
+        self._child.close()

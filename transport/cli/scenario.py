@@ -1,4 +1,4 @@
-"""The commands about scenarios: `transport scenario new`, `validate`, `margins` and `doctor`."""
+"""Commands about scenarios: `transport scenario new`, `validate`, `margins` and `doctor`."""
 
 import shlex
 from collections import Counter
@@ -64,6 +64,7 @@ def new(
         fail(f"--out: expected a file that does not exist yet, got {out}")
     with blame("--from"):
         ready = Scenario(template, allow_large=True)
+
     try:
         made = ready.resized(uavs, group=group, name=name, vehicle=vehicle, load_kg=load_kg)
     except ScenarioError as error:
@@ -71,16 +72,16 @@ def new(
     setup = made.setup
     tree = given(made.validated)
     text = tomli_w.dumps(tree)
-    show(
-        output,
-        {"scenario": tree, "file": out and str(out)},
-        *([text.rstrip("\n")] if out is None else []),
-    )
+
+    shown = [text.rstrip("\n")] if out is None else []
+    show(output, {"scenario": tree, "file": out and str(out)}, *shown)
     if out is not None:
         with blame("--out"):
             out.write_text(text, encoding="utf-8")
-        sizes = f"{uavs} UAVs, {len(setup.agents)} agents, {hover_thrusts(setup.hover.u[::INPUTS])}"
-        typer.echo(f"{sizes}; run it with: transport run {shlex.quote(str(out))}", err=True)
+        thrusts = hover_thrusts(setup.hover.u[::INPUTS])
+        team = f"{uavs} UAVs, {len(setup.agents)} agents, {thrusts}"
+        command = f"transport run {shlex.quote(str(out))}"
+        typer.echo(f"{team}; run it with: {command}", err=True)
 
 
 def _by_option(error: ScenarioError, load_kg: float | None, name: str | None) -> ScenarioError:
@@ -114,14 +115,17 @@ def validate(
     Example: transport validate paper --set controller.horizon=10
     """
     setup = read_setup(scenario, settings, allow_large=large)
-    classes, tree, digest = checked(setup), setup.scenario.tree(), setup.scenario.digest()
+    own_classes = checked(setup)
+    tree = setup.scenario.tree()
+    digest = setup.scenario.digest()
     show(output, {"scenario": tree, "digest": digest}, tomli_w.dumps(tree).rstrip("\n"))
     if output is Format.json:
         return
+
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"
-    own = ", ".join(f"{what} {name}" for what, name in classes.items())
     thrusts = hover_thrusts(setup.hover.u[::INPUTS])
-    typer.echo(f"valid: {sizes}, {thrusts}, digest {digest}, {own}", err=True)
+    classes = ", ".join(f"{kind} {name}" for kind, name in own_classes.items())
+    typer.echo(f"valid: {sizes}, {thrusts}, digest {digest}, {classes}", err=True)
     typer.echo(f"estimate: {estimate(setup.scenario).text()}", err=True)
 
 
@@ -152,11 +156,12 @@ def margins(
     absent = [agent.strip() for agent in without.split(",")] if without else []
     if not all(map(str.isdecimal, absent)):
         fail(f"--without: expected agents such as 1,2, got {without!r:.60}")
-    found = Margins(hover_margins(setup, [int(agent) for agent in absent]))
-    show(output, found.data, str(found))
+
+    result = Margins(hover_margins(setup, [int(agent) for agent in absent]))
+    show(output, result.data, str(result))
     if figure is not None:
         with blame("--figure", ValueError):
-            found.plot().savefig(figure)
+            result.plot().savefig(figure)
 
 
 def doctor(
@@ -180,7 +185,8 @@ def doctor(
     from transport.doctor.checks import checks
 
     setup = read_setup(scenario, settings, allow_large=large)
-    content, count = [], Counter[str]()
+    content = []
+    count = Counter[str]()
     for name, finding in checks(setup):
         content.append({"name": name, **finding._asdict()})
         count[finding.status] += 1
@@ -188,6 +194,7 @@ def doctor(
             typer.echo(f"{finding.status:4} {name:12} {finding.found}")
             if finding.advice:
                 typer.echo(f"{'':17} -> {finding.advice}")
+
     result = {"scenario": setup.scenario.name, "ok": not count["fail"], "checks": content}
     show(output, result, f"{len(content)} checks: {count['fail']} fail, {count['warn']} warn")
     if count["fail"]:

@@ -1,4 +1,4 @@
-"""The command `transport top`: reads the log of an active run as it grows and draws a table of its agents."""
+"""Command `transport top`: a table of the agents of an active run, read from its growing log."""
 
 import os
 import time
@@ -101,7 +101,10 @@ class Watch:
                 self.control = message
 
     def state_of(self, agent: int) -> str:
-        """Return the state of an agent: active, silent, off (the roster), or fail-safe; "-" while unknown."""
+        """Return the state of an agent: active, silent, off (the roster), or fail-safe.
+
+        "-" while unknown.
+        """
         uavs = self.setup.owned[agent - 1]
         state = self.plant_state
         if state is not None and any(state.plan_ticks[uav] == FAIL_SAFE for uav in uavs):
@@ -137,7 +140,10 @@ class Watch:
         }
 
     def _performance(self) -> tuple[float | None, float | None]:
-        """Return stage cost and payload attitude, deg, of the newest state; None before the first."""
+        """Return stage cost and payload attitude, deg, of the newest state.
+
+        None before the first.
+        """
         state = self.plant_state
         if state is None:
             return None, None
@@ -188,10 +194,12 @@ def top(
 ) -> None:
     """Watch the agents of an active run.
 
-    A table of tick, step time, plan ages, lost messages, faults and rejections, until the run ends. The command reads
-    the log of the run as it grows: no process of the run waits for it or knows it.
+    A table of tick, step time, plan ages, lost messages, faults and rejections, until the run ends.
+    The command reads the log of the run as it grows: no process of the run waits for it or knows
+    it.
 
-    Exit codes: 0 the run has ended, or --once; 2 no such run; 4 it ended without an outcome; 130 Ctrl-C.
+    Exit codes: 0 the run has ended, or --once; 2 no such run; 4 it ended without an outcome; 130
+    Ctrl-C.
 
     Example: transport top --run runs/20260102-101500-paper
     """
@@ -240,7 +248,7 @@ def table_of(watch: Watch, run: str) -> Group:
 
 
 def _cells(agent: dict[str, Any]) -> dict[str, Any]:
-    """Return the row of an agent: its values, and in the last column the rare counts that are not zero."""
+    """Return the row of an agent: its values, and in the last column rare counts above zero."""
     values = {name.replace("_", " "): value for name, value in agent.items() if name not in _RARE}
     values["state"] = Text(agent["state"], _COLOURS.get(agent["state"], ""))
     rare = ", ".join(f"{agent[name]} {name}" for name in _RARE if agent[name])

@@ -1,4 +1,4 @@
-"""The command `transport view`."""
+"""Command `transport view`: a recorded or active run in the browser."""
 
 import sys
 import time
@@ -32,22 +32,28 @@ def view(
     """Show a recorded or active run in the browser.
 
     Payload, rods, UAVs with attitude and thrust, actual and predicted paths, links by age of plans.
-    Links of an active run can be changed, its agents killed and restarted. Ctrl-C ends the viewer, not the run.
+    Links of an active run can be changed, its agents killed and restarted. Ctrl-C ends the viewer,
+    not the run.
 
     Example: transport view runs/20260102-101500-paper
     """
-    folder, has_parent_ended = run_folder(given), parent_ended()
+    folder = run_folder(given)
+    has_parent_ended = parent_ended()
     result = sys.stdout  # for the address alone: viser also prints when it stops
     try:
-        deadline = time.monotonic() + wait
-        while time.monotonic() < deadline and not has_parent_ended() and not _has_begun(folder):
+        deadline_s = time.monotonic() + wait
+        while time.monotonic() < deadline_s and not has_parent_ended() and not _has_begun(folder):
             time.sleep(_POLL_S)
         if has_parent_ended():
             raise typer.Exit(EXIT_UNREACHABLE)
+
         with redirect_stdout(sys.stderr), open_viewer(folder, host, port) as viewer:
-            about = orjson.dumps({"address": viewer.address, "run": str(folder)}).decode()
-            typer.echo(about if output is Format.json else viewer.address, file=result)
+            content = {"address": viewer.address, "run": str(folder)}
+            is_json = output is Format.json
+            text = orjson.dumps(content).decode() if is_json else viewer.address
+            typer.echo(text, file=result)
             result.flush()
+
             typer.echo(f"showing {folder}; Ctrl-C ends it", err=True)
             viewer.show_until(has_parent_ended)
     except KeyboardInterrupt:

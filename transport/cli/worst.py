@@ -1,4 +1,4 @@
-"""The command `transport worst`."""
+"""Command `transport worst`: search for the network that brings the team down."""
 
 import textwrap
 from datetime import UTC, datetime
@@ -85,34 +85,34 @@ def worst(
         until_failure=until_failure,
         jobs=jobs,
     )
-    folder = out or RUNS / f"worst-{path.stem}-{datetime.now(UTC).strftime('%Y%m%d-%H%M%S')}"
-    result = search(
-        read_scenario(path, settings or []), str(path), options, folder, Console(stderr=True)
-    )
-    show(output, {**summary(result), "folder": str(folder)}, *_shown(result, folder))
-    minimal = result.minimal
+    time_utc = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
+    folder = out or RUNS / f"worst-{path.stem}-{time_utc}"
+    start = read_scenario(path, settings or [])
+    result = search(start, str(path), options, folder, Console(stderr=True))
 
+    content = {**summary(result), "folder": str(folder)}
+    show(output, content, _in_words(result, folder))
+    minimal = result.minimal
     if strict and minimal is not None and not minimal.beyond_physics:
         raise typer.Exit(EXIT_DIVERGED)
 
 
-def _shown(result: SearchResult, folder: Path) -> list[object]:
+def _in_words(result: SearchResult, folder: Path) -> str:
     """Return a line for each of the worst cases, and the minimal one in words."""
     objective = result.problem.objective
     lines = ["worst cases (robustness: 1 far from failing, 0 at the limit, below 0 failed):"]
-
     for one in ranked(result)[:_LINES]:
         evaluation = one.evaluation
         value = objective.in_words(evaluation.value)
-        lines.append(
-            f"{evaluation.robustness:6.2f}  case {one.number}, {value}: {evaluation.outcome}"
-        )
+        case = f"case {one.number}, {value}: {evaluation.outcome}"
+        lines.append(f"{evaluation.robustness:6.2f}  {case}")
         lines += textwrap.wrap(one.candidate.in_words(), _WIDTH, **_INDENTED)
 
-    lines += ["", f"{result.failures} of {len(result.flown)} cases fail"]
-    if result.minimal is not None:
-        lines[-1] += f", the first is case {result.first_failure}. Minimal case:"
+    failures = f"{result.failures} of {len(result.flown)} cases fail"
+    if result.minimal is None:
+        lines += ["", failures]
+    else:
+        lines += ["", f"{failures}, the first is case {result.first_failure}. Minimal case:"]
         lines += [f"  {sentence}" for sentence in in_words(result.minimal)]
         lines.append(f"{folder / SCENARIO}, {folder / FIGURE}")
-
-    return ["\n".join(lines)]
+    return "\n".join(lines)

@@ -1,1 +1,1 @@
-"""Experiments: sweeps over variants of a scenario, with tables, confidence intervals and figures."""
+"""Experiments: sweeps over variants of a scenario, with tables, confidence intervals, figures."""

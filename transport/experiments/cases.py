@@ -1,4 +1,4 @@
-"""Cases of an experiment: the points of its sweep, each simulated in memory once per seed, and the numbers of a run."""
+"""Cases of an experiment: the points of its sweep, each simulated in memory once per seed."""
 
 import hashlib
 import json
@@ -35,7 +35,7 @@ from transport.protocol.scenario.team import Team, given, resized
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_USAGE
-from transport.protocol.wire.messages import Control, Plan, StepReport, Tick
+from transport.protocol.wire.messages import Control, Message, Plan, StepReport, Tick
 
 # Outcome of a case that could not be simulated.
 ERROR = "error"
@@ -57,8 +57,8 @@ _FROM_SUMMARY = {
 # Shares of messages: count and total, each an entry of the summary's messages.
 _SHARES = {"plans_lost_share": ("lost", "sent"), "plans_shared_share": ("shared", "planned")}
 
-# Numbers of every run; None where a run has none. The first is the scenario time of the end, unless completed. None of
-# them is a wall-clock time.
+# Numbers of every run; None where a run has none. The first is the scenario time of the end, unless
+# completed. None of them is a wall-clock time.
 NUMBERS = ("lost_s", *_FROM_SUMMARY, *_SHARES)
 
 # Keys, sections and values of a scenario that make a run random, unless they are the defaults.
@@ -76,7 +76,10 @@ _RANDOM = {
 
 
 class ExperimentError(TransportError, RuntimeError):
-    """An experiment that cannot be started or completed: one line for the user, and exit code of the process."""
+    """An experiment that cannot be started or completed.
+
+    The text is one line for the user; the process ends with the exit code.
+    """
 
     def __init__(self, text: str, exit_code: int = EXIT_USAGE) -> None:
         super().__init__(text)
@@ -97,16 +100,13 @@ class Point:
     A baseline is what the scenario's other points with the same group are compared to.
     """
 
-    labels: Mapping[
-        str, str | float
-    ]  # values by column that tell the point from the scenario's others
+    labels: Mapping[str, str | float]  # values by column that tell it from the scenario's others
     text: str  # the same in words, such as "200 ms"
     settings: tuple[str, ...] = ()  # changes of the scenario, as for `--set`
     baseline: bool = False
     group: str = ""  # name of points that share a baseline of their own
-    team: tuple[int, int] | None = (
-        None  # number of UAVs and UAVs per agent, as of `transport scenario new`
-    )
+    # Number of UAVs and UAVs per agent, as of `transport scenario new`.
+    team: tuple[int, int] | None = None
     scenario: str = ""  # file or name
 
     def read(self, settings: Sequence[str] = ()) -> Scenario:
@@ -114,9 +114,11 @@ class Point:
 
         Raises: ScenarioError: naming file or setting, field, expected, got.
         """
-        path, changes = find_scenario(self.scenario), [*settings, *self.settings]
+        path = find_scenario(self.scenario)
+        changes = [*settings, *self.settings]
         if self.team is None:
             return read_scenario(path, changes, allow_large=True)
+
         uavs, group = self.team
         team = resized(read_scenario(path), Team(uavs=uavs, group=group), str(path))
         return with_settings(given(team), changes, str(path), allow_large=True)
@@ -145,19 +147,22 @@ def cases_of(
     timed: bool = False,
     allow_large: bool = False,
 ) -> list[Case]:
-    """Return every run of a sweep: each point with the seeds 0, 1, ...; one seed for a deterministic point.
+    """Return every run of a sweep: each point with the seeds 0, 1, ...
 
-    The settings are applied before those of the points. Timed points have the numbers of `resource_use` and are all
-    repeated. With `allow_large` runs may exceed the limits of `protocol.scenario.budget`.
+    A deterministic point has one seed. The settings are applied before those of the points. Timed
+    points have the numbers of `resource_use` and are all repeated. With `allow_large` runs may
+    exceed the limits of `protocol.scenario.budget`.
 
     Raises: ScenarioError: a point that cannot be simulated, naming file, field, expected, got.
     """
+    more = resource_use if timed else None
     cases = []
     for index, point in enumerate(points):
-        path, scenario = find_scenario(point.scenario), point.read(settings)
+        path = find_scenario(point.scenario)
+        scenario = point.read(settings)
         if not allow_large:
             check_budget(scenario, str(path))
-        cases += cases_of_point(index, scenario, path, seeds, more=resource_use if timed else None)
+        cases += cases_of_point(index, scenario, path, seeds, more=more)
     return cases
 
 
@@ -170,12 +175,13 @@ def cases_of_point(
     """
     if scenario.clock.mode != "lockstep":
         # In real time the result would depend on the machine and its load.
-        raise ScenarioError(
-            str(path), "clock.mode", f"expected lockstep, got {scenario.clock.mode}"
-        )
+        problem = f"expected lockstep, got {scenario.clock.mode}"
+        raise ScenarioError(str(path), "clock.mode", problem)
     checked(Setup.of(scenario, str(path)))  # refuses an impossible setup before the first run
+
+    is_repeated = more is resource_use or is_random(scenario)
     cases = []
-    for seed in range(seeds if more is resource_use or is_random(scenario) else 1):
+    for seed in range(seeds if is_repeated else 1):
         seeded = scenario.model_copy(update={"seed": seed})
         key = key_of(seeded)
         cases.append(Case(point=index, scenario=seeded, source=str(path), key=key, more=more))
@@ -185,19 +191,23 @@ def cases_of_point(
 def key_of(scenario: Scenario) -> str:
     """Return the fingerprint of what determines a result.
 
-    That is the scenario without addresses, the version of the package and those of the engine and the controller.
+    That is the scenario without addresses, and the versions of package, engine and controller.
     """
     tree = {name: part for name, part in scenario.tree().items() if name != "network"}
-    content = [tree, version("payload-transport"), engine_version(scenario.plant.engine)]
-    content.append(controller_version(scenario.agents.controller))
+    content = [
+        tree,
+        version("payload-transport"),
+        engine_version(scenario.plant.engine),
+        controller_version(scenario.agents.controller),
+    ]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def is_random(scenario: Scenario) -> bool:
     """Return whether runs of the scenario differ with the seed."""
-    return not _RANDOM.isdisjoint(
-        re.findall(r'"(\w+)"', scenario.model_dump_json(exclude_defaults=True))
-    )
+    changed = scenario.model_dump_json(exclude_defaults=True)
+    words = re.findall(r'"(\w+)"', changed)
+    return not _RANDOM.isdisjoint(words)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,14 +221,17 @@ class Result:
 
 
 def run_in_memory(setup: Setup) -> RunLog:
-    """Simulate a run in this process and return its log, stamped with the processor time of this thread."""
+    """Simulate a run in this process and return its log.
+
+    Messages are stamped with the processor time of this thread.
+    """
     messages: list[Recorded] = []
-    clock = time.thread_time_ns  # excludes the rest of the machine
-    memory.simulate(
-        setup,
-        lambda message: messages.append(Recorded(message=message, received_ns=clock())),
-        clock,
-    )
+    clock_ns = time.thread_time_ns  # excludes the rest of the machine
+
+    def record(message: Message) -> None:
+        messages.append(Recorded(message=message, received_ns=clock_ns()))
+
+    memory.simulate(setup, record, clock_ns)
     return RunLog(header={}, messages=tuple(messages), cut="")
 
 
@@ -227,42 +240,40 @@ def simulate(case: Case) -> Result:
     try:
         # One thread: sums have the same order on every machine.
         with threadpoolctl.threadpool_limits(1):
-            setup = Setup.of(case.scenario, case.source)
-            if key_of(setup.scenario) != case.key:
-                raise RuntimeError(
-                    "expected the version of this package that started the experiment, got another"
-                )
-            log = run_in_memory(setup)
-            summary = summarise(AnalysedRun.of(setup, log))
-            control = next(log.of(Control))
-            end_s = (
-                None
-                if control.outcome == "completed"
-                else control.tick * setup.settings.sampling_period_s
-            )
-            numbers = {
-                "lost_s": end_s,
-                **_numbers(summary),
-                **_radio_numbers(summary["radio"]),
-                **(case.more(setup, summary, log) if case.more else {}),
-            }
+            return _result(case)
     except Exception as error:  # noqa: BLE001  # an error of one case must not end the others
         text = " ".join(str(error).split())
-        return Result(
-            key=case.key, outcome=ERROR, reason=f"{type(error).__name__}: {text}", numbers={}
+        reason = f"{type(error).__name__}: {text}"
+        return Result(key=case.key, outcome=ERROR, reason=reason, numbers={})
+
+
+def _result(case: Case) -> Result:
+    """Simulate a case and return its outcome and numbers."""
+    setup = Setup.of(case.scenario, case.source)
+    if key_of(setup.scenario) != case.key:
+        raise RuntimeError(
+            "expected the version of this package that started the experiment, got another"
         )
+
+    log = run_in_memory(setup)
+    summary = summarise(AnalysedRun.of(setup, log))
+    control = next(log.of(Control))
+
+    is_completed = control.outcome == "completed"
+    end_s = None if is_completed else control.tick * setup.settings.sampling_period_s
+    numbers = {"lost_s": end_s, **_numbers(summary), **_radio_numbers(summary["radio"])}
+    if case.more is not None:
+        numbers |= case.more(setup, summary, log)
     return Result(key=case.key, outcome=control.outcome, reason=control.reason, numbers=numbers)
 
 
 def _numbers(summary: Any) -> dict[str, float | None]:
+    """Return the numbers of a run from its summary."""
+    numbers = {name: reduce(getitem, place, summary) for name, place in _FROM_SUMMARY.items()}
     messages = summary["messages"]
-    return {
-        **{name: reduce(getitem, place, summary) for name, place in _FROM_SUMMARY.items()},
-        **{
-            name: messages[part] / messages[of] if messages[of] else None
-            for name, (part, of) in _SHARES.items()
-        },
-    }
+    for name, (count, total) in _SHARES.items():
+        numbers[name] = messages[count] / messages[total] if messages[total] else None
+    return numbers
 
 
 def _radio_numbers(radio: Mapping[str, Any] | None) -> dict[str, float | None]:
@@ -277,27 +288,31 @@ def _radio_numbers(radio: Mapping[str, Any] | None) -> dict[str, float | None]:
 
 
 def resource_use(setup: Setup, _: Any, log: RunLog) -> Mapping[str, float | None]:
-    """Return messages and processor time of a run, as in docs/experiments.md; none if it ended before its first step.
+    """Return messages and processor time of a run, as in docs/experiments.md.
 
-    A shared plan counts once for each other agent, as on a network without multicast. Messages to plant and
-    coordinator are not counted: in the field they stay on board or do not exist.
+    Nothing if it ended before its first step. A shared plan counts once for each other agent, as on
+    a network without multicast. Messages to plant and coordinator are not counted: in the field
+    they stay on board or do not exist.
     """
+    # All stages of computation of an agent's step.
     steps_ms = [float(report.times_ms[-1]) for report in log.of(StepReport)]
     if not steps_ms:
         return {}
-    ticks, receivers = len({report.tick for report in log.of(StepReport)}), len(setup.agents) - 1
+
+    ticks = len({report.tick for report in log.of(StepReport)})
     duration_s = ticks * setup.settings.sampling_period_s
-    bytes_of_plans = [len(encode(plan)) for plan in log.of(Plan) if plan.shared]
-    began_ns, ended_ns = min(log.received_ns(Tick).values()), max(log.received_ns(Control).values())
+    receivers = len(setup.agents) - 1
+    plans_bytes = [len(encode(plan)) for plan in log.of(Plan) if plan.shared]
+
+    # With plant, coordinator and messages.
+    began_ns = min(log.received_ns(Tick).values())
+    ended_ns = max(log.received_ns(Control).values())
+    run_s = (ended_ns - began_ns) / 1e9
     return {
-        "plans_per_tick": receivers * len(bytes_of_plans) / ticks,
-        "plan_bytes_per_s": receivers * sum(bytes_of_plans) / duration_s,
-        "cpu_step_p50_ms": float(
-            np.median(steps_ms)
-        ),  # of an agent's step: all stages of computation
+        "plans_per_tick": receivers * len(plans_bytes) / ticks,
+        "plan_bytes_per_s": receivers * sum(plans_bytes) / duration_s,
+        "cpu_step_p50_ms": float(np.median(steps_ms)),
         "cpu_step_p99_ms": float(np.percentile(steps_ms, 99.0)),
         "cpu_team_tick_ms": sum(steps_ms) / ticks,
-        "cpu_flight_s_per_s": (ended_ns - began_ns)
-        / 1e9
-        / duration_s,  # with plant, coordinator and messages
+        "cpu_flight_s_per_s": run_s / duration_s,
     }

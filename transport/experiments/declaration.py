@@ -1,7 +1,7 @@
 """Declaration of an experiment: its points, its options with their checks, and how it is drawn.
 
-The function of an experiment yields the points of one scenario; it is declared with its options, from which the command
-line and its help are made.
+The function of an experiment yields the points of one scenario; it is declared with its options,
+from which the command line and its help are made.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -15,12 +15,12 @@ from transport.protocol.scenario.schema import Scenario
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """A quantity in a figure: its column, its name and unit, and the factor from the column to that unit."""
+    """A quantity in a figure."""
 
-    label: str
+    label: str  # its column
     name: str
     unit: str = ""
-    factor: float = 1.0
+    factor: float = 1.0  # from the column to the unit
 
     @property
     def title(self) -> str:
@@ -52,26 +52,28 @@ _COLUMNS: Mapping[str, tuple[Any, ...]] = {
 
 
 def axis(column: str) -> Axis:
-    """Return the axis of a column: of a key or short name, in its words if it has no label, or of `_COLUMNS`."""
+    """Return the axis of a column, which is a key, a short name, or one of `_COLUMNS`.
+
+    A key without a label is named in its own words.
+    """
     if column in _COLUMNS:
         return Axis(column, *_COLUMNS[column])
-    key = short_names().get(column, column)
-    found = fields().get(key)
-    # Labels of links name plans.
-    if (
-        found is None
-        or not key_of(found).label
-        or key.startswith(("links.measurement.", "links.actuation."))
-    ):
-        ending = ending_of(key)
-        return Axis(
-            column,
-            key.removesuffix(ending).replace(".", " ").replace("_", " "),
-            UNITS[ending].symbol,
-        )
-    unit = key_of(found).shown or unit_of(key, found)
-    return Axis(column, key_of(found).label, unit, _FACTORS.get(unit.partition(" ")[0], 1.0))
 
+    key = short_names().get(column, column)
+    field_of_key = fields().get(key)
+    names_plans = key.startswith(_OTHER_LINKS)
+    if field_of_key is None or not key_of(field_of_key).label or names_plans:
+        ending = ending_of(key)
+        words = key.removesuffix(ending).replace(".", " ").replace("_", " ")
+        return Axis(column, words, UNITS[ending].symbol)
+
+    described = key_of(field_of_key)
+    unit = described.shown or unit_of(key, field_of_key)
+    return Axis(column, described.label, unit, _FACTORS.get(unit.partition(" ")[0], 1.0))
+
+
+# Beginnings of keys that share the fields of the agents' links, whose labels name plans.
+_OTHER_LINKS = ("links.measurement.", "links.actuation.")
 
 # Label of points to which a column does not apply.
 NONE = "none"
@@ -106,8 +108,8 @@ Build = Callable[..., Iterable[Point]]
 class Experiment:
     """A sweep, with its options and defaults, and how it is drawn.
 
-    That is as curves over x, a map over x and y, or a row for each variant. Curves have the panels of costs, of
-    processor time, of shared plans, of errors or of the radio.
+    That is as curves over x, a map over x and y, or a row for each variant. Curves have the panels
+    of costs, of processor time, of shared plans, of errors or of the radio.
     """
 
     name: str  # of the command
@@ -116,8 +118,8 @@ class Experiment:
     drawn_as: Literal[
         "curves", "scaling", "variants", "sharing", "tracking", "radio", "weather"
     ] = "curves"
-    # Column that tells the curves of a scenario apart, and names of its values in the figure. Points labelled `NONE`
-    # belong to all curves.
+    # Column that tells the curves of a scenario apart, and names of its values in the figure.
+    # Points labelled `NONE` belong to all curves.
     curves: str | None = None
     legend: Mapping[str | float, str] = field(default_factory=dict)
     points: tuple[Point, ...] = ()
@@ -132,22 +134,29 @@ class Experiment:
     def experiment(
         self, scenarios: Mapping[str, Scenario], given: Mapping[str, Any], *, quick: bool = False
     ) -> Self:
-        """Return the experiment with the points of scenarios and the options given, the others at their defaults.
+        """Return the experiment with the points of scenarios and the options given.
+
+        The other options are at their defaults.
 
         Raises: ExperimentError: an option is refused.
         """
-        options = {}
-        for name, values in self.options.items():
-            found = given.get(name)
-            if found in (None, []):
-                found = values.quick if quick and values.quick is not None else values.default
-            options[name] = sorted(set(found)) if isinstance(found, list) else found
+        options = {
+            name: _chosen(given.get(name), values, quick=quick)
+            for name, values in self.options.items()
+        }
         points = [
             replace(point, scenario=name)
             for name, scenario in scenarios.items()
             for point in self.build(scenario, **options)
-        ] or self.build(**options)
-        return replace(self, points=tuple(points))
+        ]
+        return replace(self, points=tuple(points or self.build(**options)))
+
+
+def _chosen(value: Any, values: Values, *, quick: bool) -> Any:
+    """Return the given value of an option or its default; lists are sorted, without repetition."""
+    if value in (None, []):
+        value = values.quick if quick and values.quick is not None else values.default
+    return sorted(set(value)) if isinstance(value, list) else value
 
 
 # Experiments by the name of the command.

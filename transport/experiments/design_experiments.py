@@ -1,4 +1,7 @@
-"""Experiments with the algorithm and the team: its parts, horizon, a long hover, team size, faults, and fast flight."""
+"""Experiments with the algorithm and the team.
+
+Parts of the algorithm, horizon, a long hover, team size, faults, and fast flight.
+"""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,9 +16,13 @@ from transport.protocol.scenario.file import ScenarioError, with_settings
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.team import given
 
-AS_IT_IS, NEVER, CENTRALIZED = "as it is", "never", "centralized"
+# Values of labels.
+AS_IT_IS = "as it is"
+NEVER = "never"
+CENTRALIZED = "centralized"
 
-# Settings of each part by its name. Those that a scenario has anyway, or that its other settings exclude, are left out.
+# Settings of each part by its name. Those that a scenario has anyway, or that its other settings
+# exclude, are left out.
 PARTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "prediction": ("controller.prediction", ("open_loop", "closed_loop")),
     "terminal": ("controller.terminal", ("multiple", "riccati")),
@@ -48,15 +55,17 @@ def ablation(scenario: Scenario) -> Iterator[Point]:
     for network, links in NETWORKS.items():
         labels: dict[str, str | float] = {"network": network, "part": AS_IT_IS, "value": ""}
         yield Point(labels, f"{AS_IT_IS}, {network}", links, baseline=network == "perfect")
+
         for part, (key, values) in PARTS.items():
             for value in values:
-                if _takes(scenario, f"{key}={value}"):
+                setting = f"{key}={value}"
+                if _takes(scenario, setting):
                     labels = {"network": network, "part": part, "value": value}
-                    yield Point(labels, f"{part} {value}, {network}", (*links, f"{key}={value}"))
+                    yield Point(labels, f"{part} {value}, {network}", (*links, setting))
 
 
 def _takes(scenario: Scenario, setting: str) -> bool:
-    """Return whether a scenario does not have a setting, and its other settings do not exclude it."""
+    """Return whether a setting changes a scenario, and its other settings do not exclude it."""
     try:
         changed = with_settings(given(scenario), [setting], scenario.name)
     except ScenarioError:
@@ -82,25 +91,29 @@ def horizon(
 
     Example: transport experiment horizon --horizon 10 --horizon 20 --scenario paper
     """
-    # The scenario's own horizon and weight are always included: on a perfect network they are the baseline.
+    # The scenario's own horizon and weight are always included: on a perfect network they are the
+    # baseline.
     controller = scenario.controller
     own_end = float(controller.weights.terminal)
+    horizons = sorted({controller.horizon, *horizon})
     ends: Sequence[float | str] = sorted({own_end, *terminal})
     if controller.terminal == "riccati":
         ends = [_COST_TO_GO]
+
     for network, delay_s in (("perfect", 0.0), (f"{1e3 * delay:g} ms delay", delay)):
-        for steps, end in product(sorted({controller.horizon, *horizon}), ends):
-            settings, text = [f"links.delay_s={delay_s!r}", f"controller.horizon={steps}"], str(end)
+        for steps, end in product(horizons, ends):
+            settings = [f"links.delay_s={delay_s!r}", f"controller.horizon={steps}"]
+            text = str(end)
             if end != _COST_TO_GO:
                 settings.append(f"controller.weights.terminal={end!r}")
                 text = f"terminal weight {end:g}"
+
+            is_own = steps == controller.horizon and end in (own_end, _COST_TO_GO)
             yield Point(
                 {"network": network, "horizon": steps, "terminal": end},
                 f"N_p {steps}, {text}, {network}",
                 tuple(settings),
-                baseline=steps == controller.horizon
-                and end in (own_end, _COST_TO_GO)
-                and delay_s == 0.0,
+                baseline=is_own and delay_s == 0.0,
             )
 
 
@@ -118,11 +131,10 @@ def hover(scenario: Scenario, duration: Sequence[float]) -> Iterator[Point]:
 
     Example: transport experiment hover --duration 60 --scenario resilient
     """
-    phases = scenario.maneuver.phase
-    for (
-        duration_s
-    ) in duration:  # no run is a baseline: mean costs of different lengths are not comparable
-        setting = f"maneuver.phase.{len(phases)}.duration_s={duration_s!r}"
+    # No run is a baseline: mean costs of different lengths are not comparable.
+    last = len(scenario.maneuver.phase)
+    for duration_s in duration:
+        setting = f"maneuver.phase.{last}.duration_s={duration_s!r}"
         yield Point({"hover_s": duration_s}, f"{duration_s:g} s of hover", (setting,))
 
 
@@ -142,17 +154,19 @@ def kill(scenario: Scenario, at: float, restart: float) -> Iterator[Point]:
     """
     if not at < restart < math.inf:
         raise refused("--restart", f"a time after --at {at:g} s", f"{restart:g}")
+
     yield Point({"agent": NONE, "restart_s": NONE}, "no agent killed", (_CONTINUE,), baseline=True)
-    for back_s in (restart, None):
-        how = "not restarted" if back_s is None else f"restarted after {back_s - at:g} s"
-        for agent in range(1, len(scenario.owned) + 1):
-            events = [
-                _event(at, "kill", agent),
-                *([_event(back_s, "restart", agent)] if back_s else []),
-            ]
+    agents = range(1, len(scenario.owned) + 1)
+    for restart_s in (restart, None):
+        for agent in agents:
+            events = [_event(at, "kill", agent)]
+            end = "not restarted"
+            if restart_s is not None:
+                events.append(_event(restart_s, "restart", agent))
+                end = f"restarted after {restart_s - at:g} s"
             yield Point(
-                {"agent": str(agent), "restart_s": back_s or NEVER},
-                f"agent{agent} {how}",
+                {"agent": str(agent), "restart_s": restart_s or NEVER},
+                f"agent{agent} {end}",
                 (_CONTINUE, f"faults.event=[{','.join(events)}]"),
             )
 
@@ -172,10 +186,12 @@ def deaths(scenario: Scenario, count: int, draw: int) -> Iterator[Point]:
     """
     period_s = scenario.controller.sampling_period_s
     duration_s = sum(phase.duration_s for phase in scenario.maneuver.phase)
-    rng = np.random.default_rng(draw)
     periods = math.ceil(duration_s / period_s)
+
+    rng = np.random.default_rng(draw)
     ticks = rng.choice(periods, size=min(count, periods), replace=False)
     killed = sorted((int(tick), 1 + int(rng.integers(len(scenario.owned)))) for tick in ticks)
+
     yield Point({"agent": NONE, "killed_s": 0.0}, "no agent killed", (_CONTINUE,), baseline=True)
     for tick, agent in killed:
         killed_s = round(tick * period_s, 6)
@@ -187,6 +203,7 @@ def deaths(scenario: Scenario, count: int, draw: int) -> Iterator[Point]:
 
 
 def _event(at_s: float, action: str, agent: int) -> str:
+    """Return an event of a scenario at a time, s."""
     return f'{{at_s={at_s!r},do="{action}",target="agent{agent}"}}'
 
 
@@ -203,27 +220,34 @@ def _event(at_s: float, action: str, agent: int) -> str:
     max=Values(12, "COUNT", "UAVs of the largest team.", 6, least=2, most=16),
     sizes=Values([2, 3, 4, 6, 8, 10, 12, 16], quick=[2, 4, 6]),  # those below the largest
 )
-def scaling(max: int, sizes: Sequence[int]) -> Iterator[Point]:  # noqa: A002  # the name of the option
+def scaling(
+    max: int,  # noqa: A002  # the name of the option
+    sizes: Sequence[int],
+) -> Iterator[Point]:
     """Growth of cost, computation and messages.
 
-    Teams of 2 to 12 UAVs made from `resilient`, each with an agent for every UAV, for every pair, and for all.
+    Teams of 2 to 12 UAVs made from `resilient`, each with an agent for every UAV, for every pair,
+    and for all.
 
     Computation is processor time, measured in the same runs. More than one job in parallel
     disturbs the timing, not costs and messages.
 
     Example: transport experiment scaling --max 8 --seeds 3
     """
+    teams = [*(size for size in sizes if size < max), max]
     for ownership, group in OWNERSHIPS.items():
-        for uavs in [*(size for size in sizes if size < max), max]:
+        for uavs in teams:
+            # A single pair is the centralized team; an odd number has no pairs.
             if group == 2 and (uavs == 2 or uavs % 2):
-                continue  # a single pair is the centralized team; an odd number has no pairs
-            own = group or uavs
+                continue
+
+            uavs_per_agent = group or uavs
             yield Point(
-                {"ownership": ownership, "uavs": uavs, "agents": uavs // own},
+                {"ownership": ownership, "uavs": uavs, "agents": uavs // uavs_per_agent},
                 f"{uavs} UAVs {ownership}",
                 baseline=ownership == CENTRALIZED,
                 group=f"{uavs} UAVs",
-                team=(uavs, own),
+                team=(uavs, uavs_per_agent),
                 scenario="resilient",
             )
 
@@ -263,26 +287,28 @@ AGILE: Mapping[str, tuple[str, ...]] = {
 def agile(scenario: Scenario, speed: Sequence[float]) -> Iterator[Point]:
     """Fast flight: the payload's error over speed.
 
-    One agent for each UAV on a perfect network and late ones, one agent for all UAVs, and on the late network another
-    payload mass, wind, both estimated, and motor lag.
+    One agent for each UAV on a perfect network and late ones, one agent for all UAVs, and on the
+    late network another payload mass, wind, both estimated, and motor lag.
 
-    A speed that thrust, tension, tilt or distances do not allow is refused with the least slowing that they do.
+    A speed that thrust, tension, tilt or distances do not allow is refused with the least slowing
+    that they do.
 
     Example: transport experiment agile --speed 5 --seeds 10
     """
-    paced = [
-        i for i, phase in enumerate(scenario.maneuver.phase, start=1) if phase.speed_mps is not None
-    ]
+    phases = enumerate(scenario.maneuver.phase, start=1)
+    paced = [number for number, phase in phases if phase.speed_mps is not None]
     if not paced:
         raise refused("--scenario", "a maneuver with speed_mps in a phase", scenario.name)
-    whole = f"agents.owned=[{[uav.id for uav in scenario.system.uav]}]"
-    cases = {CENTRALIZED: (*NETWORKS[_PERFECT], whole, "controller.relaxation=1.0"), **AGILE}
-    for case, settings in cases.items():
+
+    one_agent = f"agents.owned=[{[uav.id for uav in scenario.system.uav]}]"
+    centralized = (*NETWORKS[_PERFECT], one_agent, "controller.relaxation=1.0")
+    for case, settings in {CENTRALIZED: centralized, **AGILE}.items():
         for speed_mps in speed:
+            speeds = [f"maneuver.phase.{number}.speed_mps={speed_mps!r}" for number in paced]
             yield Point(
                 {"case": case, "speed_mps": speed_mps},
                 f"{case}, {speed_mps:g} m/s",
-                (*settings, *(f"maneuver.phase.{i}.speed_mps={speed_mps!r}" for i in paced)),
+                (*settings, *speeds),
                 baseline=case == _UNIMPAIRED,
                 group=f"{speed_mps:g} m/s",
             )

@@ -112,12 +112,12 @@ class _Abscissa:
 
     @property
     def is_few(self) -> bool:
-        """Whether every value has a tick."""
+        """True if every value has a tick."""
         return len(self.values) <= _MOST_TICKS
 
     @property
     def is_joined(self) -> bool:
-        """Whether the points of a curve are joined by a line."""
+        """True if the points of a curve are joined by a line."""
         return self.is_few and not isinstance(self.values[0], str)
 
     @property
@@ -134,7 +134,7 @@ class _Abscissa:
         return max(places) - min(places) or 1.0
 
     def apart(self, curves: int) -> float:
-        """Return the distance between neighbouring curves that keeps markers and error bars apart.
+        """Return the distance between curves that keeps markers and error bars apart.
 
         Only names leave room for it: on an axis of numbers a marker stands on its value.
         """
@@ -227,29 +227,51 @@ def _half_width(one: PointStatistics, number: str) -> float:
 
 
 def _curves(experiment: Experiment, scenarios: Scenarios, *, joined: bool) -> Iterator[_Curve]:
-    """Yield each curve of each scenario; points labelled `NONE` belong to all curves of their scenario."""
+    """Yield each curve of each scenario.
+
+    Points labelled `NONE` belong to all curves of their scenario.
+    """
     column = experiment.curves
     is_single = len(scenarios) == 1
     for place, (scenario, measured) in enumerate(scenarios.items()):
-        labels = dict.fromkeys(one.point.labels[column] if column else "" for one in measured)
+        if column is None:
+            points = _points(experiment, measured, None)
+            style = _style(place, place, joined=joined)
+            yield _Curve(points, {**style, "label": scenario})
+            continue
+
+        labels = dict.fromkeys(one.point.labels[column] for one in measured)
         values = [label for label in labels if label != NONE]
         for index, value in enumerate(values):
-            # The last of several points at one x belongs to the curve: the constant delay, not the
-            # perfect network.
-            own = {
-                one.point.labels[experiment.x]: one
-                for one in measured
-                if column is None or one.point.labels[column] in (NONE, value)
-            }
-            label = scenario
-            if column is not None:
-                text = value if isinstance(value, str) else axis(column).text(value)
-                name = experiment.legend.get(value, text)
-                label = name if is_single else f"{scenario}, {name}"
+            points = _points(experiment, measured, value)
+            style = _style(index, index if is_single else place, joined=joined)
+            name = _name(experiment, column, value)
+            label = name if is_single else f"{scenario}, {name}"
+            yield _Curve(points, {**style, "label": label})
 
-            shape = index if column else place
-            style = _style(shape, shape if is_single else place, joined=joined)
-            yield _Curve(list(own.values()), {**style, "label": label})
+
+def _points(
+    experiment: Experiment, measured: Sequence[PointStatistics], value: float | str | None
+) -> list[PointStatistics]:
+    """Return the points of the curve with a value in the column of the curves.
+
+    The last of several points at one x belongs to the curve: the constant delay, not the perfect
+    network.
+    """
+    column = experiment.curves
+    return list(
+        {
+            one.point.labels[experiment.x]: one
+            for one in measured
+            if column is None or one.point.labels[column] in (NONE, value)
+        }.values()
+    )
+
+
+def _name(experiment: Experiment, column: str, value: float | str) -> str:
+    """Return the name of a curve with a value in a column."""
+    text = value if isinstance(value, str) else axis(column).text(value)
+    return experiment.legend.get(value, text)
 
 
 def _style(shape: int, colour: int, *, joined: bool) -> dict[str, Any]:
@@ -266,7 +288,10 @@ def _style(shape: int, colour: int, *, joined: bool) -> dict[str, Any]:
 
 
 def _scale(axes: Axes, means: Sequence[float], *, is_ratio: bool, is_growth: bool) -> None:
-    """Fit the vertical axis to the means; logarithmic for growth, or if few means are far above the rest."""
+    """Fit the vertical axis to the means.
+
+    It is logarithmic for growth, and if few means are far above the rest.
+    """
     lowest = min(means)
     highest = max(means)
     if is_ratio:
@@ -287,7 +312,10 @@ def _draw_divergence(
     places: Sequence[Sequence[float]],
     never_s: float,
 ) -> None:
-    """Draw the mean time at which runs diverged and its range; a run that completes at the height of "never"."""
+    """Draw the mean time at which runs diverged and its range.
+
+    Points with completed runs have a mark at the height of "never", too.
+    """
     for curve_places, (points, style) in zip(places, curves, strict=True):
         dots = style | {"linestyle": "none"}
         for place, one in zip(curve_places, points, strict=True):

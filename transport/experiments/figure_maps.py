@@ -1,4 +1,4 @@
-"""Maps of two quantities: the cost as colour, the completed runs as numbers, one map for each scenario."""
+"""Maps of two quantities, one for each scenario: cost as colour, completed runs as numbers."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -76,7 +76,10 @@ def _scale(measured: Sequence[PointStatistics]) -> LogNorm:
 def _draw_cell(
     panel: Axes, place: tuple[int, int], statistics: PointStatistics, scale: LogNorm
 ) -> float:
-    """Write the text of a cell at a column and row; return its cost, nan without a completed run."""
+    """Write the text of a cell at a column and row.
+
+    Returns: Its cost, nan without a completed run.
+    """
     style: dict[str, Any] = {
         "ha": "center",
         "va": "center",

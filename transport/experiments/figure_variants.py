@@ -1,4 +1,7 @@
-"""Variants of a scenario: the cost over the baseline's, a row for each variant and a colour for each network."""
+"""Variants of a scenario: the cost over the baseline's.
+
+Each variant has a row, each network a colour.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -48,18 +51,22 @@ def draw_variants(figure: Figure, scenarios: Mapping[str, Sequence[PointStatisti
         bottom_in=_BELOW_IN,
     )
 
-    ratios = [statistics.cost_ratio for statistics in measured]
-    shown = [1.0, *(ratio for ratio in ratios if ratio is not None)]
-    span = (min(shown) / _ROOM, max(shown) * _ROOM)
-    for panel, (scenario, own), names in zip(
-        panels, scenarios.items(), names_by_scenario, strict=True
-    ):
+    span = _span(measured)
+    contents = zip(panels, scenarios.items(), names_by_scenario, strict=True)
+    for panel, (scenario, own), names in contents:
         _draw_points(figure, panel, own, names, styles)
         head(panel, scenario, legend=False)
         panel.axvline(1.0, color=REFERENCE, linewidth=0.8, zorder=0)
         panel.set_yticks(range(len(names)), names)
         panel.set(xscale="log", xlim=span, ylim=(len(names) - 0.5, -0.5))
         label_decades(panel.xaxis)
+
+
+def _span(measured: Sequence[PointStatistics]) -> tuple[float, float]:
+    """Return the limits of the axis: those of the ratios, the baseline's included, with room."""
+    ratios = [statistics.cost_ratio for statistics in measured]
+    shown = [1.0, *(ratio for ratio in ratios if ratio is not None)]
+    return min(shown) / _ROOM, max(shown) * _ROOM
 
 
 def _styles(measured: Sequence[PointStatistics]) -> dict[str, dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Figures of an experiment as PNG, and as SVG for papers: curves, maps of two quantities, variants."""
+"""Figures of an experiment as PNG, and as SVG for papers: curves, maps and variants."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,22 +1,38 @@
-"""Experiments with the network: delay, packet loss, jitter, and the number of plans that are sent."""
+"""Experiments with the network: delay, packet loss, jitter, and the number of shared plans."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 from transport.experiments.cases import Point, refused
 from transport.experiments.declaration import NONE, Values, declared
 from transport.protocol.scenario.schema import Scenario
 
-# Standard deviation of one unit of `links.jitter_s`, and the mean it adds, by distribution (docs/keys.md); and the
-# smallest mean delay at which the random part is never cut off at zero, in standard deviations. The normal distribution
-# has no such mean: 2 cut off 2 %. A lognormal number whose logarithm has unit variance has a mean of 1 / sqrt(e - 1)
-# standard deviations.
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Jitter:
+    """A distribution of random delays (docs/keys.md).
+
+    Attributes:
+        deviation: Standard deviation of one unit of `links.jitter_s`.
+        mean: Mean that one unit adds.
+        least_mean: Smallest mean delay at which the random part is never cut off at zero, in
+            standard deviations.
+    """
+
+    deviation: float
+    mean: float
+    least_mean: float
+
+
+# Mean of a lognormal number whose logarithm has unit variance, in standard deviations.
 _LOGNORMAL = 1.0 / math.sqrt(math.e - 1.0)
 JITTER = {
-    "uniform": (1.0 / math.sqrt(12.0), 0.0, math.sqrt(3.0)),
-    "normal": (1.0, 0.0, 2.0),
-    "exponential": (1.0, 1.0, 1.0),
-    "lognormal": (1.0, _LOGNORMAL, _LOGNORMAL),
+    "uniform": Jitter(deviation=1.0 / math.sqrt(12.0), mean=0.0, least_mean=math.sqrt(3.0)),
+    # No mean is large enough: this one cuts off 2 %.
+    "normal": Jitter(deviation=1.0, mean=0.0, least_mean=2.0),
+    "exponential": Jitter(deviation=1.0, mean=1.0, least_mean=1.0),
+    "lognormal": Jitter(deviation=1.0, mean=_LOGNORMAL, least_mean=_LOGNORMAL),
 }
 
 # A good and a bad network, with their settings.
@@ -33,12 +49,8 @@ def latency(_: Scenario, delay: Sequence[float]) -> Iterator[Point]:
     Example: transport experiment latency --delay 0.1 --delay 0.3 --scenario resilient
     """
     for delay_s in sorted({0.0, *delay}):
-        yield Point(
-            {"delay_s": delay_s},
-            _ms(delay_s),
-            (f"links.delay_s={delay_s!r}",),
-            baseline=delay_s == 0.0,
-        )
+        setting = f"links.delay_s={delay_s!r}"
+        yield Point({"delay_s": delay_s}, _ms(delay_s), (setting,), baseline=delay_s == 0.0)
 
 
 @declared(
@@ -55,6 +67,7 @@ def loss(_: Scenario, loss: Sequence[float], burst: float) -> Iterator[Point]:
     Example: transport experiment loss --loss 0.3 --burst 10
     """
     yield Point({"model": NONE, "loss": 0.0}, "no loss", ("links.loss=0.0",), baseline=True)
+
     for model, words in (("bernoulli", "at random"), ("bursts", "in bursts")):
         for share in filter(None, loss):
             setting = _bursts(share, burst) if model == "bursts" else f"links.loss={share!r}"
@@ -62,16 +75,18 @@ def loss(_: Scenario, loss: Sequence[float], burst: float) -> Iterator[Point]:
 
 
 def _bursts(share: float, burst_ticks: float) -> str:
-    """Return the setting of a link that loses every plan in its bad state and spends a share of the ticks there."""
+    """Return the setting of a link that loses every plan in its bad state.
+
+    It spends a share of the ticks there.
+    """
     most = burst_ticks / (1.0 + burst_ticks)
     if share > most:
-        raise refused(
-            "--loss",
-            f"at most {most:.3g} with bursts of {burst_ticks:g} ticks on average",
-            f"{share:g}",
-        )
+        expected = f"at most {most:.3g} with bursts of {burst_ticks:g} ticks on average"
+        raise refused("--loss", expected, f"{share:g}")
+
+    # In equilibrium the bad state has the share enter / (enter + leave).
     leave = 1.0 / burst_ticks
-    enter = min(1.0, leave * share / (1.0 - share))  # from share = enter / (enter + leave)
+    enter = min(1.0, leave * share / (1.0 - share))
     return f"links.gilbert_elliott={{enter={enter!r},leave={leave!r},loss=1.0}}"
 
 
@@ -99,26 +114,33 @@ def jitter(
             (f"links.delay_s={delay_s!r}",),
             baseline=delay_s == 0.0,
         )
+
     for name in distribution:
         if name not in JITTER:
             raise refused("--distribution", f"one of {', '.join(JITTER)}", name)
-        unit, mean_of_unit, smallest = JITTER[name]
         for deviation_s in filter(None, std):
-            if not 0.0 < deviation_s <= mean / smallest:
-                expected = f"a standard deviation from 0 to {mean / smallest:.3g} s ({name}, mean {mean:g} s)"
-                raise refused("--std", expected, f"{deviation_s:g}")
-            scale_s = deviation_s / unit
-            settings = (
-                f"links.delay_s={max(0.0, mean - mean_of_unit * scale_s)!r}",
-                f"links.jitter_s={scale_s!r}",
-                f"links.distribution={name}",
+            yield Point(
+                {"distribution": name, "std_s": deviation_s, "mean_s": mean},
+                f"{name} with {_ms(deviation_s)}",
+                _jitter_settings(name, deviation_s, mean),
             )
-            labels: dict[str, str | float] = {
-                "distribution": name,
-                "std_s": deviation_s,
-                "mean_s": mean,
-            }
-            yield Point(labels, f"{name} with {_ms(deviation_s)}", settings)
+
+
+def _jitter_settings(name: str, deviation_s: float, mean_s: float) -> tuple[str, ...]:
+    """Return the settings of a link whose delays have a mean and a standard deviation."""
+    jitter = JITTER[name]
+    most_s = mean_s / jitter.least_mean
+    if not 0.0 < deviation_s <= most_s:
+        limits = f"from 0 to {most_s:.3g} s ({name}, mean {mean_s:g} s)"
+        raise refused("--std", f"a standard deviation {limits}", f"{deviation_s:g}")
+
+    scale_s = deviation_s / jitter.deviation
+    constant_s = max(0.0, mean_s - jitter.mean * scale_s)
+    return (
+        f"links.delay_s={constant_s!r}",
+        f"links.jitter_s={scale_s!r}",
+        f"links.distribution={name}",
+    )
 
 
 @declared(
@@ -170,15 +192,19 @@ def sharing(_: Scenario, threshold: Sequence[float], heartbeat: float) -> Iterat
     """
     for network, links in NETWORKS.items():
         for least in (0.0, *threshold):  # the baseline of each network sends all plans
-            on_change = (
-                "controller.share=on_change",
-                f"controller.share_heartbeat_s={heartbeat!r}",
-                f"controller.share_threshold={least!r}",
-            )
+            shared: tuple[str, ...] = ("controller.share=always",)
+            text = "all plans sent"
+            if least:
+                text = f"threshold {least:g}"
+                shared = (
+                    "controller.share=on_change",
+                    f"controller.share_heartbeat_s={heartbeat!r}",
+                    f"controller.share_threshold={least!r}",
+                )
             yield Point(
                 {"network": network, "share_threshold": least},
-                f"threshold {least:g}, {network}" if least else f"all plans sent, {network}",
-                (*links, *(on_change if least else ["controller.share=always"])),
+                f"{text}, {network}",
+                (*links, *shared),
                 baseline=not least,
                 group=network,
             )

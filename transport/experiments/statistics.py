@@ -1,4 +1,4 @@
-"""Statistics of repetitions: means with 95 % confidence intervals of each point of a sweep, in tables and sentences."""
+"""Statistics of repetitions: means with 95 % confidence intervals of each point of a sweep."""
 
 import math
 import statistics
@@ -13,40 +13,47 @@ from scipy.special import stdtrit
 from transport.experiments.cases import ERROR, Point, Result
 
 # Numbers of a point beside those of its runs.
-FIRST_DIVERGED, COST_RATIO = "first_lost_s", "cost_ratio"
+FIRST_DIVERGED = "first_lost_s"
+COST_RATIO = "cost_ratio"
+
+# Quantile of Student's distribution at the upper end of a 95 % confidence interval.
+_QUANTILE = 0.975
 
 
 class Estimate(NamedTuple):
     """A mean with its uncertainty."""
 
     mean: float
-    half_width: (
-        float | None
-    )  # half the 95 % confidence interval of the mean; None for a single value
+    # Half the 95 % confidence interval of the mean; None for a single value.
+    half_width: float | None
     n: int  # number of repetitions
 
 
 def estimate(values: Sequence[float]) -> Estimate | None:
-    """Return mean and Student's 95 % confidence interval of independent repetitions; None without any.
+    """Return mean and Student's 95 % confidence interval of independent repetitions.
 
-    Half the interval is t s / sqrt(n), with the sample standard deviation s (n - 1 degrees of freedom) and the 0.975
-    quantile t of Student's distribution. It is exact for normally distributed values.
+    Half the interval is t s / sqrt(n), with the sample standard deviation s (n - 1 degrees of
+    freedom) and the 0.975 quantile t of Student's distribution. It is exact for normally
+    distributed values. None without any values.
     """
     n = len(values)
     if n == 0:
         return None
-    half_width = (
-        float(stdtrit(n - 1, 0.975)) * statistics.stdev(values) / math.sqrt(n) if n > 1 else None
-    )
-    return Estimate(math.fsum(values) / n, half_width, n)
+
+    mean = math.fsum(values) / n
+    if n == 1:
+        return Estimate(mean, None, n)
+    t = float(stdtrit(n - 1, _QUANTILE))
+    s = statistics.stdev(values)
+    return Estimate(mean, t * s / math.sqrt(n), n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointStatistics:
     """Statistics of the runs of one point.
 
-    The cost ratio is the mean cost over that of the baseline, if both are known. The baseline has the same scenario
-    and group.
+    The cost ratio is the mean cost over that of the baseline, if both are known. The baseline has
+    the same scenario and group.
     """
 
     point: Point
@@ -70,11 +77,14 @@ class PointStatistics:
             "scenario": self.point.scenario,
             **self.point.labels,
             "flights": self.runs,
+            "completed": self.completed,
+            "errors": self.errors,
+            FIRST_DIVERGED: min(self.diverged_s, default=None),
+            COST_RATIO: self.cost_ratio,
         }
-        row |= {"completed": self.completed, "errors": self.errors}
-        row |= {FIRST_DIVERGED: min(self.diverged_s, default=None), COST_RATIO: self.cost_ratio}
         for name, value in self.numbers.items():
-            row |= {name: value and value.mean, f"{name}_ci95": value and value.half_width}
+            row[name] = value and value.mean
+            row[f"{name}_ci95"] = value and value.half_width
         return row
 
 
@@ -85,58 +95,75 @@ def statistics_of(
 
     Costs of diverged runs are left out: they cover only part of the maneuver.
     """
-    made: list[PointStatistics] = []
-    baselines = {}
-    for point, found in zip(points, results, strict=True):
-        simulated = [result for result in found if result.outcome != ERROR]
-        done = [result.numbers for result in simulated if result.outcome == "completed"]
-        estimates = {
-            name: estimate([value for numbers in done if (value := numbers.get(name)) is not None])
-            for name in names
-        }
-        ends_s = (result.numbers["lost_s"] for result in simulated)
-        m = PointStatistics(
-            point=point,
-            runs=len(simulated),
-            completed=len(done),
-            errors=len(found) - len(simulated),
-            diverged_s=tuple(sorted(end_s for end_s in ends_s if end_s is not None)),
-            numbers=estimates,
-            cost_ratio=None,
-        )
-        made.append(m)
-        if point.baseline:
-            baselines[point.scenario, point.group] = m.mean("cost_mean")
+    measured = [_of_point(point, own, names) for point, own in zip(points, results, strict=True)]
+    baselines = {
+        (one.point.scenario, one.point.group): one.mean("cost_mean")
+        for one in measured
+        if one.point.baseline
+    }
     return [
-        replace(m, cost_ratio=cost / baseline)
-        if (baseline := baselines.get((m.point.scenario, m.point.group)))
-        and (cost := m.mean("cost_mean")) is not None
-        else m
-        for m in made
+        replace(one, cost_ratio=_ratio(one, baselines.get((one.point.scenario, one.point.group))))
+        for one in measured
     ]
 
 
-# Most characters in a line of a table, and its title.
-WIDTH, TITLE = 140, "means of completed runs, ± 95 % confidence"
+def _of_point(point: Point, results: Sequence[Result], names: Sequence[str]) -> PointStatistics:
+    """Return the statistics of the runs of a point, without its cost ratio."""
+    simulated = [result for result in results if result.outcome != ERROR]
+    completed = [result.numbers for result in simulated if result.outcome == "completed"]
+    ends_s = [result.numbers["lost_s"] for result in simulated]
+
+    estimates = {}
+    for name in names:
+        values = [numbers.get(name) for numbers in completed]
+        estimates[name] = estimate([value for value in values if value is not None])
+    return PointStatistics(
+        point=point,
+        runs=len(simulated),
+        completed=len(completed),
+        errors=len(results) - len(simulated),
+        diverged_s=tuple(sorted(end_s for end_s in ends_s if end_s is not None)),
+        numbers=estimates,
+        cost_ratio=None,
+    )
+
+
+def _ratio(measured: PointStatistics, baseline: float | None) -> float | None:
+    """Return the mean cost over that of the baseline, if both are known."""
+    if not baseline:
+        return None
+    cost = measured.mean("cost_mean")
+    return None if cost is None else cost / baseline
+
+
+# Most characters in a line of a table.
+WIDTH = 140
+TITLE = "means of completed runs, ± 95 % confidence"
 
 # Numbers from here on are shown without decimals.
 _LARGE = 100.0
 
 
 class Column(NamedTuple):
-    """A column of the console's table: heading, name of the number, factor, digits, whether intervals are shown."""
+    """A column of the console's table."""
 
     heading: str
-    name: str
+    name: str  # of the number
     factor: float = 1.0
     digits: int = 2
-    interval: bool = False
+    interval: bool = False  # whether confidence intervals are shown
 
     def cell(self, row: Mapping[str, Any]) -> str:
         """Return the number of a row as text."""
-        values = [row.get(self.name), row.get(f"{self.name}_ci95") if self.interval else None]
-        shown = [self.factor * value for value in values if value is not None]
-        return " ±".join(f"{v:.{self.digits if abs(v) < _LARGE else 0}f}" for v in shown) or "-"
+        half_width = row.get(f"{self.name}_ci95") if self.interval else None
+        values = [row.get(self.name), half_width]
+        return " ±".join(self._text(value) for value in values if value is not None) or "-"
+
+    def _text(self, value: float) -> str:
+        """Return a number in the unit of the column, a large one without decimals."""
+        shown = self.factor * value
+        digits = self.digits if abs(shown) < _LARGE else 0
+        return f"{shown:.{digits}f}"
 
 
 _DIVERGED = Column("div.\n(s)", FIRST_DIVERGED, 1.0, 1)
@@ -157,7 +184,8 @@ _COLUMNS = [
     _AGE,
 ]
 
-# Columns of experiments whose points have a label: plans that are not sent, speeds, and teams, which are timed.
+# Columns of experiments whose points have a label: plans that are not sent, speeds, and teams,
+# which are timed.
 _FURTHER = {
     "share_threshold": [
         Column("plans\nsent (%)", "plans_shared_share", 100.0, 1, True),
@@ -192,7 +220,10 @@ def console_table(
     columns: Sequence[Column],
     rows: Sequence[Mapping[str, Any]],
 ) -> Table:
-    """Return a table for the console: labels with their headings, number of completed runs, columns of numbers."""
+    """Return a table for the console.
+
+    It has labels with their headings, the number of completed runs, and columns of numbers.
+    """
     table = Table(
         box=None, title=title, title_justify="left", title_style="bold", padding=(0, 1, 0, 0)
     )
@@ -200,18 +231,20 @@ def console_table(
         table.add_column(heading, no_wrap=True)
     for heading in ("done", *(column.heading for column in columns)):
         table.add_column(heading, justify="right", no_wrap=True)
+
     for row in rows:
-        texts = [value if isinstance(value := row[name], str) else f"{value:g}" for name in labels]
-        done = f"{row['completed']}/{row['flights']}" + (
-            f" {row['errors']}!" if row.get("errors") else ""
-        )
+        values = [row[name] for name in labels]
+        texts = [value if isinstance(value, str) else f"{value:g}" for value in values]
+        errors = f" {row['errors']}!" if row.get("errors") else ""
+        done = f"{row['completed']}/{row['flights']}{errors}"
         table.add_row(*texts, done, *(column.cell(row) for column in columns))
     return table
 
 
-# Team sizes that power laws are fitted to: below four the constant part of a step dominates, and larger teams are not
-# always run.
-FEWEST, MOST = 4, 12
+# Team sizes that power laws are fitted to: below four the constant part of a step dominates, and
+# larger teams are not always run.
+FEWEST = 4
+MOST = 12
 # Numbers whose growth with the team is told: name, factor, unit.
 _GROWING = {
     "CPU of an agent's step": ("cpu_step_p50_ms", 1.0, "ms"),
@@ -221,26 +254,37 @@ _GROWING = {
 
 
 def conclusions(measured: Sequence[PointStatistics]) -> list[str]:
-    """Return one sentence for each scenario or, with teams of increasing size, for each ownership."""
+    """Return one sentence for each scenario.
+
+    With teams of increasing size it is one for each ownership.
+    """
     groups: dict[str, list[PointStatistics]] = {}
-    for m in measured:
-        groups.setdefault(str(m.point.labels.get("ownership", m.point.scenario)), []).append(m)
-    told = _growth if "ownership" in measured[0].point.labels else _extremes
-    return [f"{name}: {'; '.join([*_outcomes(own), *told(own)])}" for name, own in groups.items()]
+    for one in measured:
+        group = str(one.point.labels.get("ownership", one.point.scenario))
+        groups.setdefault(group, []).append(one)
+
+    clauses_of = _growth if "ownership" in measured[0].point.labels else _extremes
+    sentences = []
+    for name, own in groups.items():
+        clauses = [*_outcomes(own), *clauses_of(own)]
+        sentences.append(f"{name}: {'; '.join(clauses)}")
+    return sentences
 
 
 def _outcomes(measured: Sequence[PointStatistics]) -> Iterator[str]:
-    """Yield how many runs were completed, where and when the first of the others diverged, and the errors."""
-    runs, completed, errors = (
-        sum(getattr(m, name) for m in measured) for name in ("runs", "completed", "errors")
-    )
-    diverged = [(m.diverged_s[0], m.point.text) for m in measured if m.diverged_s]
+    """Yield how many runs were completed and where the first of the others diverged.
+
+    Errors are told, too.
+    """
+    runs = sum(one.runs for one in measured)
+    completed = sum(one.completed for one in measured)
+    errors = sum(one.errors for one in measured)
+
     if runs:
-        first = (
-            "first diverged at {:.1f} s ({})".format(*min(diverged))
-            if diverged
-            else "none diverged"
-        )
+        diverged = [(one.diverged_s[0], one.point.text) for one in measured if one.diverged_s]
+        first = "none diverged"
+        if diverged:
+            first = "first diverged at {:.1f} s ({})".format(*min(diverged))
         yield f"completes {completed} of {runs} runs, {first}"
     if errors:
         yield f"{errors} run{'s' * (errors > 1)} could not be simulated"
@@ -248,32 +292,43 @@ def _outcomes(measured: Sequence[PointStatistics]) -> Iterator[str]:
 
 def _extremes(measured: Sequence[PointStatistics]) -> Iterator[str]:
     """Yield the largest attitude, and the lowest and highest cost over the baseline's."""
-    attitudes = [
-        (value, m.point.text) for m in measured if (value := m.mean("attitude_max_deg")) is not None
-    ]
-    if attitudes:
-        yield "largest payload attitude {:.2f} deg ({})".format(*max(attitudes))
-    costs = [
-        (m.cost_ratio, m.point.text)
-        for m in measured
-        if m.cost_ratio is not None and not m.point.baseline
-    ]
-    if costs:
-        ends = dict.fromkeys([min(costs), max(costs)])
+    attitudes_deg = []
+    ratios = []
+    for one in measured:
+        attitude_deg = one.mean("attitude_max_deg")
+        if attitude_deg is not None:
+            attitudes_deg.append((attitude_deg, one.point.text))
+        if one.cost_ratio is not None and not one.point.baseline:
+            ratios.append((one.cost_ratio, one.point.text))
+
+    if attitudes_deg:
+        yield "largest payload attitude {:.2f} deg ({})".format(*max(attitudes_deg))
+    if ratios:
+        ends = dict.fromkeys([min(ratios), max(ratios)])
         yield "cost " + " to ".join(f"x{ratio:.2f} ({text})" for ratio, text in ends)
 
 
 def _growth(measured: Sequence[PointStatistics]) -> Iterator[str]:
-    """Yield how numbers grow from `FEWEST` to `MOST` UAVs: p of N^p by least squares; nothing for a single team."""
+    """Yield how numbers grow from `FEWEST` to `MOST` UAVs: p of N^p by least squares.
+
+    Nothing for a single team.
+    """
     for name, (number, factor, unit) in _GROWING.items():
-        means = {float(m.point.labels["uavs"]): factor * (m.mean(number) or 0.0) for m in measured}
+        means = {
+            float(one.point.labels["uavs"]): factor * (one.mean(number) or 0.0) for one in measured
+        }
         fitted = {
             uavs: value
             for uavs, value in sorted(means.items())
             if FEWEST <= uavs <= MOST and value > 0.0
         }
-        if len(fitted) > 1:
-            sizes, values = list(fitted), list(fitted.values())
-            power = np.polyfit(np.log(sizes), np.log(values), 1)[0]
-            ends = f"{values[0]:.3g} to {values[-1]:.3g} {unit}"
-            yield f"{name} grows as N^{power:.2f} from {sizes[0]:g} to {sizes[-1]:g} UAVs ({ends})"
+        if len(fitted) < 2:
+            continue
+
+        # log value = p log N + constant
+        sizes = list(fitted)
+        values = list(fitted.values())
+        power = np.polyfit(np.log(sizes), np.log(values), 1)[0]
+        teams = f"from {sizes[0]:g} to {sizes[-1]:g} UAVs"
+        ends = f"{values[0]:.3g} to {values[-1]:.3g} {unit}"
+        yield f"{name} grows as N^{power:.2f} {teams} ({ends})"

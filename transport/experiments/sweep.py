@@ -1,4 +1,7 @@
-"""A sweep from its cases to its tables and figure: simulate the missing cases, keep each result, report all."""
+"""Sweep from its cases to its tables and figure.
+
+Cases without a result are simulated, each result is kept, and all are reported.
+"""
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
@@ -27,13 +30,16 @@ from transport.flight.run_files import machine
 from transport.protocol.wire.exit_codes import EXIT_FAILED
 from transport.report.report import write_csv, write_whole
 
-_IDENTITY, _RESULTS = "experiment.json", "results.jsonl"
+# Files of a folder: the experiment to which it belongs, and the results.
+_IDENTITY = "experiment.json"
+_RESULTS = "results.jsonl"
 
 
 class Results:
-    """Results by case; with a folder each is written to disk at once, and earlier ones are read from it.
+    """Results by case; with a folder each is written to disk at once.
 
-    Lines of the file that are incomplete or of another version are ignored: their cases are simulated again.
+    Earlier results are read from the folder. Lines of the file that are incomplete or of another
+    version are ignored: their cases are simulated again.
 
     Raises: ExperimentError: the folder contains something else, or cannot be written.
     """
@@ -42,13 +48,15 @@ class Results:
         self.folder = folder
         self._by_key: dict[str, Result] = {}
         self._file: BinaryIO | None = None
-        if folder is not None:
-            try:
-                _identify(folder, experiment)
-                self._file = (folder / _RESULTS).open("ab+", buffering=0)
-            except OSError as error:
-                raise ExperimentError(f"--out: cannot write {folder} ({error.strerror})") from error
-            self._read(self._file)
+        if folder is None:
+            return
+
+        try:
+            _identify(folder, experiment)
+            self._file = (folder / _RESULTS).open("ab+", buffering=0)
+        except OSError as error:
+            raise ExperimentError(f"--out: cannot write {folder} ({error.strerror})") from error
+        self._read(self._file)
 
     def __enter__(self) -> Self:
         return self
@@ -72,10 +80,12 @@ class Results:
         self._by_key[result.key] = result
 
     def _read(self, file: BinaryIO) -> None:
+        """Read the results of a file, and end its last line."""
         file.seek(0)
         lines = file.read().splitlines(keepends=True)
         if lines and not lines[-1].endswith(b"\n"):
             file.write(b"\n")  # otherwise the next result would continue the last line
+
         for line in lines:
             with suppress(ValueError, TypeError):
                 result = Result(**orjson.loads(line))
@@ -85,19 +95,17 @@ class Results:
 
 def _identify(folder: Path, experiment: str) -> None:
     """Note the experiment in its folder, or check that the folder belongs to it."""
-    identity, wanted = folder / _IDENTITY, f"experiment {experiment}"
+    identity = folder / _IDENTITY
     folder.mkdir(parents=True, exist_ok=True)
     if not any(folder.iterdir()):
         write_whole(identity, orjson.dumps({"experiment": experiment}) + b"\n")
-    found = (
-        f"experiment {orjson.loads(identity.read_bytes())['experiment']}"
-        if identity.exists()
-        else "other files"
-    )
-    if found != wanted:
-        raise refused(
-            "--out", f"a new folder, or one of {wanted}", f"{folder}, which contains {found}"
-        )
+
+    content = "other files"
+    if identity.exists():
+        content = f"experiment {orjson.loads(identity.read_bytes())['experiment']}"
+    if content != f"experiment {experiment}":
+        expected = f"a new folder, or one of experiment {experiment}"
+        raise refused("--out", expected, f"{folder}, which contains {content}")
 
 
 Simulate = Callable[[Sequence[Case]], Iterable[Result]]
@@ -114,28 +122,31 @@ class Swept:
     @cached_property
     def by_point(self) -> list[list[Result]]:
         """Results of each point."""
-        found: list[list[Result]] = [[] for _ in self.experiment.points]
+        by_point: list[list[Result]] = [[] for _ in self.experiment.points]
         for case, result in zip(self.cases, self.results, strict=True):
-            found[case.point].append(result)
-        return found
+            by_point[case.point].append(result)
+        return by_point
 
     @cached_property
     def measured(self) -> list[PointStatistics]:
         """Statistics of each point."""
-        return statistics_of(
-            self.experiment.points, self.by_point, self._numbers[1:]
-        )  # lost_s is in diverged_s
+        names = [name for name in self._numbers if name != "lost_s"]  # which is in diverged_s
+        return statistics_of(self.experiment.points, self.by_point, names)
 
     @property
     def _numbers(self) -> list[str]:
-        return list(
-            dict.fromkeys([*NUMBERS, *(name for result in self.results for name in result.numbers)])
-        )
+        """Names of the numbers of all results."""
+        further = [name for result in self.results for name in result.numbers]
+        return list(dict.fromkeys([*NUMBERS, *further]))
 
     def rows(self, table: str) -> list[dict[str, Any]]:
-        """Return a row for each point or, if the table is not "points", for each run; values by column."""
+        """Return a row for each point or, if the table is not "points", for each run.
+
+        Rows are values by column.
+        """
         if table == "points":
-            return [m.row() for m in self.measured]
+            return [one.row() for one in self.measured]
+
         rows = []
         for case, result in zip(self.cases, self.results, strict=True):
             point = self.experiment.points[case.point]
@@ -146,26 +157,23 @@ class Swept:
     def write(
         self, folder: Path, *, shown: tuple[Experiment, Sequence[PointStatistics]] | None = None
     ) -> list[Path]:
-        """Write tables and figure to a folder and return the files; the figure may show another view of the sweep."""
-        files = [
-            self.write_cases(folder / "cases.csv"),
-            *draw(*(shown or (self.experiment, self.measured)), folder),
-        ]
+        """Write tables and figure to a folder and return the files.
+
+        The figure may show another view of the sweep.
+        """
+        experiment, measured = shown or (self.experiment, self.measured)
+        cases = self.write_cases(folder / "cases.csv")
+        figures = draw(experiment, measured, folder)
+
         points = folder / "points.csv"
         rows = self.rows("points")
         write_csv(points, rows, list(rows[0]))
-        return [points, *files]
+        return [points, cases, *figures]
 
     def write_cases(self, file: Path) -> Path:
         """Write a row for each run and return the file; floats are written without loss."""
-        columns = [
-            "scenario",
-            *self.experiment.points[0].labels,
-            "seed",
-            "outcome",
-            "reason",
-            *self._numbers,
-        ]
+        labels = self.experiment.points[0].labels
+        columns = ["scenario", *labels, "seed", "outcome", "reason", *self._numbers]
         write_csv(file, self.rows("runs"), columns)
         return file
 
@@ -188,42 +196,44 @@ def sweep(
     console: Console,
 ) -> Swept:
     """Simulate the cases without a result, and keep each result at once."""
-    every = {case.key: case for case in cases}
+    by_key = {case.key: case for case in cases}
     # Seed by seed: a slow period of the machine affects the timing of all points alike.
-    missing = sorted(
-        (case for case in every.values() if not results.done(case.key)),
-        key=lambda case: case.scenario.seed,
-    )
+    missing = [case for case in by_key.values() if not results.done(case.key)]
+    missing.sort(key=lambda case: case.scenario.seed)
+    done = len(by_key) - len(missing)
+
     try:
-        with _Progress(experiment.name, len(every) - len(missing), len(every), console) as progress:
+        with _Progress(experiment.name, done, len(by_key), console) as progress:
             for result in simulate(missing) if missing else ():
                 results.add(result)
-                case = every[result.key]
+                case = by_key[result.key]
                 point = experiment.points[case.point]
-                progress.advance(
-                    f"{point.scenario}, {point.text}, seed {case.scenario.seed}: {result.outcome}"
-                )
+                run = f"{point.scenario}, {point.text}, seed {case.scenario.seed}"
+                progress.advance(f"{run}: {result.outcome}")
     except (KeyboardInterrupt, ExperimentError):
-        done = sum(results.done(case.key) for case in cases)
+        saved = sum(results.done(case.key) for case in cases)
         if results.folder is not None:
-            hint = f"{done} of {len(cases)} runs are saved; resume with: --out {results.folder}"
+            hint = f"{saved} of {len(cases)} runs are saved; resume with: --out {results.folder}"
             console.print(hint, highlight=False, soft_wrap=True)
         raise
+
     return Swept(experiment=experiment, cases=cases, results=[results[case.key] for case in cases])
 
 
 def write_markdown(
     folder: Path, sentences: Sequence[str], table: Table, files: Sequence[Path]
 ) -> list[str]:
-    """Write sentences, table and machine to report.md; return lines for the console, with the files."""
-    file, origin = folder / "report.md", f"machine: {machine()}"
+    """Write sentences, table and machine to report.md.
+
+    Returns: Lines for the console, with the files.
+    """
+    headings = [" ".join(str(column.header).split()) for column in table.columns]
     rows = zip(*(column.cells for column in table.columns), strict=True)
-    cells = [
-        [" ".join(str(column.header).split()) for column in table.columns],
-        ["---"] * len(table.columns),
-        *rows,
-    ]
+    cells = [headings, ["---"] * len(headings), *rows]
     lines = [f"| {' | '.join(map(str, row))} |" for row in cells]
+
+    file = folder / "report.md"
+    origin = f"machine: {machine()}"
     text = [*(f"- {sentence}" for sentence in sentences), "", *lines, "", f"*{origin}*", ""]
     write_whole(file, "\n".join(text).encode())
     return ["", *sentences, "", origin, *(f" {path}" for path in (*files, file))]
@@ -233,15 +243,21 @@ class _Progress(ConsoleProgress):
     """Progress of a sweep on the console: the number of finished runs and the last result."""
 
     def __init__(self, name: str, done: int, total: int, console: Console) -> None:
-        status = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[last]}"))
-        super().__init__(
-            console, TextColumn(name), *status, TimeElapsedColumn(), TimeRemainingColumn()
+        columns = (
+            TextColumn(name),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[last]}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
         )
+        super().__init__(console, *columns)
         self._task = self._bar.add_task(name, total=total, completed=done, last="")
 
     def advance(self, last: str) -> None:
         """Count one more finished run, described with its outcome."""
         self._bar.update(self._task, advance=1, last=last)
         (task,) = self._bar.tasks
-        if self._is_line_due() or (task.finished and not self._console.is_terminal):
+        is_end_due = task.finished and not self._console.is_terminal
+        if self._is_line_due() or is_end_due:
             self.say(f"{task.completed:g} of {task.total:g} runs done; last: {last}")

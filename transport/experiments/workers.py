@@ -18,8 +18,10 @@ from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
 Item = TypeVar("Item")
 Value = TypeVar("Value")
 
-# Timeout of the cluster, and period at which a worker checks that its parent lives, s.
-_ANSWER_S, _CHECK_S = 15.0, 0.5
+# Timeout of the cluster, s.
+_ANSWER_S = 15.0
+# Period at which a worker checks that its parent lives, s.
+_CHECK_S = 0.5
 
 
 def on_cores(cases: Sequence[Case], jobs: int | None = None) -> Iterator[Result]:
@@ -77,9 +79,8 @@ def check_cluster(address: str) -> None:
     if "://" not in address:
         raise refused("--dask", "an address such as tcp://host:8786", repr(address))
     if importlib.util.find_spec("distributed") is None:
-        raise refused(
-            "--dask", "the package distributed (pip install 'payload-transport[cluster]')", "none"
-        )
+        expected = "the package distributed (pip install 'payload-transport[cluster]')"
+        raise refused("--dask", expected, "none")
 
 
 def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
@@ -92,35 +93,36 @@ def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
     try:
         client = Client(address, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise refused(
-            "--dask", f"a scheduler at {address}", f"no answer ({error})", EXIT_UNREACHABLE
-        ) from error
+        expected = f"a scheduler at {address}"
+        got = f"no answer ({error})"
+        raise refused("--dask", expected, got, EXIT_UNREACHABLE) from error
+
     with client:
-        threads = [
-            worker["nthreads"] for worker in client.scheduler_info(n_workers=-1)["workers"].values()
-        ]
-        if not threads or max(threads) > 1:
-            expected = (
-                f"workers with one thread each at {address} (dask worker {address} --nthreads 1)"
-            )
-            raise refused(
-                "--dask",
-                expected,
-                f"some with {max(threads)}" if threads else "none",
-                EXIT_UNREACHABLE,
-            )
+        workers = client.scheduler_info(n_workers=-1)["workers"].values()
+        _check_threads(address, [worker["nthreads"] for worker in workers])
+
         futures = [client.submit(simulate, case, pure=False) for case in cases]
         for future in as_completed(futures, loop=client.loop):
             if future.status != "finished":
-                raise ExperimentError(
-                    f"--dask: the cluster at {address} fails: {future.exception()}",
-                    EXIT_UNREACHABLE,
-                )
+                problem = f"the cluster at {address} fails: {future.exception()}"
+                raise ExperimentError(f"--dask: {problem}", EXIT_UNREACHABLE)
             yield future.result()
 
 
+def _check_threads(address: str, threads: Sequence[int]) -> None:
+    """Refuse a cluster without workers, or with a worker of several threads.
+
+    Raises: ExperimentError.
+    """
+    if threads and max(threads) <= 1:
+        return
+    expected = f"workers with one thread each at {address} (dask worker {address} --nthreads 1)"
+    got = f"some with {max(threads)}" if threads else "none"
+    raise refused("--dask", expected, got, EXIT_UNREACHABLE)
+
+
 def _serve(parent: int) -> None:
-    """Prepare a worker: ignore Ctrl-C, which the parent handles, and end when the parent has ended."""
+    """Prepare a worker: ignore Ctrl-C, which the parent handles, and end with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def end_with_parent() -> None:

@@ -98,7 +98,7 @@ class FaultScript:
         self._recorder.note(child.name, _NOTES["kill"], "script", kills[0].tick)
 
     def _note_stop(self, fault: Fault) -> None:
-        """Note a stop as soon as its tick is open, or the process is seen to have stopped for it."""
+        """Note a stop once its tick is open, or the process is seen to have stopped for it."""
         # The coordinator stops before it opens the tick, which the recorder then does not see.
         is_open = self._recorder.tick >= fault.tick
         is_next = self._recorder.tick >= fault.tick - 1

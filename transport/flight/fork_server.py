@@ -1,4 +1,6 @@
-"""Fork server: starts the processes of a run by fork, so that imports are done once and their memory is shared.
+"""Fork server: starts the processes of a run by fork.
+
+Imports are done once and their memory is shared.
 
 A forked process equals `python -m transport agent ...`: it has its own session, output, title and
 exit code, and is a child of the process that asked for it. On systems other than Linux processes
@@ -27,9 +29,8 @@ import setproctitle
 from transport.protocol.network.parent import ENVIRONMENT, PARENT_PIPE, python
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
 
-_FORK_SERVER = (
-    "fork-server"  # first argument of the command that is the server (`transport.__main__`)
-)
+# First argument of the command that is the server (`transport.__main__`).
+_FORK_SERVER = "fork-server"
 _REQUEST_BYTES = 128 * 1024
 _ANSWER_S = 20.0  # time for an answer: the imports take 1 s
 _PR_SET_CHILD_SUBREAPER = 36  # <sys/prctl.h>
@@ -64,8 +65,11 @@ class ForkServer:
         self._socket: socket.socket | None = None
         if sys.platform != "linux" or not _adopt_orphans(True):
             return
+
         self._socket, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.settimeout(_ANSWER_S)
+        # A stopped server notices its parent's end.
+        environment = {**ENVIRONMENT, **os.environ, PARENT_PIPE: "1"}
         with other:
             self._process = subprocess.Popen(
                 [*python("transport"), _FORK_SERVER, str(other.fileno())],
@@ -73,38 +77,30 @@ class ForkServer:
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 pass_fds=[other.fileno()],
-                env={
-                    **ENVIRONMENT,
-                    **os.environ,
-                    PARENT_PIPE: "1",
-                },  # a stopped server notices its parent's end
+                env=environment,
                 start_new_session=True,  # Ctrl-C is handled by this process
             )
 
     def start(
         self, arguments: Sequence[str], stdin: int, output: IO[bytes], extra: Mapping[str, str]
     ) -> psutil.Process:
-        """Start `transport` as a child with two open files and additions to the environment of this process."""
+        """Start `transport` as a child with two open files.
+
+        Its environment is that of this process with some additions.
+        """
         environment = {**ENVIRONMENT, **os.environ, **extra}
         with self._turn:
             try:
                 if self._socket is not None:
-                    request = {
-                        "arguments": list(arguments),
-                        "environment": environment,
-                        "folder": str(Path.cwd()),
-                    }
-                    socket.send_fds(
-                        self._socket, [json.dumps(request).encode()], [stdin, output.fileno()]
-                    )
-                    return psutil.Process(int(self._socket.recv(64)))
+                    files = [stdin, output.fileno()]
+                    return _forked(self._socket, arguments, environment, files)
             except (OSError, ValueError, psutil.Error):
                 # The server only saves time: without it, or without a current folder, the process
                 # is started anew. One that it has forked but not announced ends with its input.
                 self.close()
-        command = [*python("transport"), *arguments]
+
         return psutil.Popen(
-            command,
+            [*python("transport"), *arguments],
             stdin=stdin,
             stdout=output,
             stderr=subprocess.STDOUT,
@@ -122,6 +118,23 @@ class ForkServer:
             _adopt_orphans(False)
 
 
+def _forked(
+    server: socket.socket,
+    arguments: Sequence[str],
+    environment: Mapping[str, str],
+    files: Sequence[int],
+) -> psutil.Process:
+    """Let the server fork a process with open files, and return it."""
+    request = {
+        "arguments": list(arguments),
+        "environment": environment,
+        "folder": str(Path.cwd()),
+    }
+    socket.send_fds(server, [json.dumps(request).encode()], files)
+    answer = server.recv(64)
+    return psutil.Process(int(answer))
+
+
 def _adopt_orphans(adopt: bool) -> bool:
     """Make this process, or not, the new parent of its orphaned descendants; return success."""
     return bool(ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, int(adopt), 0, 0, 0) == 0)
@@ -130,20 +143,24 @@ def _adopt_orphans(adopt: bool) -> bool:
 def serve(
     own: socket.socket, prepare: Callable[[list[str]], None], command: Callable[[], NoReturn]
 ) -> None:
-    """Be the server: `prepare` and fork a process with the command for each request, until the socket is closed."""
-    setproctitle.setproctitle(
-        f"transport {_FORK_SERVER}"
-    )  # before the environment moves: titles use its memory
+    """Serve requests until the socket is closed: prepare and fork a process for each.
+
+    The process runs the command.
+    """
+    # Before the environment moves: titles use its memory.
+    setproctitle.setproctitle(f"transport {_FORK_SERVER}")
     while True:
         content, descriptors, _, _ = socket.recv_fds(own, _REQUEST_BYTES, 2)
         if not content:
             return
+
         request = json.loads(content)
         os.chdir(request["folder"])
         with suppress(Exception):  # the process reports errors of its arguments
             prepare(request["arguments"])
         gc.collect()
         gc.freeze()  # a collection after the fork would copy shared memory
+
         own.send(b"%d" % _started(request, descriptors, command))
         for descriptor in descriptors:
             os.close(descriptor)
@@ -156,7 +173,8 @@ def _started(
     reads, writes = os.pipe()
     between = os.fork()
     if between == 0:
-        own, pid = os.getpid(), os.fork()
+        own = os.getpid()
+        pid = os.fork()
         if pid == 0:
             # Once it watches its parent, the end of this one would continue it if it were stopped
             # by then.
@@ -165,6 +183,7 @@ def _started(
             _become(request, descriptors[0], descriptors[1], command)
         os.write(writes, b"%d" % pid)
         os._exit(0)
+
     os.close(writes)
     os.waitpid(between, 0)
     with os.fdopen(reads, "rb") as pipe:
@@ -181,6 +200,7 @@ def _become(
         for descriptor, target in ((stdin, 0), (output, 1), (output, 2)):
             os.dup2(descriptor, target)
         os.closerange(3, os.sysconf("SC_OPEN_MAX"))
+
         os.environ.clear()
         os.environ.update(request["environment"])
         sys.argv = ["transport", *request["arguments"]]

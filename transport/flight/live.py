@@ -1,6 +1,6 @@
-"""Active runs on this machine.
+"""Active runs on this machine, and requests to them.
 
-A file in the run folder that exists while the run is active, and requests to them.
+A file in the run folder exists while the run is active.
 """
 
 import queue
@@ -42,9 +42,9 @@ class LiveRun:
         self, name: str, what: str, given: Mapping[str, Any], keys: Path | None = None
     ) -> dict[str, Any]:
         """Return the answer of one of its processes to a request, as `request`."""
-        keys = keys or (Path(self.keys) if self.keys else None)
+        own_keys = Path(self.keys) if self.keys else None
         # Connect only to the process that is asked: a stopped one delays the connection.
-        return request(self.run, [self.endpoints[name]], name, what, given, keys)
+        return request(self.run, [self.endpoints[name]], name, what, given, keys or own_keys)
 
 
 def write(folder: Path, run: LiveRun) -> None:
@@ -85,7 +85,10 @@ def _is_running(pid: int) -> bool:
 
 
 def newest_folder(parent: Path) -> Path | None:
-    """Return the folder of the most recent active run below a folder, or else of this user's anywhere."""
+    """Return the folder of the most recent active run below a folder.
+
+    Without one below it is the most recent of this user anywhere.
+    """
     below = [path for path in parent.glob("*") if not path.is_symlink()]
     return _newest(below) or _newest(registry.folders())
 
@@ -108,7 +111,9 @@ def request(
     given: Mapping[str, Any],
     keys: Path | None = None,
 ) -> dict[str, Any]:
-    """Send a request (docs/protocol.md) to a process of a run, with its folder of keys, and return the answer.
+    """Send a request (docs/protocol.md) to a process of a run and return the answer.
+
+    `keys` is the folder of the run's keys.
 
     Raises: BusError: it does not exist or does not answer. TransportError: it refuses the request.
     """
@@ -123,20 +128,20 @@ def request(
 class Commands:
     """Requests to one live run, sent by a thread.
 
-    `on_result` gets a sentence about each, and if it was refused.
+    `on_result` gets a sentence about each, and whether it was refused.
     """
 
     def __init__(self, run: LiveRun, on_result: Callable[[str, bool], None]) -> None:
-        self._run, self._on_result = run, on_result
+        self._run = run
+        self._on_result = on_result
         self._requests: queue.SimpleQueue[tuple[str, str, Mapping[str, Any]]] = queue.SimpleQueue()
         threading.Thread(target=self._send_requests, name="commands", daemon=True).start()
 
     def link(self, ends: tuple[int, int] | None, settings: Mapping[str, Any]) -> None:
         """Change the link from one agent to another, or, for None, all links between agents."""
         source, target = map(agent_name, ends) if ends else ("", "")
-        self._requests.put(
-            (COORDINATOR, "link", {"from": source, "to": target, "settings": settings})
-        )
+        change = {"from": source, "to": target, "settings": settings}
+        self._requests.put((COORDINATOR, "link", change))
 
     def cut(self, groups: Sequence[Sequence[int]]) -> None:
         """Lose all messages between groups of agents, in both directions, from the same tick on."""
@@ -157,6 +162,7 @@ class Commands:
         self._requests.put((RECORDER, "fault", {"do": action, "target": target}))
 
     def _send_requests(self) -> None:
+        """Send each request and pass on its result, without end."""
         while True:
             name, kind, content = self._requests.get()
             try:
@@ -164,11 +170,15 @@ class Commands:
             except TransportError as error:
                 self._on_result(str(error), True)
                 continue
-            what = (
-                "links change" if kind == "link" else f"{content.get('do')} {content.get('target')}"
-            )
-            text = f"{what}: at tick {answer['tick']}"
-            if kind == "target":
-                text = "target ({:g}, {:g}, {:g}) m".format(*content["points_m"][-1])
-                text += f": arrives at t = {answer['ends_s']:.1f} s, in {answer['ends_s'] - answer['t_s']:.1f} s"
-            self._on_result(text, False)
+            self._on_result(_result_in_words(kind, content, answer), False)
+
+
+def _result_in_words(kind: str, content: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
+    """Return a sentence about a request that was accepted."""
+    if kind == "target":
+        place = "target ({:g}, {:g}, {:g}) m".format(*content["points_m"][-1])
+        duration_s = answer["ends_s"] - answer["t_s"]
+        return f"{place}: arrives at t = {answer['ends_s']:.1f} s, in {duration_s:.1f} s"
+    if kind == "link":
+        return f"links change: at tick {answer['tick']}"
+    return f"{content.get('do')} {content.get('target')}: at tick {answer['tick']}"

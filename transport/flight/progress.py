@@ -1,7 +1,4 @@
-"""Progress on the console.
-
-Compilation before a run; simulated time, real-time factor, cost, attitude.
-"""
+"""Progress of a run on the console: compilation, time, real-time factor, cost, attitude."""
 
 import time
 from typing import Self
@@ -21,25 +18,26 @@ _LINE_EVERY_S = 10.0
 
 
 def compile_model(uavs: int, console: Console) -> None:
-    """Compile the model of a team of that many UAVs, and say so, if that has not been done on this processor."""
+    """Compile the model of a team of that many UAVs, and say so.
+
+    Nothing happens if it is compiled for this processor already.
+    """
     if needs_compilation(uavs):
-        console.print(
-            "compiling the model for this processor, once", highlight=False, soft_wrap=True
-        )
+        text = "compiling the model for this processor, once"
+        console.print(text, highlight=False, soft_wrap=True)
         compile_functions(uavs)
 
 
 class ConsoleProgress:
-    """A progress bar on a terminal, a line every 10 s elsewhere.
+    """Progress as a bar on a terminal, as a line every 10 s elsewhere.
 
-    On standard error, as results go to stdout.
+    The console writes to standard error, as results go to standard output.
     """
 
     def __init__(self, console: Console, *columns: ProgressColumn) -> None:
         self._console = console
-        self._bar = Progress(
-            *columns, console=console, transient=True, disable=not console.is_terminal
-        )
+        is_disabled = not console.is_terminal
+        self._bar = Progress(*columns, console=console, transient=True, disable=is_disabled)
         self._next_line_s = time.monotonic() + _LINE_EVERY_S
 
     def __enter__(self) -> Self:
@@ -54,8 +52,10 @@ class ConsoleProgress:
         self._console.print(line, highlight=False, soft_wrap=True)
 
     def _is_line_due(self) -> bool:
+        """Return whether to write a line now; if so, the next one is due a period later."""
         is_due = not self._console.is_terminal and time.monotonic() >= self._next_line_s
-        self._next_line_s += _LINE_EVERY_S * is_due
+        if is_due:
+            self._next_line_s += _LINE_EVERY_S
         return is_due
 
 
@@ -65,37 +65,41 @@ class RunProgress(ConsoleProgress):
     def __init__(
         self, setup: Setup, console: Console, waiting: str = "waiting for the processes"
     ) -> None:
-        super().__init__(
-            console,
+        columns = (
             BarColumn(bar_width=20),
             TimeRemainingColumn(),
             TextColumn("{task.description}"),
         )
-        self.setup, self._cost = setup, StageCost(setup)
+        super().__init__(console, *columns)
+        self.setup = setup
+        self._cost = StageCost(setup)
         self._duration_s = setup.ticks * setup.settings.sampling_period_s
         self._task = self._bar.add_task(waiting, total=self._duration_s)
 
     def show(self, plant_state: PlantState | None, started_s: float | None) -> None:
-        """Draw the newest state, None before the first, given the steady-clock time of the first, s."""
+        """Draw the newest state, None before the first.
+
+        The steady-clock time of the first is `started_s`, s.
+        """
         is_line_due = self._is_line_due()
-        if (
-            plant_state is None
-            or started_s is None
-            or not (is_line_due or self._console.is_terminal)
-        ):
+        is_shown = is_line_due or self._console.is_terminal
+        if plant_state is None or started_s is None or not is_shown:
             return
-        t_s, wall_s = (
-            plant_state.tick * self.setup.settings.sampling_period_s,
-            time.monotonic() - started_s,
-        )
-        y_ref = self.setup.reference.outputs(np.array([t_s]))[0]
-        cost = self._cost.at(
-            plant_state.tick, self.setup.model.outputs(plant_state.x), y_ref, plant_state.u
-        )
-        text = (
-            f"{t_s:5.1f} of {self._duration_s:.1f} s   {t_s / max(wall_s, 1e-9):5.1f}x real time   cost {cost:.5f}   "
-            f"attitude {float(np.degrees(np.abs(StateView(plant_state.x).Theta0)).max()):.2f} deg"
-        )
+
+        t_s = plant_state.tick * self.setup.settings.sampling_period_s
+        text = self._in_words(plant_state, t_s, wall_s=time.monotonic() - started_s)
         self._bar.update(self._task, completed=t_s, description=text)
         if is_line_due:
             self.say(text)
+
+    def _in_words(self, plant_state: PlantState, t_s: float, wall_s: float) -> str:
+        """Return time, real-time factor, cost and largest attitude angle of a state."""
+        y = self.setup.model.outputs(plant_state.x)
+        y_ref = self.setup.reference.outputs(np.array([t_s]))[0]
+        cost = self._cost.at(plant_state.tick, y, y_ref, plant_state.u)
+        attitude_deg = float(np.degrees(np.abs(StateView(plant_state.x).Theta0)).max())
+        real_time_factor = t_s / max(wall_s, 1e-9)
+        return (
+            f"{t_s:5.1f} of {self._duration_s:.1f} s   {real_time_factor:5.1f}x real time   "
+            f"cost {cost:.5f}   attitude {attitude_deg:.2f} deg"
+        )

@@ -1,4 +1,4 @@
-"""The recorder: an observer on the network that writes every message to the run's log, in a separate thread.
+"""Recorder: an observer on the network that writes every message to the run's log, in a thread.
 
 It checks only messages that it acts on; readers of the log check the others.
 """
@@ -163,7 +163,8 @@ class Recorder:
                     self._take(notice)
         except BusError as error:
             self.error = str(error)
-        except BaseException as error:  # noqa: BLE001  # such as no memory: the run ends, and the error is told
+        # Such as no memory: the run ends, and the error is told.
+        except BaseException as error:  # noqa: BLE001
             self.error = f"{RECORDER}: {type(error).__name__}: {error}".rstrip(": ")
         finally:
             self._bus.close()  # the coordinator waits for this
@@ -199,7 +200,10 @@ class Recorder:
             self._take(lost(self._out, state.tick if state else 0, f"{COORDINATOR} is gone"))
 
     def _timeout_s(self, left: Set[str]) -> float | None:
-        """Return how long to wait for the next event, given the processes that have left; None: for ever."""
+        """Return how long to wait for the next event, given the processes that have left.
+
+        None: for ever.
+        """
         if self.control is None:
             return None if COORDINATOR in self._bus.alive else _OVERTAKEN_S
 
@@ -219,7 +223,10 @@ class Recorder:
         return self._bus.next(timeout_s)
 
     def receive(self, message: wire.Message | Sample, at_ns: int | None = None) -> None:
-        """Record what arrived from the network at a time, ns since 1970, now by default, unless it is refused."""
+        """Record a message from the network unless it is refused.
+
+        It arrived at a time, ns since 1970, now by default.
+        """
         if isinstance(message, wire.Message):
             self._take(message, at_ns)
             return

@@ -22,7 +22,10 @@ def place() -> Path:
 
 
 def add(folder: Path) -> None:
-    """Register a run folder; without a safe place for the register the run is found by its folder only."""
+    """Register a run folder.
+
+    Without a safe place for the register the run is found by its folder only.
+    """
     with suppress(OSError):
         place().mkdir(mode=0o700, exist_ok=True)
         if not _is_private(place()):
@@ -41,7 +44,10 @@ def remove(folder: Path) -> None:
 
 
 def folders() -> list[Path]:
-    """Return the registered folders, in the order of their paths; of some the run may have ended."""
+    """Return the registered folders, in the order of their paths.
+
+    Some of their runs may have ended.
+    """
     try:
         if not _is_private(place()):
             return []

@@ -1,4 +1,4 @@
-"""Folders of runs: their names, what is in them before the run begins, and the metadata of a run's log."""
+"""Folders of runs: their names, their content before the run begins, and the metadata of a log."""
 
 import os
 import platform
@@ -30,7 +30,7 @@ from transport.protocol.wire.names import PLANT, agent_name
 class RunError(TransportError, RuntimeError):
     """A run that could not be started or recorded.
 
-    One line for the user, and the exit code of the command.
+    The text is one line for the user; the command ends with the exit code.
     """
 
     def __init__(self, text: str, exit_code: int) -> None:
@@ -41,7 +41,8 @@ class RunError(TransportError, RuntimeError):
 def new_folder(parent: Path, name: str) -> Path:
     """Return the path of a new run folder, named by time and scenario."""
     stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
-    folder, count = parent / f"{stamp}-{name}", 1
+    folder = parent / f"{stamp}-{name}"
+    count = 1
     while folder.exists():
         count += 1
         folder = parent / f"{stamp}-{name}-{count}"
@@ -107,8 +108,9 @@ class NewFolder:
 
 @contextmanager
 def new_run_folder(folder: Path, setup: Setup) -> Iterator[NewFolder]:
-    """Create a run folder and remove it in the end unless it is kept: a start that fails leaves none.
+    """Create a run folder and remove it in the end unless it is kept.
 
+    A start that fails leaves none.
     Raises: RunError.
     """
     made = NewFolder(folder, create(folder, setup))
@@ -125,28 +127,31 @@ def own_keys(scenario: Scenario, folder: Path) -> Iterator[Path | None]:
 
     None where other keys protect the run, or it is to be open.
     """
-    network, keys = scenario.network, folder.resolve() / "keys"
+    network = scenario.network
     if network.keys is not None or network.router is not None or not network.secret:
         yield None
         return
+
+    keys = folder.resolve() / "keys"
     keys.mkdir(mode=0o700)
     file = keys / SHARED
     try:
         file.touch(mode=0o600)
-        if file.stat().st_mode & 0o077:  # the file system keeps no permissions (FAT, some shares)
-            problem = (
-                f"network.secret: expected a file that only its owner can read, got {file} for all"
-            )
-            remedy = (
-                "use another folder, or --set network.secret=false: open to every local process"
-            )
-            raise RunError(f"{problem}; {remedy}", EXIT_SCENARIO)
+        if file.stat().st_mode & 0o077:
+            raise _readable_by_all(file)
         file.write_text(f"run:{secrets.token_hex(24)}\n", encoding="utf-8")
         yield keys
     finally:
         with suppress(OSError):
             file.unlink(missing_ok=True)
             keys.rmdir()
+
+
+def _readable_by_all(file: Path) -> RunError:
+    """Return the error of a file system that keeps no permissions (FAT, some shares)."""
+    problem = f"network.secret: expected a file that only its owner can read, got {file} for all"
+    remedy = "use another folder, or --set network.secret=false: open to every local process"
+    return RunError(f"{problem}; {remedy}", EXIT_SCENARIO)
 
 
 def run_header(
@@ -171,7 +176,7 @@ def run_header(
 def checked(setup: Setup, external: Collection[str] = ()) -> dict[str, str]:
     """Return names and versions of engine and controller of a run after making each once.
 
-    Raise ScenarioError.
+    Raises: ScenarioError: one of them cannot be made.
     """
     agents_are_external = all(agent_name(agent) in external for agent in setup.agents)
     return {
@@ -183,20 +188,20 @@ def checked(setup: Setup, external: Collection[str] = ()) -> dict[str, str]:
 def versions() -> str:
     """Return the versions of Python, packages and kernels that results depend on, in one line."""
     packages = ("payload-transport", "numpy", "casadi", "daqp", "clarabel", "eclipse-zenoh")
-    found = [
-        f"python {platform.python_version()}",
-        *(f"{package} {version(package)}" for package in packages),
-    ]
-    return ", ".join([*found, f"kernels {'compiled' if native.AVAILABLE else 'plain'}"])
+    kernels = "compiled" if native.AVAILABLE else "plain"
+    parts = [f"python {platform.python_version()}"]
+    parts += [f"{package} {version(package)}" for package in packages]
+    parts.append(f"kernels {kernels}")
+    return ", ".join(parts)
 
 
 def machine() -> str:
     """Return the machine in one line: processor, cores this process may use, system."""
     processor = platform.processor() or platform.machine()
     with suppress(OSError):
-        names = re.findall(
-            r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8")
-        )
+        cpuinfo = Path("/proc/cpuinfo").read_text(encoding="utf-8")
+        names = re.findall(r"model name\s*: (.*)", cpuinfo)
         processor = names[0] if names else processor
+
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return f"{processor}, {cores} cores, {platform.system()} {platform.release()}"

@@ -1,4 +1,6 @@
-"""Parser of MCAP files that may be cut, damaged or still being written, where the mcap package would stop or err.
+"""Parser of MCAP files that may be cut, damaged or still being written.
+
+The mcap package would stop or err at such files.
 
 Sizes are bounded before anything is read or decompressed: a small file can claim or unpack to
 terabytes.

@@ -1,4 +1,7 @@
-"""The log of a run in memory, read from its file or its run folder (`transport.log.writer` describes the file)."""
+"""Log of a run in memory, read from its file or its run folder.
+
+`transport.log.writer` describes the file.
+"""
 
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -24,19 +27,19 @@ from transport.protocol.wire.messages import LinkChange, Message, Plan, Target
 from transport.protocol.wire.names import COORDINATOR
 
 METADATA = "run"  # name of the metadata record that describes the run
-ENCODING = f"payload-transport/{VERSION}"  # of the bytes of messages; each version of the protocol has another
-_OWN = f"/{RECORDER}/"  # beginning of the channels of messages that the recorder made; none comes from the network
+# Encoding of the bytes of messages; each version of the protocol has another.
+ENCODING = f"payload-transport/{VERSION}"
+# Beginning of the channels of messages that the recorder made; none comes from the network.
+_OWN = f"/{RECORDER}/"
 
 _KEYS = Keys("log")
 
 
 def channel_of(message: Message) -> str:
     """Return the channel in which a message is in the log if it came alone."""
-    return (
-        _OWN + message.kind
-        if message.sender == RECORDER
-        else _KEYS.of(message).removeprefix(_KEYS.prefix)
-    )
+    if message.sender == RECORDER:
+        return _OWN + message.kind
+    return _KEYS.of(message).removeprefix(_KEYS.prefix)
 
 
 def topic_of(message: Message) -> str:
@@ -61,10 +64,10 @@ class LogError(TransportError, RuntimeError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recorded:
-    """A message as it was sent, and the wall-clock time at which the recorder received it, ns since 1970."""
+    """A message as it was sent, and when the recorder received it."""
 
     message: Message
-    received_ns: int
+    received_ns: int  # wall-clock time, ns since 1970
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,10 +80,10 @@ class RunLog:
 
     @cached_property
     def _by_kind(self) -> dict[type[Message], list[Recorded]]:
-        found: dict[type[Message], list[Recorded]] = {}
+        entries: dict[type[Message], list[Recorded]] = {}
         for entry in self.messages:
-            found.setdefault(type(entry.message), []).append(entry)
-        return found
+            entries.setdefault(type(entry.message), []).append(entry)
+        return entries
 
     def of(self, kind: type[M]) -> Iterator[M]:
         """Yield the messages of one kind, in order."""
@@ -111,15 +114,21 @@ class LogTail:
 
     @property
     def ended(self) -> bool:
-        """Whether the data section has come to its proper end."""
+        """True once the data section has come to its proper end."""
         return self.parser.ended
 
     def read(self) -> list[Message]:
-        """Return the new messages, in order; a record written only in part waits for the next call."""
+        """Return the new messages, in order.
+
+        A record written only in part waits for the next call.
+        """
         if self.ended or not self._path.exists():
             return []
-        found = [entry.message for entry in self.entries()]
-        return found + self.last_notices() if self.ended else found
+
+        messages = [entry.message for entry in self.entries()]
+        if self.ended:
+            messages += self.last_notices()
+        return messages
 
     def entries(self) -> Iterator[Recorded]:
         """Yield the messages of the entries that are whole and were not read yet.
@@ -128,20 +137,19 @@ class LogTail:
         """
         try:
             for channel, entry in self.parser.entries():
-                if channel.message_encoding != ENCODING:
-                    self._pass_over(
-                        f"a channel {channel.topic!r} with encoding {channel.message_encoding!r}"
-                    )
+                encoding = channel.message_encoding
+                if encoding != ENCODING:
+                    self._pass_over(f"a channel {channel.topic!r} with encoding {encoding!r}")
                     continue
+
                 try:
                     for message in self._accepted(channel.topic, entry.data, entry.publish_time):
                         yield Recorded(message=message, received_ns=entry.publish_time)
                 except MessageError as error:
                     self._pass_over(f"{channel.topic}: {error}")
         except OSError as error:
-            raise LogError(
-                f"{self._path}: cannot read the log ({error.strerror or error})"
-            ) from error
+            reason = error.strerror or error
+            raise LogError(f"{self._path}: cannot read the log ({reason})") from error
         except McapError as error:
             raise LogError(f"{self._path}: {error}") from error
 
@@ -151,42 +159,51 @@ class LogTail:
         self.first_unknown = self.first_unknown or description
 
     def last_notices(self) -> list[Message]:
-        """Return what is to be said at the end of the log."""
+        """Return the notices of the gate at the end of the log."""
         return [] if self._gate is None else list(self._gate.notices(0))
 
-    def _accepted(self, topic: str, data: bytes, at_ns: int) -> Iterator[Message]:
+    def _accepted(self, topic: str, data: bytes, received_ns: int) -> Iterator[Message]:
         """Yield the messages of an entry that arrived at a time, ns."""
         if topic.startswith(_OWN):
             yield decode(data)
             return
+
         if self._gate is None:
-            setup = self._setup or setup_in(
-                self.parser.metadata.get(METADATA, {}), self._path.parent
-            )
-            # The log of an in-memory run has no bundles.
-            self._gate = Gate(
-                RECORDER, _KEYS, None if setup is None else replace(setup.shape, relayed=False)
-            )
+            self._gate = self._new_gate()
         for accepted in self._gate.accept(_KEYS.prefix + topic, data):
             if isinstance(accepted.message, Message):
                 yield accepted.message
-        yield from self._gate.notices(0, at_ns)
+        yield from self._gate.notices(0, received_ns)
+
+    def _new_gate(self) -> Gate:
+        """Return the gate of the run, without checks against its shape if the run is unknown."""
+        setup = self._setup
+        if setup is None:
+            setup = setup_in(self.parser.metadata.get(METADATA, {}), self._path.parent)
+        # The log of an in-memory run has no bundles.
+        shape = None if setup is None else replace(setup.shape, relayed=False)
+        return Gate(RECORDER, _KEYS, shape)
 
 
 def setup_in(header: Mapping[str, str], folder: Path) -> Setup | None:
-    """Return the run of a log from its header, None if the scenario is missing or of another version."""
+    """Return the run of a log from its header.
+
+    None if the scenario is missing or of another version.
+    """
     source = str(folder / "scenario.toml")
     try:
-        return Setup.of(validate(tomllib.loads(header.get("scenario", "")), source), source)
+        tree = tomllib.loads(header.get("scenario", ""))
+        return Setup.of(validate(tree, source), source)
     except (ScenarioError, tomllib.TOMLDecodeError, RecursionError):
         return None
 
 
 def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -> RunLog:
-    """Read all that can be read of a log, also of one cut or damaged (`cut`), each message checked (`LogTail`).
+    """Read as much of a log as can be read, also of one cut or damaged (`cut`).
 
-    Without `horizons` plans have their first step only, no corrections and no own data, which saves
-    most of the memory.
+    Each message is checked (`LogTail`). Without `horizons` plans have their first step only, no
+    corrections and no own data, which saves most of the memory.
+
     Raises: LogError: no such file, not an MCAP file, or not the log of a run.
     """
     tail = LogTail(path, setup=setup)
@@ -198,9 +215,8 @@ def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -
     problems = _problems(tail)
     header = tail.parser.metadata.get(METADATA)
     if header is None and tail.parser.is_whole() and not tail.parser.damaged:
-        raise LogError(
-            f'{path}: an MCAP file, but not the log of a run (no metadata record "{METADATA}")'
-        )
+        problem = f'not the log of a run (no metadata record "{METADATA}")'
+        raise LogError(f"{path}: an MCAP file, but {problem}")
 
     last = f", up to tick {max(entry.message.tick for entry in messages)}" if messages else ""
     readable = f"{len(messages) or 'no'} messages are readable{last}"
@@ -257,17 +273,24 @@ class RecordedRun:
 
 
 def open_run(folder: Path, *, horizons: bool = True, setup: Setup | None = None) -> RecordedRun:
-    """Read run.mcap of a run folder, as `read_log`, and the run from scenario.toml, or raise ScenarioError."""
+    """Read run.mcap of a run folder, as `read_log`, and the run from scenario.toml.
+
+    Raises: ScenarioError: the scenario is refused.
+    """
     path = folder / "run.mcap"
     if setup is None and path.exists():  # otherwise the folder is none of a run, which says more
         setup = setup_of(folder)
+
     log = read_log(path, horizons=horizons, setup=setup)
     cut = "; ".join(filter(None, (log.cut, missing(log))))
     return RecordedRun(folder=folder, setup=setup or setup_of(folder), log=replace(log, cut=cut))
 
 
 def setup_of(folder: Path) -> Setup:
-    """Return the run of a folder without reading its log, or raise ScenarioError."""
+    """Return the run of a folder without reading its log.
+
+    Raises: ScenarioError: the scenario is refused.
+    """
     path = folder / "scenario.toml"
     return Setup.of(read_scenario(path, allow_large=True), str(path))  # its run has been allowed
 
@@ -301,19 +324,22 @@ def _ticks_around_gaps(messages: Sequence[Message]) -> list[int]:
     for message in messages:
         if message.sender == RECORDER:  # its own notes cannot get lost
             continue
-        of_process = ticks.setdefault((message.sender, message.incarnation), {-1: 0})
-        of_process[message.sequence] = message.tick
+        process = (message.sender, message.incarnation)
+        ticks.setdefault(process, {-1: 0})[message.sequence] = message.tick
 
     around: list[int] = []
-    for of_process in ticks.values():
-        for before, behind in pairwise(sorted(of_process)):
+    for tick_of in ticks.values():
+        for before, behind in pairwise(sorted(tick_of)):
             if behind > before + 1:
-                around += [of_process[before], of_process[behind]]
+                around += [tick_of[before], tick_of[behind]]
     return around
 
 
 def _last_simulated(log: RunLog, messages: Iterable[Message]) -> int:
-    """Return the last tick that the plant has simulated, as the other messages tell; -1 for none."""
+    """Return the last tick that the plant has simulated, as the other messages tell.
+
+    Returns: -1 for none.
+    """
     # The plant measures at a tick after simulating the one before.
     kinds = (wire.Measurement, Plan, wire.StepReport)
     ticks = [message.tick - 1 for message in messages if isinstance(message, kinds)]
@@ -326,10 +352,15 @@ def _last_simulated(log: RunLog, messages: Iterable[Message]) -> int:
 
 
 def point_latest(folder: Path) -> None:
-    """Point `latest` beside a run folder at it, if both are in a folder named `runs` and nothing else has that name."""
+    """Point the link `latest` beside a run folder at it.
+
+    Only folders in one named `runs` have the link, and nothing else of that name is replaced.
+    """
+    if folder.resolve().parent.name != _RUNS or folder.name == LATEST:
+        return
+
     link = folder.parent / LATEST
-    if folder.resolve().parent.name == _RUNS and folder.name != LATEST:
-        with suppress(OSError):
-            if link.is_symlink():
-                link.unlink()
-            link.symlink_to(folder.name, target_is_directory=True)
+    with suppress(OSError):
+        if link.is_symlink():
+            link.unlink()
+        link.symlink_to(folder.name, target_is_directory=True)

@@ -1,4 +1,7 @@
-"""Messages as one table per kind, with arrays flattened into columns whose names end in their units."""
+"""Messages as one table per kind.
+
+Arrays are flattened into columns whose names end in their units.
+"""
 
 from collections.abc import Iterator
 from typing import Any
@@ -59,8 +62,12 @@ def tables(
     """Return the messages of a log by kind, each row as values by column (docs/log.md).
 
     Measurements, plans and actual inputs have one row per UAV, other messages one row. Tuples of
-    numbers become text with blanks in between. An unknown sampling period, s, leaves `t_s` empty.
-    Commands have the given names.
+    numbers become text with blanks in between.
+
+    Args:
+        log: The log.
+        period_s: Sampling period, s; an unknown one leaves `t_s` empty.
+        commands: Names of the commands.
     """
     rows_by_kind: dict[str, list[Row]] = {kind: [] for kind in KINDS}
     for entry in log.messages:
@@ -112,6 +119,7 @@ def _measured(message: Measurement, commands: tuple[str, ...]) -> Iterator[Row]:
     """Yield the payload with states and inputs of each UAV."""
     payload = _named("payload_", PAYLOAD_NAMES[: len(message.payload)], message.payload)
     uavs = zip(message.uavs, message.uav_states, message.inputs, strict=True)
+
     for uav, states, inputs in uavs:
         yield {"uav": uav, **payload, **_of_uav(states), **_named("", commands, inputs)}
 
@@ -130,6 +138,7 @@ def _reported(message: StepReport) -> Row:
     """Return force, times and ages of a step."""
     row = _named("force_", ("x_N", "y_N", "z_N"), message.force)
     row |= _named("", tuple(f"{stage}_ms" for stage in STAGES), message.times_ms)
+
     ages = zip(message.peers, message.plan_ages, message.state_ages, strict=True)
     for peer, plan_age, state_age in ages:
         row[f"plan_age_agent{peer}_ticks"] = plan_age
@@ -157,7 +166,10 @@ def _actual(message: ActualInputs) -> Iterator[Row]:
 
 
 def _of_uav(values: Array) -> Row:
-    """Return the states of a UAV, or the newest values of its sensors in a message, none without one."""
+    """Return the states of a UAV, or the newest values of its sensors in a message.
+
+    Nothing without a new value.
+    """
     if len(values) == PER_UAV:
         return _named("", UAV_STATE_NAMES, values)
     if len(values) != SENSED:
@@ -171,7 +183,10 @@ def _named(prefix: str, names: tuple[str, ...], values: Array) -> Row:
 
 
 def _over_horizon(prefix: str, commands: tuple[str, ...], sequence: Array) -> Row:
-    """Return the inputs of one UAV over the horizon, (steps, 4), by quantity: thrust_N[0], thrust_N[1], ..."""
+    """Return the inputs of one UAV over the horizon, (steps, 4).
+
+    They are sorted by quantity: thrust_N[0], thrust_N[1], ...
+    """
     return {
         f"{prefix}{name}[{step}]": float(value)
         for name, values in zip(commands, sequence.T, strict=True)

@@ -1,6 +1,6 @@
-"""Writer of the log of a run.
+"""Writer of the log of a run: one MCAP file in chunks.
 
-One MCAP file in chunks, each of which can be read as soon as it is written.
+Each chunk can be read as soon as it is written.
 
 One record for each message or bundle that the recorder received, with its bytes, in a channel for
 each key. `log_time` is scenario time, `publish_time` is when the recorder received the message.
@@ -20,23 +20,23 @@ from transport.protocol.wire.messages import Control, FaultNote, Message
 
 # A chunk ends at this size, before compression (about ten ticks of four agents), or at this age. A
 # kill loses at most one chunk; live readers wait for it.
-CHUNK_BYTES, _CHUNK_NS = 64 * 1024, 50_000_000
-_URGENT = (
-    Control.kind,
-    FaultNote.kind,
-)  # kinds of messages that are in the file as soon as they are written
-# Largest time of an MCAP record, ns, and number of its sequence numbers; the message has the full
-# number.
-LAST_TIME_NS, SEQUENCES = 2**63 - 1, 2**32
+CHUNK_BYTES = 64 * 1024
+_CHUNK_NS = 50_000_000
+# Kinds of messages that are in the file as soon as they are written: the end of the run and its
+# faults do not wait for the closing of the log.
+_URGENT = (Control.kind, FaultNote.kind)
+# Largest time of an MCAP record, ns.
+LAST_TIME_NS = 2**63 - 1
+# Number of sequence numbers of an MCAP record; the message has the full number.
+SEQUENCES = 2**32
 
 
 class LogWriter:
     """Writes the log of one run.
 
-    The file can be read at any moment; a kill loses at most the unfinished chunk.
-
-    A failed write closes the file. With `say` it is told, and further messages are dropped; without
-    it raises LogError.
+    The file can be read at any moment; a kill loses at most the unfinished chunk. A failed write
+    closes the file. With `say` it is told, and further messages are dropped; without `say` it
+    raises LogError.
     """
 
     def __init__(
@@ -49,9 +49,14 @@ class LogWriter:
     ) -> None:
         self.lost = ""  # why messages are dropped
         self.is_up_to_date = True  # whether all messages are in the file
-        self._path, self._period_ns, self._say = path, period_ns, say
+        self._path = path
+        self._period_ns = period_ns
+        self._say = say
         self._channels: dict[str, int] = {}
-        self._begun_ns = self._bytes = 0  # of the unfinished chunk
+        # Reception of the first message of the unfinished chunk, ns, and the size of the chunk.
+        self._begun_ns = 0
+        self._bytes = 0
+
         try:
             self._file = path.open("wb")
             # Without an index of messages, which would grow in memory; LZ4 is the cheapest, see
@@ -79,43 +84,47 @@ class LogWriter:
             self.flush()
         if self._file.closed:
             return
+
         with self._guarded():
             if self.is_up_to_date:
                 self._begun_ns = received_ns
             if topic not in self._channels:
                 self._channels[topic] = self._writer.register_channel(topic, ENCODING, 0)
-            log_ns, sequence = (
-                min(max(header.tick * self._period_ns, 0), LAST_TIME_NS),
-                header.sequence % SEQUENCES,
-            )
-            self._writer.add_message(self._channels[topic], log_ns, data, received_ns, sequence)
+            channel = self._channels[topic]
+            log_ns = min(max(header.tick * self._period_ns, 0), LAST_TIME_NS)
+            sequence = header.sequence % SEQUENCES
+            self._writer.add_message(channel, log_ns, data, received_ns, sequence)
             self._bytes += len(data)
             self.is_up_to_date = False
-        # The end of the run and its faults must not wait for the closing of the log.
+
         if header.kind in _URGENT or self._bytes > CHUNK_BYTES:
             self.flush()
 
     def flush(self) -> None:
         """Finish the chunk: all messages are in the file, for live readers and against kills."""
-        if not self.is_up_to_date:
-            with self._guarded():
-                self._writer.flush()  # type: ignore[no-untyped-call]
-                self._file.flush()
-                self._check_kept()
-                self._bytes = 0
-                self.is_up_to_date = True
+        if self.is_up_to_date:
+            return
+
+        with self._guarded():
+            self._writer.flush()  # type: ignore[no-untyped-call]
+            self._file.flush()
+            self._check_kept()
+            self._bytes = 0
+            self.is_up_to_date = True
 
     def close(self) -> None:
         """Write the summary and close the file; a second time, or after a failure, does nothing."""
-        if not self._file.closed:
-            with self._guarded():
-                self._writer.finish()  # type: ignore[no-untyped-call]
-                self._check_kept()
-                self._file.close()
-            self.is_up_to_date = True
+        if self._file.closed:
+            return
+
+        with self._guarded():
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._check_kept()
+            self._file.close()
+        self.is_up_to_date = True
 
     def _check_kept(self) -> None:
-        """Raise OSError if the file, or its folder, has been removed: what is written would be lost."""
+        """Raise OSError if the file, or its folder, has been removed: messages would be lost."""
         if os.fstat(self._file.fileno()).st_nlink == 0:
             raise FileNotFoundError(ENOENT, "the file has been removed")
 
@@ -128,6 +137,7 @@ class LogWriter:
             with suppress(OSError):
                 self._file.close()
             self.is_up_to_date = True
+
             failure = self._error(error)
             if self._say is None:
                 raise failure from error
@@ -135,4 +145,5 @@ class LogWriter:
             self._say(f"{failure}: the run continues without recording")
 
     def _error(self, error: OSError) -> LogError:
+        """Return the error of a log that cannot be written."""
         return LogError(f"{self._path}: cannot write the log ({error.strerror or error})")

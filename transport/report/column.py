@@ -16,7 +16,7 @@ from transport.log.run_log import RunLog
 from transport.protocol.scenario.link_changes import change_in_words
 from transport.protocol.scenario.setup import Setup
 from transport.report.style import COLUMN_IN, SMALL, TEXT, shade_phases
-from transport.scene.scene import RunHistory
+from transport.scene.history import RunHistory
 
 # Height of a row of a legend, and room for the line of an entry and the gap behind it, inches.
 _ROW_IN, _HANDLE_IN = 0.115, 0.26

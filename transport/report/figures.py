@@ -46,7 +46,7 @@ from transport.report.style import (
     scale_cost,
     shade_phases,
 )
-from transport.scene.drawing import uav_style
+from transport.scene.colours import uav_style
 
 # Makes the panels of a figure, given their heights, inches, and a legend above them.
 Panels = Callable[..., list[Axes]]

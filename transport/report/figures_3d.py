@@ -21,7 +21,9 @@ from transport.model.state import StateView
 from transport.protocol.scenario.setup import Setup
 from transport.report.column import draw_legend, legend_height_in
 from transport.report.style import COLUMN_IN, PAYLOAD, REFERENCE
-from transport.scene.drawing import Label, Lines, Mesh, Part, Pose, obstacles, uav_style
+from transport.scene.bodies import obstacles
+from transport.scene.colours import uav_style
+from transport.scene.parts import Label, Lines, Mesh, Part, Pose
 
 # Smallest distance between drawn formations, m; shortest axis of the box in parts of the longest.
 _APART_M, _SLIMMEST = 0.5, 0.3

@@ -30,8 +30,9 @@ from transport.report.mcap_copy import (
     point_fields,
     pose_fields,
 )
-from transport.scene.drawing import Drawing, Label, Lines, Mesh, Part, tree
-from transport.scene.drawing import Pose as FramePose
+from transport.scene.drawing import Drawing, tree
+from transport.scene.parts import Label, Lines, Mesh, Part
+from transport.scene.parts import Pose as FramePose
 from transport.scene.scene import Scene, SceneBuilder
 
 NUMBERS = "transport.Numbers"

@@ -10,7 +10,7 @@ from mcap.writer import CompressionType, Writer
 
 from transport.model.arrays import Array
 from transport.report.report import atomic_file
-from transport.scene.drawing import quaternion
+from transport.scene.parts import quaternion
 
 # Metadata record with the header of the log; another name than in a log, which the copy is not.
 METADATA = "exported run"

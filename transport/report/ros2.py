@@ -28,18 +28,9 @@ from transport.report.mcap_copy import (
     point_fields,
     pose_fields,
 )
-from transport.scene.drawing import (
-    INERTIAL,
-    PAYLOAD,
-    ROOT,
-    UPSIDE_DOWN,
-    Drawing,
-    Label,
-    Lines,
-    Mesh,
-    Part,
-    tree,
-)
+from transport.scene.bodies import INERTIAL
+from transport.scene.drawing import PAYLOAD, ROOT, UPSIDE_DOWN, Drawing, tree
+from transport.scene.parts import Label, Lines, Mesh, Part
 from transport.scene.scene import SceneBuilder
 
 _GEOMETRY = "geometry_msgs/msg"

@@ -1,121 +1,31 @@
-"""A run by tick, as far as its log has been read.
+"""A run by tick, as far as its log has been read: messages, poses, predicted paths and links.
 
-Messages, poses, predicted paths, links; no drawing, no clock.
+Nothing here draws or reads a clock.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
 
-from transport.agent.announced import AnnouncedInputs
 from transport.log.run_log import LogError, RunLog
 from transport.model.arrays import Array
 from transport.model.rotations import rotation
 from transport.model.state import INPUTS, StateView
-from transport.mpc.feedback import FeedbackLaw
-from transport.mpc.reference import Sampled
-from transport.mpc.regulation import Regulation
-from transport.mpc.rollout import rollout
 from transport.plant.actuators import FAIL_SAFE
-from transport.protocol.scenario.link_changes import words_of
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.stage_cost import StageCost
-from transport.protocol.scenario.targets import target_in_words
-from transport.protocol.wire.messages import (
-    NO_NEWS,
-    Airtime,
-    Control,
-    FaultNote,
-    LinkChange,
-    Message,
-    Plan,
-    PlantState,
-    Roster,
-    StepReport,
-    Target,
-)
+from transport.protocol.wire.messages import NO_NEWS, PlantState, StepReport
+from transport.scene.history import RunHistory
+from transport.scene.predictions import PredictedPaths, Predictions
 
-# Kinds of messages that a history keeps.
-KINDS = frozenset(
-    kind.kind
-    for kind in (
-        *(PlantState, Plan, StepReport, Airtime),
-        *(LinkChange, Target, Roster, FaultNote, Control),
-    )
-)
-_AIR_S = 1.0  # time before a tick over which the radio is shown
+# Sender, receiver and age, s, of the sender's newest plan that the receiver used; None if it used
+# none.
+Link = tuple[int, int, float | None]
 
-
-class RunHistory:
-    """Messages of one run; grows while a live run is read."""
-
-    def __init__(self, setup: Setup) -> None:
-        self.setup = setup  # with the targets so far
-        self.plant_states: dict[
-            int, PlantState
-        ] = {}  # by tick, which can be shown once its plant state is here
-        self.first, self.last = 0, -1  # ticks from and until which can be shown
-        self.plans: dict[tuple[int, int], Plan] = {}  # by agent and tick, as the reports of steps
-        self.reports: dict[tuple[int, int], StepReport] = {}
-        self.airtimes: dict[int, list[Airtime]] = {}  # news of the radio, by tick
-        self.link_changes: list[LinkChange] = []
-        self.control: Control | None = None  # the coordinator's message about the end
-        self.events: list[
-            tuple[int, str]
-        ] = []  # ticks and sentences about faults, links and roster
-        self._rosters: list[Roster] = []
-
-    def add(self, messages: Iterable[Message]) -> None:
-        """Add messages; skip those that do not fit the run."""
-        for message in messages:
-            match message:
-                case PlantState() if message.x.shape == self.setup.hover.x.shape:
-                    self.first = (
-                        min(self.first, message.tick) if self.plant_states else message.tick
-                    )
-                    self.last = max(self.last, message.tick)
-                    self.plant_states[message.tick] = message
-                case Plan(negotiation=0):
-                    self.plans[message.agent, message.tick] = message
-                case StepReport():
-                    self.reports[message.agent, message.tick] = message
-                case Airtime():
-                    self.airtimes.setdefault(message.tick, []).append(message)
-                case LinkChange() if message.number == len(self.link_changes) + 1:
-                    self.link_changes.append(message)
-                    self.events.append((message.tick, words_of(message)))
-                case Target() if message.number == len(self.setup.maneuver.targets) + 1:
-                    self.setup = self.setup.after([message])
-                    self.events.append((message.tick, target_in_words(message)))
-                case Roster():
-                    self._rosters.append(message)
-                    if message.version > 1 and not message.reason.startswith(
-                        ("links ", "target (")
-                    ):
-                        self.events.append((message.tick, message.reason))
-                case FaultNote():
-                    self.events.append((message.tick, f"{message.target} {message.what}"))
-                case Control():
-                    self.control = message
-
-    def nearest(self, tick: int) -> int:
-        """Return the newest recorded tick up to `tick`, or the first one.
-
-        At least one must be recorded.
-        """
-        if tick in self.plant_states:
-            return tick
-        return max(
-            (recorded for recorded in self.plant_states if recorded < tick), default=self.first
-        )
-
-    def roster(self, tick: int) -> Roster | None:
-        """Return the roster at a tick; None while none is known."""
-        known = [roster for roster in self._rosters if roster.tick <= tick]
-        return max(known, key=lambda roster: roster.version, default=None)
+# Time before a tick over which the radio is shown, s.
+_AIR_S = 1.0
 
 
 class Air(NamedTuple):
@@ -125,17 +35,9 @@ class Air(NamedTuple):
     delivered_share: float | None  # None without plans
 
 
-class PredictedPaths(NamedTuple):
-    """Paths that one agent predicts over its horizon of N_p steps, inertial frame, m."""
-
-    agent: int  # 1-based
-    uavs_I: Array  # its own UAVs, (N_p + 1, owned, 3)
-    payload_I: Array  # (N_p + 1, 3)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """Everything to show at one tick.
+    """State of a run at one tick, as it is shown.
 
     N UAVs, inertial frame with z down, SI; agents and UAVs are 1-based.
     """
@@ -151,9 +53,7 @@ class Scene:
     attachments_I: Array  # of the rods to the payload, (N, 3)
     thrusts_I: Array  # forces, (N, 3), N
     predictions: tuple[PredictedPaths, ...]  # of the agents that made a plan at this tick
-    # Sender, receiver and age, s, of the sender's newest plan that the receiver used; None if it
-    # used none.
-    links: tuple[tuple[int, int, float | None], ...]
+    links: tuple[Link, ...]
     members: frozenset[int]  # agents on the roster
     reports: tuple[StepReport | None, ...]  # of all agents
     error_m: float  # distance of the payload from its reference
@@ -169,14 +69,15 @@ class SceneBuilder:
 
     def __init__(self, setup: Setup, history: RunHistory) -> None:
         self.history = history
-        # Positions of the UAVs at the start of the reference, (N, 3), m, and mean thrust of a UAV
-        # at hover, N.
-        self.start_I = setup.reference.outputs(np.zeros(1))[0, : 3 * setup.system.N].reshape(-1, 3)
+        self._positions_count = 3 * setup.system.N
+        # Positions of the UAVs at the start of the reference, (N, 3), m.
+        y_start = setup.reference.outputs(np.zeros(1))[0]
+        self.start_I = y_start[: self._positions_count].reshape(-1, 3)
+        # Mean thrust of a UAV at hover, N.
         self.hover_N = float(np.mean(setup.hover.u[::INPUTS]))
         self._cost = StageCost(setup)
-        self._regulation: Regulation | None = None
-        self._followed: Sampled | None = None  # the reference that it follows
-        self._positions: dict[int, Array] = {}
+        self._predictions = Predictions(history)
+        self._positions: dict[int, Array] = {}  # by tick
 
     @property
     def setup(self) -> Setup:
@@ -200,15 +101,19 @@ class SceneBuilder:
 
         At least one must be recorded.
         """
-        setup, history, tick = self.setup, self.history, self.history.nearest(tick)
-        plant_state, roster = history.plant_states[tick], history.roster(tick)
+        setup = self.setup
+        tick = self.history.nearest(tick)
         time_s = tick * setup.settings.sampling_period_s
-        view, positions_I = StateView(plant_state.x), self._position(tick)
-        R_payload, R_uavs = (
-            rotation(view.Theta0),
-            np.array([rotation(Theta) for Theta in view.Theta]),
-        )
+        plant_state = self.history.plant_states[tick]
+        roster = self.history.roster(tick)
+
+        view = StateView(plant_state.x)
+        positions_I = self._position(tick)
+        R_payload = rotation(view.Theta0)
+        R_uavs = np.array([rotation(Theta) for Theta in view.Theta])
+        attachments_I = [view.r0_I + R_payload @ uav.rho for uav in setup.system.uavs]
         error_m, cost = self.error_and_cost(tick)
+
         return Scene(
             tick=tick,
             time_s=time_s,
@@ -218,33 +123,32 @@ class SceneBuilder:
             R_payload=R_payload,
             uavs_I=positions_I[1:],
             R_uavs=R_uavs,
-            attachments_I=np.array([view.r0_I + R_payload @ uav.rho for uav in setup.system.uavs]),
+            attachments_I=np.array(attachments_I),
             thrusts_I=-plant_state.u[::INPUTS, None] * R_uavs[:, :, 2],
-            predictions=self._predictions(tick),
+            predictions=self._predictions.paths(tick),
             links=self._links(tick),
             members=frozenset(setup.agents if roster is None else roster.agents),
-            reports=tuple(history.reports.get((agent, tick)) for agent in setup.agents),
+            reports=tuple(self.history.reports.get((agent, tick)) for agent in setup.agents),
             error_m=error_m,
             cost=cost,
             attitude_deg=np.degrees(view.Theta0),
-            fail_safe=tuple(
-                i + 1 for i, source in enumerate(plant_state.plan_ticks) if source == FAIL_SAFE
-            ),
+            fail_safe=_without_plan(plant_state),
             released=() if roster is None else tuple(roster.released),
             air=self._air(tick),
         )
 
     def _air(self, tick: int) -> Air | None:
-        """Return what the radio carried in the last second; None without one."""
+        """Return the load and the deliveries of the radio in the last second; None without one."""
         if self.setup.scenario.radio is None:
             return None
+
         period_s = self.setup.settings.sampling_period_s
         ticks = max(1, min(round(_AIR_S / period_s), tick))
-        news = [
-            one
-            for k in range(tick - ticks + 1, tick + 1)
-            for one in self.history.airtimes.get(k, ())
-        ]
+        news = []
+        for shown in range(tick - ticks + 1, tick + 1):
+            news += self.history.airtimes.get(shown, [])
+
+        # Arrivals of the messages whose fate is known, negative for lost ones.
         arrivals = [one.arrivals[one.arrivals != NO_NEWS] for one in news]
         decided = np.concatenate(arrivals) if arrivals else np.zeros(0)
         return Air(
@@ -252,113 +156,56 @@ class SceneBuilder:
             delivered_share=float(np.mean(decided >= 0.0)) if len(decided) else None,
         )
 
-    def _links(self, tick: int) -> tuple[tuple[int, int, float | None], ...]:
-        ages = {
-            (peer, receiver): age * self.setup.settings.sampling_period_s
-            for receiver in self.setup.agents
-            if (report := self.history.reports.get((receiver, tick))) is not None
-            for peer, age in zip(report.peers, report.plan_ages, strict=True)
-            if age >= 0
-        }
-        return tuple((*ends, ages.get(ends)) for ends in permutations(self.setup.agents, 2))
+    def _links(self, tick: int) -> tuple[Link, ...]:
+        """Return the links between all agents, with the ages of the plans that were used."""
+        ages_s: dict[tuple[int, int], float] = {}
+        for receiver in self.setup.agents:
+            report = self.history.reports.get((receiver, tick))
+            if report is None:
+                continue
+            for sender, age in zip(report.peers, report.plan_ages, strict=True):
+                if age >= 0:
+                    ages_s[sender, receiver] = age * self.setup.settings.sampling_period_s
+        return tuple((*ends, ages_s.get(ends)) for ends in permutations(self.setup.agents, 2))
 
     def error_and_cost(self, tick: int) -> tuple[float, float]:
-        """Return the payload's distance from its reference, m, and the stage cost, at a recorded tick."""
-        setup, plant_state = self.setup, self.history.plant_states[tick]
+        """Return the payload's error, m, and the stage cost, at a recorded tick.
+
+        The error is the distance from the reference.
+        """
+        setup = self.setup
+        plant_state = self.history.plant_states[tick]
         time_s = np.array([tick * setup.settings.sampling_period_s])
-        y, y_ref = setup.model.outputs(plant_state.x), setup.reference.outputs(time_s)[0]
-        error_I = StateView(plant_state.x).r0_I - setup.maneuver.path(time_s)[0][0]
-        return float(np.linalg.norm(error_I)), self._cost.at(tick, y, y_ref, plant_state.u)
+
+        r0_ref_I = setup.maneuver.path(time_s)[0][0]
+        error_I = StateView(plant_state.x).r0_I - r0_ref_I
+
+        y = setup.model.outputs(plant_state.x)
+        y_ref = setup.reference.outputs(time_s)[0]
+        cost = self._cost.at(tick, y, y_ref, plant_state.u)
+        return float(np.linalg.norm(error_I)), cost
 
     def paths(self, tick: int, points: int) -> tuple[Array, Array]:
-        """Return the flown paths of payload, (k, 3), and UAVs, (k, N, 3), m, until a tick, by some points."""
-        # A copy: a page may ask while the log is read.
-        ticks = sorted(k for k in list(self.history.plant_states) if k < tick)
-        positions = np.array(
-            [self._position(k) for k in [*ticks[:: max(1, len(ticks) // points)], tick]]
-        )
-        return positions[:, 0], positions[:, 1:]
+        """Return the paths of payload, (k, 3), and UAVs, (k, N, 3), m, until a tick.
+
+        The paths have about the given number of points.
+        """
+        recorded = list(self.history.plant_states)  # a page may ask while the log is read
+        earlier = sorted(one for one in recorded if one < tick)
+        stride = max(1, len(earlier) // points)
+        positions_I = np.array([self._position(k) for k in [*earlier[::stride], tick]])
+        return positions_I[:, 0], positions_I[:, 1:]
 
     def _position(self, tick: int) -> Array:
         """Return the positions of payload and UAVs at a tick, (1 + N, 3)."""
         if tick not in self._positions:
             x = self.history.plant_states[tick].x
-            y = self.setup.model.outputs(x)[: 3 * self.setup.system.N]
-            self._positions[tick] = np.vstack([StateView(x).r0_I, y.reshape(-1, 3)])
+            uavs_I = self.setup.model.outputs(x)[: self._positions_count].reshape(-1, 3)
+            self._positions[tick] = np.vstack([StateView(x).r0_I, uavs_I])
         return self._positions[tick]
 
-    def _predictions(self, tick: int) -> tuple[PredictedPaths, ...]:
-        predictions = []
-        for agent, owned in zip(self.setup.agents, self.setup.owned, strict=True):
-            states = self._predicted_states(agent, tick)
-            if states is not None and np.isfinite(states).all():
-                y = np.array([self.setup.model.outputs(x) for x in states])[
-                    :, : 3 * self.setup.system.N
-                ]
-                uavs_I = y.reshape(len(y), -1, 3)[:, list(owned)]
-                predictions.append(PredictedPaths(agent, uavs_I, StateView(states).r0_I))
-        return tuple(predictions)
 
-    def _predicted_states(self, agent: int, tick: int) -> Array | None:
-        """Return the states that an agent predicted with its plan of a tick, (N_p + 1, n).
-
-        Equations.md (32), (35).
-
-        None without a plan of that tick, and while an agent or UAV is off the roster.
-        """
-        history, setup = self.history, self.setup
-        own, plant_state, roster = (
-            history.plans.get((agent, tick)),
-            history.plant_states[tick],
-            history.roster(tick),
-        )
-        if own is None or (
-            roster is not None and (set(roster.agents) != set(setup.agents) or roster.off)
-        ):
-            return None
-        report, steps = history.reports.get((agent, tick)), setup.settings.horizon
-        alignment = setup.scenario.controller.received_plans
-        announced = AnnouncedInputs(setup.owned, setup.hover.u, alignment=alignment, own=agent)
-        announced.add(own)
-        x, z0, forces = plant_state.x, plant_state.x, np.zeros(3 + 3 * setup.system.N)
-        if setup.settings.motor_lag_s > 0.0:
-            z0 = np.concatenate([x, plant_state.u])  # as if the motors had followed
-        if report is not None:
-            forces[:3] = report.force
-            for peer, age in zip(report.peers, report.plan_ages, strict=True):
-                if age >= 0 and (used := history.plans.get((peer, tick - age))) is not None:
-                    announced.add(used)
-        law, regulation = None, self._law()
-        if regulation is not None:
-            c = announced.corrections(tick, steps, tick + 1)
-            law = regulation.law(z0, setup.X_ref[tick : tick + steps], c, forces, tick)
-        if law is None:
-            # Inputs before the start of the plan are already fixed.
-            first = min(max(own.start_tick - tick, 0), steps)
-            U = np.tile(plant_state.u, (steps, 1))
-            U[first:] = announced.sequence(own.start_tick, steps - first, tick + 1)
-            none = np.zeros((steps, len(z0)))
-            law = FeedbackLaw(
-                K=np.zeros((U.shape[1], len(z0))),
-                u_rest=U,
-                error=none,
-                feedforward=0.0 * U,
-                c=0.0 * U,
-            )
-        return rollout(setup.model, setup.settings, z0, law, forces)[0][:, : len(x)]
-
-    def _law(self) -> Regulation | None:
-        """Return the shared control law of the team.
-
-        None with open-loop prediction or a controller of the user.
-        """
-        setup = self.setup
-        if setup.settings.prediction != "closed_loop" or setup.scenario.agents.controller != "mpc":
-            return None
-        reference = setup.reference.sampled
-        if self._regulation is None:
-            self._regulation = Regulation(setup.model, setup.hover, setup.settings, reference)
-        elif reference is not self._followed:
-            self._regulation.follow(reference)
-        self._followed = reference
-        return self._regulation
+def _without_plan(plant_state: PlantState) -> tuple[int, ...]:
+    """Return the UAVs that follow the fail-safe law, as their plans have run out."""
+    sources = enumerate(plant_state.plan_ticks, start=1)
+    return tuple(uav for uav, source in sources if source == FAIL_SAFE)

@@ -7,7 +7,8 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.protocol.scenario.link_sections import LinkSection
-from transport.scene.drawing import DARK, Colour, age_colour, uav_colour
+from transport.scene.colours import DARK, age_colour, uav_colour
+from transport.scene.parts import Colour
 from transport.scene.scene import Air, Scene
 
 _TABLE = "font-size:12px;border-collapse:collapse;font-variant-numeric:tabular-nums;margin:4px 8px"

@@ -8,7 +8,7 @@ from transport.protocol.scenario.link_changes import LinkChanges
 from transport.protocol.scenario.link_sections import LinkSection
 from transport.protocol.scenario.links import Link
 from transport.protocol.wire.messages import agent_name
-from transport.scene.scene import RunHistory
+from transport.scene.history import RunHistory
 from transport.viewer import html
 
 ALL_LINKS = "all links"

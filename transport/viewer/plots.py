@@ -8,7 +8,7 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.model.state import INPUTS
-from transport.scene.drawing import uav_style
+from transport.scene.colours import uav_style
 from transport.scene.scene import SceneBuilder
 
 # Time axis of an active run, s.

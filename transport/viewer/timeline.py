@@ -9,7 +9,7 @@ import numpy as np
 
 from transport.protocol.scenario.link_changes import change_in_words
 from transport.protocol.scenario.setup import Setup
-from transport.scene.scene import RunHistory
+from transport.scene.history import RunHistory
 from transport.viewer.playback import Playback
 from transport.viewer.widgets import from_browser
 

@@ -11,19 +11,10 @@ from typing import Any
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.scene.drawing import (
-    ARROW_M,
-    INERTIAL,
-    LAYERS,
-    OFF_COLOUR,
-    Drawing,
-    Label,
-    Lines,
-    Mesh,
-    Part,
-    Pose,
-    quaternion,
-)
+from transport.scene.bodies import INERTIAL
+from transport.scene.colours import OFF_COLOUR
+from transport.scene.drawing import ARROW_M, LAYERS, Drawing
+from transport.scene.parts import Label, Lines, Mesh, Part, Pose, quaternion
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer.camera import ASPECT, FIELD_OF_VIEW, Camera, camera_that_sees
 
