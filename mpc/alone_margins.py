@@ -6,9 +6,10 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.model.hover import hover
 from transport.model.parameters import System
+from transport.mpc.actual_plant import Mismatch, delayed_step
 from transport.mpc.alone import AloneLaw
 from transport.mpc.manifold import tangent
-from transport.mpc.margins import Mismatch, SampledLoop, continuous, held
+from transport.mpc.margins import SampledLoop
 
 
 class AloneLoop(SampledLoop):
@@ -38,21 +39,18 @@ class AloneLoop(SampledLoop):
             self._integrals[own] = integral @ self._T
 
     def matrix(self, plant: Mismatch) -> Array:
-        """Return the step of motion, integrals and inputs that have not arrived. Raises: ParameterError: no hover."""
-        periods, part_s = divmod(plant.delay_s, self.period_s)
-        late = round(periods)
-        F, G = continuous(self._system, self._T, plant)
-        before = held(F, G, part_s)
-        after = held(F, G, self.period_s - part_s)
-        kept = self._ahead + late + 1
-        sizes = [len(F), 3 * self._system.N, *[self._system.m] * kept]
-        blocks = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
-        motion, integrals, commands = blocks[0], blocks[1], blocks[2:]
+        """Return the step of motion, integrals and inputs that have not arrived.
+
+        Raises: ParameterError: the bodies have no hover.
+        """
+        plant_step = delayed_step(self._system, self._T, plant, self.period_s)
+        kept = self._ahead + plant_step.late + 1
+        sizes = [plant_step.size, 3 * self._system.N, *[self._system.m] * kept]
+        motion, integrals, *commands = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
         deviation = motion[: self._T.shape[1]]
 
         issued = self._by_motion @ deviation + self._by_held @ integrals
         acting = [issued, *commands][self._ahead :]
-        halfway = before.A @ motion + before.B @ acting[late + 1]
-        moved = after.A @ halfway + after.B @ acting[late]
+        moved = plant_step.moved(motion, acting)
         integrated = self._kept * integrals + self.period_s * (self._integrals @ deviation)
         return np.vstack([moved, integrated, issued, *commands[:-1]])

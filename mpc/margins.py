@@ -12,11 +12,10 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.discretisation import Discrete, zero_order_hold
-from transport.model.hover import hover
-from transport.model.linearisation import Linearisation, Model
+from transport.model.discretisation import zero_order_hold
 from transport.model.motors import lagged
-from transport.model.parameters import ParameterError, System
+from transport.model.parameters import ParameterError
+from transport.mpc.actual_plant import Mismatch, delayed_step
 from transport.mpc.controller import Controller
 from transport.mpc.manifold import tangent
 
@@ -28,39 +27,6 @@ _FINE = 0.005  # relative accuracy of the bisection after it
 FARTHEST = 10.0  # largest factor that is tried
 FARTHEST_S = 0.6  # largest lag and delay that are tried, s
 _FIRST_S = 1e-3  # shortest lag and delay that are tried, s
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Mismatch:
-    """Differences between the plant and the controllers' model."""
-
-    lag_s: float = 0.0  # time constant of the plant's motors, s
-    delay_s: float = 0.0  # between command and motors, s
-    gain: float = 1.0  # actual inputs over commanded inputs
-    uav_inertia: float = 1.0  # actual value over the known one, as all that follow
-    uav_mass: float = 1.0
-    payload_mass: float = 1.0
-    payload_inertia: float = 1.0
-    rod_length: float = 1.0
-
-    def system(self, known: System) -> System:
-        """Return the actual bodies."""
-        uavs = []
-        for uav in known.uavs:
-            uavs.append(
-                replace(
-                    uav,
-                    mass=uav.mass * self.uav_mass,
-                    inertia=uav.inertia * self.uav_inertia,
-                    rod_length=uav.rod_length * self.rod_length,
-                )
-            )
-        payload = replace(
-            known.payload,
-            mass=known.payload.mass * self.payload_mass,
-            inertia=known.payload.inertia * self.payload_inertia,
-        )
-        return System(payload=payload, uavs=uavs, gravity=known.gravity)
 
 
 class SampledLoop(ABC):
@@ -170,24 +136,13 @@ class Loop(SampledLoop):
         past commands, guesses of unmeasured coordinates].
         Raises: ParameterError: the bodies have no hover.
         """
-        periods, part_s = divmod(plant.delay_s, self.period_s)
-        late = round(periods)
-        F, G = continuous(self._system, self._T[: self._system.n, : self._r], plant)
-        # The plant's steps before and after the arrival of a delayed command.
-        before = held(F, G, part_s)
-        after = held(F, G, self.period_s - part_s)
+        T = self._T[: self._system.n, : self._r]
+        plant_step = delayed_step(self._system, T, plant, self.period_s)
+        late = plant_step.late
 
-        whole = self._blocks(len(F), late)
+        whole = self._blocks(plant_step.size, late)
         now = np.vstack([whole.motion[: self._r], whole.expected])
-        issued = np.empty((self._system.m, now.shape[1]))
-        gone = self._gone[:, 0]
-        issued[gone] = self._fail_safe[gone] @ now
-        guesses = []
-        for agent, controller in enumerate(self._controllers):
-            past = [now, *whole.past]
-            x, guess = self._estimate(agent, past, whole.commands, whole.guesses[agent])
-            issued[controller.own] = self._law[controller.own] @ x
-            guesses.append(guess)
+        issued, guesses = self._issued(whole, now)
 
         # Commands in force, now and before; the fail-safe needs no time for computing.
         commands = [issued, *whole.commands]  # newest first
@@ -195,10 +150,23 @@ class Loop(SampledLoop):
         for newest, delayed in zip(commands, commands[self._delay :], strict=False):
             acting.append(np.where(self._gone, newest, delayed))
 
-        halfway = before.A @ whole.motion + before.B @ acting[late + 1]
-        moved = after.A @ halfway + after.B @ acting[late]
+        moved = plant_step.moved(whole.motion, acting)
         expected = self._A[self._r :] @ now + self._B[self._r :] @ acting[0]
         return np.vstack([moved, expected, now, *whole.past[:-1], *commands[:-1], *guesses])
+
+    def _issued(self, whole: "_Blocks", now: Array) -> tuple[Array, list[Array]]:
+        """Return the new commands, (m, size), and the agents' guesses of unmeasured coordinates."""
+        issued = np.empty((self._system.m, now.shape[1]))
+        gone = self._gone[:, 0]
+        issued[gone] = self._fail_safe[gone] @ now
+
+        guesses = []
+        past = [now, *whole.past]
+        for agent, controller in enumerate(self._controllers):
+            x, guess = self._estimate(agent, past, whole.commands, whole.guesses[agent])
+            issued[controller.own] = self._law[controller.own] @ x
+            guesses.append(guess)
+        return issued, guesses
 
     def _blocks(self, motion: int, late: int) -> "_Blocks":
         """Return the parts of the whole state, as rows of the identity."""
@@ -255,49 +223,6 @@ class _Blocks:
     past: Sequence[Array]  # states one, two, .. periods ago
     commands: Sequence[Array]  # newest first
     guesses: Sequence[Array]  # of unmeasured coordinates, by agent
-
-
-def continuous(system: System, T: Array, plant: Mismatch) -> tuple[Array, Array]:
-    """Return x' = F x + G u of the actual bodies, with inner loop and lag of their motors.
-
-    Motion in coordinates of T, (n, r), with motor lag the actual inputs behind it.
-    Raises: ParameterError: the bodies have no hover.
-    """
-    bodies = plant.system(system)
-    actual = hover(bodies)
-    linear = Model(bodies).linearise(actual.x, actual.u)
-    F = T.T @ linear.A_c @ T
-    G = plant.gain * (T.T @ linear.B_c)
-
-    # Thrust and moments by state and by command: J K (rate command - rate), (57).
-    by_state = np.zeros((system.m, system.n))
-    by_command = np.eye(system.m)
-    if system.rate_gains is not None:
-        for i, uav in enumerate(system.uavs):
-            moments = state.input_slice(i)
-            gains = uav.inertia * system.rate_gains
-            by_state[moments, state.uav_slice(i)][1:, state.OMEGA] = -gains
-            by_command[moments, moments][1:, 1:] = gains
-    by_state = by_state @ T
-    if plant.lag_s == 0.0:
-        return F + G @ by_state, G @ by_command
-
-    # Actual inputs as states, in units of their effect: moments of small vehicles are tiny.
-    unit = 1.0 / np.abs(G).max(axis=0)
-    own_decay = -np.eye(system.m) / plant.lag_s
-    to_motors = by_state / (unit * plant.lag_s)[:, None]
-    with_motors = np.block([[F, G * unit], [to_motors, own_decay]])
-    commanded = by_command / (unit * plant.lag_s)[:, None]
-    return with_motors, np.vstack([np.zeros((T.shape[1], system.m)), commanded])
-
-
-def held(F: Array, G: Array, duration_s: float) -> Discrete:
-    """Return the zero-order hold of x' = F x + G u; of no duration the identity."""
-    none = np.zeros(len(F))
-    if duration_s == 0.0:
-        return Discrete(A=np.eye(len(F)), B=np.zeros_like(G), f_d=none)
-    no_outputs = np.zeros((0, len(F)))
-    return zero_order_hold(Linearisation.of(none, F, G, np.zeros(0), no_outputs), duration_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

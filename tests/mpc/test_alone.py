@@ -11,11 +11,11 @@ from transport.model.arrays import Array
 from transport.model.hover import hover
 from transport.model.parameters import System, table_1
 from transport.model.rotations import rotation
+from transport.mpc.actual_plant import Mismatch
 from transport.mpc.alone import GAINS, AloneLaw, Motion, OwnSensors, course_of, motion_of
 from transport.mpc.alone_margins import AloneLoop
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.manifold import tangent
-from transport.mpc.margins import Mismatch
 from transport.protocol.scenario.setup import Setup
 
 SYSTEM = table_1()

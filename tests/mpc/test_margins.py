@@ -6,9 +6,10 @@ import pytest
 from transport.model.hover import hover
 from transport.model.linearisation import Model
 from transport.model.parameters import System, table_1
+from transport.mpc.actual_plant import Mismatch
 from transport.mpc.controller import Controller
 from transport.mpc.fail_safe import FailSafe
-from transport.mpc.margins import FARTHEST, GROWTH, Loop, Mismatch, margins
+from transport.mpc.margins import FARTHEST, GROWTH, Loop, margins
 from transport.mpc.settings import ControllerSettings, Limits, Weights
 
 SYSTEM = table_1()
@@ -16,9 +17,9 @@ RATES = System(payload=SYSTEM.payload, uavs=SYSTEM.uavs, rate_gains=[25.0, 25.0,
 SHARED = ControllerSettings(prediction="closed_loop", terminal="riccati")
 # Rounding of eigenvalues of modes that come in equal pairs: the square root of that of the matrix.
 ROUNDING = 1e-6
-# With a fail-safe that follows, deviations decay by e within some periods of the rods' pendulum, 5
-# s.
-SETTLING_S = 10.0
+# With UAVs alone among those of the team, deviations decay by e within two and a half periods of the
+# rods' pendulum, 5 s: the slowest mode, 11.8 s, is one that the law alone damps by the rod's force.
+SETTLING_S = 12.5
 
 
 def _loop(

@@ -11,9 +11,10 @@ import numpy as np
 import threadpoolctl
 from matplotlib.figure import Figure
 
+from transport.mpc.actual_plant import Mismatch
 from transport.mpc.alone_margins import AloneLoop
 from transport.mpc.controller import Controller
-from transport.mpc.margins import FARTHEST, FARTHEST_S, Loop, Margin, Mismatch, SampledLoop, margins
+from transport.mpc.margins import FARTHEST, FARTHEST_S, Loop, Margin, SampledLoop, margins
 from transport.mpc.reference import Sampled
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.setup import Setup

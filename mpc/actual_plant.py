@@ -1,0 +1,143 @@
+"""The actual plant about hover, which differs from the controllers' model, over a sampling period."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.discretisation import Discrete, zero_order_hold
+from transport.model.hover import hover
+from transport.model.linearisation import Linearisation, Model
+from transport.model.parameters import System
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mismatch:
+    """Differences between the plant and the controllers' model."""
+
+    lag_s: float = 0.0  # time constant of the plant's motors, s
+    delay_s: float = 0.0  # between command and motors, s
+    gain: float = 1.0  # actual inputs over commanded inputs
+    uav_inertia: float = 1.0  # actual value over the known one, as all that follow
+    uav_mass: float = 1.0
+    payload_mass: float = 1.0
+    payload_inertia: float = 1.0
+    rod_length: float = 1.0
+
+    def system(self, known: System) -> System:
+        """Return the actual bodies."""
+        uavs = []
+        for uav in known.uavs:
+            uavs.append(
+                replace(
+                    uav,
+                    mass=uav.mass * self.uav_mass,
+                    inertia=uav.inertia * self.uav_inertia,
+                    rod_length=uav.rod_length * self.rod_length,
+                )
+            )
+        payload = replace(
+            known.payload,
+            mass=known.payload.mass * self.payload_mass,
+            inertia=known.payload.inertia * self.payload_inertia,
+        )
+        return System(payload=payload, uavs=uavs, gravity=known.gravity)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DelayedStep:
+    """Step of the plant over a sampling period in which a delayed command arrives."""
+
+    late: int  # whole periods of the delay
+    before: Discrete  # until the arrival
+    after: Discrete  # from the arrival on
+
+    @property
+    def size(self) -> int:
+        """Number of states of the plant, with the actual inputs of its motors."""
+        return len(self.before.A)
+
+    def moved(self, motion: Array, acting: Sequence[Array]) -> Array:
+        """Return the motion one period later.
+
+        Args:
+            motion: Motion of the plant, (size, k).
+            acting: Commands that are in force without delay, now and before, newest first, (m, k).
+        """
+        halfway = self.before.A @ motion + self.before.B @ acting[self.late + 1]
+        return self.after.A @ halfway + self.after.B @ acting[self.late]
+
+
+def delayed_step(system: System, T: Array, plant: Mismatch, period_s: float) -> DelayedStep:
+    """Return the plant's step over a period, in coordinates of T, (n, r).
+
+    Raises: ParameterError: the actual bodies have no hover.
+    """
+    periods, part_s = divmod(plant.delay_s, period_s)
+    F, G = _continuous(system, T, plant)
+    return DelayedStep(
+        late=round(periods), before=_held(F, G, part_s), after=_held(F, G, period_s - part_s)
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Wrench:
+    """Thrust and moments, (m,), by state and by command."""
+
+    by_state: Array  # (m, r)
+    by_command: Array  # (m, m)
+
+
+def _wrench(system: System, T: Array) -> _Wrench:
+    """Return J K (rate command - rate) with commanded rates, otherwise the commands: (57)."""
+    by_state = np.zeros((system.m, system.n))
+    by_command = np.eye(system.m)
+
+    if system.rate_gains is not None:
+        for i, uav in enumerate(system.uavs):
+            moments = state.input_slice(i)
+            gains = uav.inertia * system.rate_gains
+            by_state[moments, state.uav_slice(i)][1:, state.OMEGA] = -gains
+            by_command[moments, moments][1:, 1:] = gains
+    return _Wrench(by_state=by_state @ T, by_command=by_command)
+
+
+def _continuous(system: System, T: Array, plant: Mismatch) -> tuple[Array, Array]:
+    """Return x' = F x + G u of the actual bodies, with motor lag the actual inputs behind x."""
+    bodies = plant.system(system)
+    actual = hover(bodies)
+    linear = Model(bodies).linearise(actual.x, actual.u)
+    F = T.T @ linear.A_c @ T
+    G = plant.gain * (T.T @ linear.B_c)
+
+    wrench = _wrench(system, T)
+    if plant.lag_s == 0.0:
+        return F + G @ wrench.by_state, G @ wrench.by_command
+    return _with_motors(F, G, wrench, plant.lag_s)
+
+
+def _with_motors(F: Array, G: Array, wrench: _Wrench, lag_s: float) -> tuple[Array, Array]:
+    """Return the motion with actual inputs as states: a' = (wrench - a) / lag, (53).
+
+    They are in units of their effect: moments of small vehicles are tiny.
+    """
+    r, m = G.shape
+    unit = 1.0 / np.abs(G).max(axis=0)
+    own_decay = -np.eye(m) / lag_s
+    to_motors = wrench.by_state / (unit * lag_s)[:, None]
+    commanded = wrench.by_command / (unit * lag_s)[:, None]
+
+    with_motors = np.block([[F, G * unit], [to_motors, own_decay]])
+    return with_motors, np.vstack([np.zeros((r, m)), commanded])
+
+
+def _held(F: Array, G: Array, duration_s: float) -> Discrete:
+    """Return the zero-order hold of x' = F x + G u; of no duration the identity."""
+    none = np.zeros(len(F))
+    if duration_s == 0.0:
+        return Discrete(A=np.eye(len(F)), B=np.zeros_like(G), f_d=none)
+
+    no_outputs = np.zeros((0, len(F)))
+    return zero_order_hold(Linearisation.of(none, F, G, np.zeros(0), no_outputs), duration_s)
