@@ -148,11 +148,9 @@ def test_what_comes_early_is_kept(network: tuple[Plant, zenoh.Session]) -> None:
     assert plant.bus.join(["agent1"]) is None
     arrivals = [plant.bus.next(PATIENCE_S) for _ in range(3)]
     events = [arrival.event for arrival in arrivals if arrival is not None]
-    own = Presence("plant", 0, alive=True)
-    assert [event for event in events if event != own] == [
-        Presence("agent1", 0, alive=True),
-        runs.tick(0),
-    ]
+    # Tokens and messages have no common order.
+    assert Presence("agent1", 0, alive=True) in events
+    assert runs.tick(0) in events
     for token in (ready, alive):
         token.undeclare()  # type: ignore[no-untyped-call]
 
