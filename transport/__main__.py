@@ -3,16 +3,33 @@
 Modules are imported by the functions that need them: from its first line on, `main` decides what a
 signal does.
 """
+# ruff: noqa: E402  # Ctrl-C is decided before the other imports
+
+import _signal  # type: ignore[import-not-found]  # built in: it takes no time, unlike `signal`
+import os
+
+EXIT_INTERRUPTED = 130  # as in protocol.wire.exit_codes, which is imported later
+
+
+def _leave(*_: object) -> None:
+    """End this process at once, without any cleaning up: the handler of signals during the imports.
+
+    There is nothing to be ended, and an exception could be dropped, or leave a module half
+    imported.
+    """
+    os._exit(EXIT_INTERRUPTED)
+
+
+if __name__ == "__main__" and _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
+    _signal.signal(_signal.SIGINT, _leave)
 
 import atexit
-import os
 import signal
 import sys
 from contextlib import suppress
 from types import FrameType
 
 from transport.protocol.network.parent import ending_signals
-from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
 
 TYPE_CHECKING = False  # as `typing` has it, whose import takes as long as all others
 if TYPE_CHECKING:
@@ -43,18 +60,10 @@ def main() -> "NoReturn":
 
 
 def _leave_on_signals() -> None:
-    """End this process at once when a signal arrives, without any cleaning up.
-
-    During the imports there is nothing to be ended, and an exception could be dropped, or leave a
-    module half imported.
-    """
-
-    def leave(_: int, __: FrameType | None) -> "NoReturn":
-        os._exit(EXIT_INTERRUPTED)
-
+    """End this process at once when a signal arrives."""
     for number in ending_signals():
         if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, leave)
+            signal.signal(number, _leave)
 
 
 def _code_of_command() -> int:

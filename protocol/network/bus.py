@@ -166,7 +166,7 @@ class Bus:
         others = set(expected) - {self.name}
         timeout_s = self._place.join_timeout_s
         joining = Joining(others, time.monotonic(), timeout_s, self._options.tell_every_s)
-        early: list[tuple[int, _Item]] = []  # requests for the node, which is not ready
+        early: list[tuple[int, _Item]] = []  # for the node, which is not ready
 
         while True:
             now_s = time.monotonic()
@@ -186,29 +186,33 @@ class Bus:
                 continue
             if isinstance(item, Interrupted):
                 return item
-            request = self._early_request(item, joining)
-            if request is not None:
-                early.append((at_ns, request))
+            later = self._early(item, joining)
+            if later is not None:
+                early.append((at_ns, later))
 
         self._declare_token(self._keys.ready(self.name, self.incarnation))
         for stamped in early:
             self._inbox.put(stamped)
         return None
 
-    def _early_request(
+    def _early(
         self, item: zenoh.Sample | zenoh.Query | Request, joining: Joining
-    ) -> _Item | None:
-        """Take in what arrives while this process joins; return a request for its node."""
+    ) -> zenoh.Sample | Request | None:
+        """Take in an item that arrives while this process joins; return it if its node needs it.
+
+        Such are requests, messages, and the tokens of processes that are ready before this one.
+        """
         if isinstance(item, zenoh.Query):
             return self._request(item)
         if not isinstance(item, zenoh.Sample):
             return item
         key = self._keys.end(str(item.key_expr))
-        if key.startswith(f"ready/{COORDINATOR}/"):
-            joining.is_begun = True
         if key.startswith("alive/"):
             self._note(item, joins=True)
-        return None
+            return None
+        if key.startswith(f"ready/{COORDINATOR}/"):
+            joining.is_begun = True
+        return item
 
     def _alone(self, missing: Collection[str]) -> BusError:
         """Return the error of a process that waits for others in vain."""

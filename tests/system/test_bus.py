@@ -136,6 +136,25 @@ def test_messages_of_announced_processes_are_accepted(network: tuple[Plant, zeno
     assert arrival.event == Presence("coordinator", 0, alive=False)
 
 
+def test_what_comes_early_is_kept(network: tuple[Plant, zenoh.Session]) -> None:
+    """A process that is ready, and messages that come, before this one has joined reach its node."""
+    plant, session = network
+    liveliness = session.liveliness()
+    ready = liveliness.declare_token(KEYS.ready("agent1", 0))
+    block = zenoh.CongestionControl.BLOCK
+    session.put(f"{KEYS.prefix}/tick", encode(runs.tick(0)), congestion_control=block)
+    alive = liveliness.declare_token(KEYS.alive("agent1", 0, DIGEST, VERSION))
+
+    assert plant.bus.join(["agent1"]) is None
+    arrivals = [plant.bus.next(PATIENCE_S) for _ in range(3)]
+    events = [arrival.event for arrival in arrivals if arrival is not None]
+    # Tokens and messages have no common order.
+    assert Presence("agent1", 0, alive=True) in events
+    assert runs.tick(0) in events
+    for token in (ready, alive):
+        token.undeclare()  # type: ignore[no-untyped-call]
+
+
 def test_a_process_that_waits_gives_signs_of_life(network: tuple[Plant, zenoh.Session]) -> None:
     """While others are missing, a sentence names them at every interval, until the time is over."""
     said: list[str] = []
