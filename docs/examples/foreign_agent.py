@@ -21,7 +21,7 @@ import msgpack
 import numpy as np
 import zenoh
 
-AGENTS, VERSION, STEPS = 4, 8, 20
+AGENTS, VERSION, STEPS = 4, 7, 20
 # Mass, inertia and hover thrust of UAV 3, and its corner of the payload.
 MASS, INERTIA, THRUST, RHO = 1.5, np.array([0.029, 0.029, 0.055]), 22.0725, (-0.25, -0.25)
 

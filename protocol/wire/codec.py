@@ -19,7 +19,7 @@ from transport.protocol.wire.errors import MessageError, Reason
 from transport.protocol.wire.messages import BUNDLES, KINDS, Message, Plan
 from transport.protocol.wire.names import is_name
 
-VERSION = 8
+VERSION = 7
 MAX_BYTES = 16 * 1024 * 1024  # plans of 256 UAVs over 800 steps
 
 _VERSION = bytes([VERSION])
