@@ -10,7 +10,8 @@ import typer
 from typer import Option
 
 from transport.agent.node import AgentNode
-from transport.analysis.replay import Comparison, Replay
+from transport.analysis.comparison import Comparison
+from transport.analysis.replay import Replay
 from transport.cli.lazy import with_options
 from transport.cli.options import FormatOption, RunArgument, run_folder
 from transport.cli.output import Format, blame, fail, rows, show

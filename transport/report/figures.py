@@ -16,9 +16,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from transport.analysis.analysed_run import AnalysedRun
-from transport.analysis.metrics import rest_of_tick_ms
-from transport.analysis.replay import Comparison
-from transport.analysis.series import SWING_S, Series, estimates_of, swing_of
+from transport.analysis.communication import rest_of_tick_ms
+from transport.analysis.comparison import Comparison
+from transport.analysis.estimates import estimates_of
+from transport.analysis.series import SWING_S, Series, swing_of
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.state import INPUTS
