@@ -16,7 +16,7 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.model.hover import released_state
 from transport.protocol.wire.messages import ActualInputs, Control, Message, Outcome
-from transport.report.report import summary_table
+from transport.report.summary_table import summary_table
 
 # A few roundings of numbers of order one to a hundred.
 ROUNDING = 1e-12

@@ -34,7 +34,7 @@ from transport.experiments.statistics import COST_RATIO, Column, console_table
 from transport.experiments.sweep import Results, Simulate, Swept, sweep, write_markdown
 from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.setup import Setup
-from transport.report.column import column_panels, head
+from transport.report.column import Room, column_panels, head
 from transport.report.compare import fill_overlaid
 from transport.report.report import write_csv
 from transport.report.style import (
@@ -190,7 +190,11 @@ def draw_costs(curves: Sequence[Curve], reference: Cell, folder: Path) -> list[P
         figure = Figure()
         x_label = "processor time per second of the run (s/s)"
         panels = column_panels(
-            figure, [_PANEL_IN] * len(shown), legend=legend, x_label=x_label, top_in=_ABOVE_IN
+            figure,
+            [_PANEL_IN] * len(shown),
+            legend=legend,
+            x_label=x_label,
+            room=Room(top_in=_ABOVE_IN),
         )
         for panel, (budget, weather) in zip(panels, shown, strict=True):
             for curve in (curve for curve in curves if curve.weather == weather):

@@ -17,7 +17,8 @@ from transport.interface.settings import ArgumentError, printed
 from transport.log.run_log import RunLog
 from transport.log.writer import LogWriter
 from transport.protocol.scenario.setup import Setup
-from transport.report.report import summary_table, write_report
+from transport.report.report import write_report
+from transport.report.summary_table import summary_table
 
 if TYPE_CHECKING:
     import pandas as pd
