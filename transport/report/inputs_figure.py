@@ -1,4 +1,4 @@
-"""Figure of the inputs with their limits, distances within the team and from obstacles, and plans."""
+"""Figure of the inputs with their limits, distances of the team, and ages of plans."""
 
 from collections.abc import Sequence
 

@@ -1,7 +1,4 @@
-"""Margins of a scenario's hover.
-
-How far the plant may differ from the controllers' model; table and figure.
-"""
+"""Margins of a scenario's hover: differences of plant and model with which it is stable."""
 
 import math
 from collections.abc import Collection, Iterator
@@ -9,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import threadpoolctl
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from transport.mpc.controller import Controller
@@ -32,34 +30,60 @@ LABELS = {
 }
 ACTUATIONS = ("immediate", "next_tick")
 _FEEDBACK = "closed_loop, riccati, exact"  # prediction, terminal and discretisation
+# Tolerance of a delay in periods: a time over the sampling period has rounding errors.
+_ROUNDING = 1e-9
+_MS_PER_S = 1e3
+_HEIGHT_IN = 1.5
+# Height of a bar, and distance of those of one property, as shares of the property's place.
+_BAR = 0.32
+_APART = 0.36
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HoverMargins:
-    """Result of the analysis, for both values of `clock.actuation`, with the plant as known but for `margins`."""
+    """Result of the analysis, for both values of `clock.actuation`.
+
+    The plant is as the controllers know it but for `margins`.
+    """
 
     scenario: str
     without: tuple[int, ...]  # agents that are gone, 1-based, whose UAVs follow the fail-safe
-    settling_s: dict[
-        str, float | None
-    ]  # in which the slowest deviation decays by e; None: the payload is not held
+    # Time in which the slowest deviation decays by e; None: the payload is not held.
+    settling_s: dict[str, float | None]
     growth_per_s: dict[str, float]  # of the fastest growing mode
-    margins: dict[
-        str, dict[str, Margin]
-    ]  # of the properties of `mpc.margins.Mismatch`; none where it is unstable
+    # Margins of the properties of `mpc.margins.Mismatch`; none where it is unstable.
+    margins: dict[str, dict[str, Margin]]
 
 
 def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
-    """Return the margins of a scenario about hover, with the fixed delay of its links, some agents, 1-based, gone.
+    """Return the margins of a scenario about hover, with the fixed delay of its links.
 
-    Agents know each other's state one sampling period late, or as late as `links.delay_s`. Limits,
-    constraints, packet
-    loss and the disturbance estimate are not part of the analysis. Source: docs/equations.md (58).
+    The agents in `without`, 1-based, are gone. Agents know each other's state one sampling period
+    late, or as late as `links.delay_s`. Limits, constraints, packet loss and the disturbance
+    estimate are not part of the analysis. Source: docs/equations.md (58).
 
     Raises: ScenarioError: plans are not the shared control law, or the agents that are gone not
         some of several.
     """
-    absent, name, settings = tuple(sorted(set(without))), setup.scenario.name, setup.settings
+    absent = tuple(sorted(set(without)))
+    _check(setup, absent)
+
+    # Several threads are slower than one with matrices of this size.
+    with threadpoolctl.threadpool_limits(1):
+        loops = _loops(setup, absent)
+        as_modelled = Mismatch(lag_s=setup.settings.motor_lag_s)
+        return HoverMargins(
+            scenario=setup.scenario.name,
+            without=absent,
+            settling_s={name: loop.settling_s(as_modelled) for name, loop in loops.items()},
+            growth_per_s={name: loop.growth(as_modelled) for name, loop in loops.items()},
+            margins={name: margins(loop) for name, loop in loops.items()},
+        )
+
+
+def _check(setup: Setup, absent: tuple[int, ...]) -> None:
+    """Raise ScenarioError if plans are not the shared control law, or not some agents are gone."""
+    name = setup.scenario.name
     if setup.scenario.agents.controller != "mpc":
         raise ScenarioError(
             name, "agents.controller", "expected 'mpc', whose feedback is known, got a class"
@@ -68,92 +92,103 @@ def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
         raise ScenarioError(
             name, "agents", f"expected some of {list(setup.agents)} gone, got {list(absent)}"
         )
+
+    settings = setup.settings
     got = f"{settings.prediction}, {settings.terminal}, {settings.discretisation}"
     if got != _FEEDBACK:
         raise ScenarioError(
             name, "controller", f"expected {_FEEDBACK}, whose plans are a feedback, got {got}"
         )
+
+
+def _loops(setup: Setup, absent: tuple[int, ...]) -> dict[str, Loop]:
+    """Return the sampled loop of plant and present agents for each actuation."""
     gone = [uav for agent in absent for uav in setup.owned[agent - 1]]
-    age = max(1, math.ceil(setup.scenario.links.delay_s / settings.sampling_period_s - 1e-9))
-    # Several threads are slower than one with matrices of this size.
-    with threadpoolctl.threadpool_limits(1):
-        settings = settings.model_copy(
-            update={"linearisation": "present"}
-        )  # about hover both are the same
-        present = [setup.owned[agent - 1] for agent in setup.agents if agent not in absent]
-        team = [
-            Controller(setup.model, setup.hover, settings, owned, Sampled(X=setup.X_ref))
-            for owned in present
-        ]
-        for controller in team if gone else ():
+    fail_safe = {uav: setup.fail_safe.gain(uav) for uav in gone}
+    team = _team(setup, absent, gone)
+    delay_periods = setup.scenario.links.delay_s / setup.settings.sampling_period_s
+    age = max(1, math.ceil(delay_periods - _ROUNDING))
+    return {
+        actuation: Loop(team, next_tick=actuation == "next_tick", age=age, uncontrolled=fail_safe)
+        for actuation in ACTUATIONS
+    }
+
+
+def _team(setup: Setup, absent: tuple[int, ...], gone: list[int]) -> list[Controller]:
+    """Return the controllers of the present agents, which know the UAVs that are gone."""
+    # About hover both linearisations are the same.
+    settings = setup.settings.model_copy(update={"linearisation": "present"})
+    reference = Sampled(X=setup.X_ref)
+    team = [
+        Controller(setup.model, setup.hover, settings, setup.owned[agent - 1], reference)
+        for agent in setup.agents
+        if agent not in absent
+    ]
+    if gone:
+        for controller in team:
             controller.without(gone)
-        fail_safe = {uav: setup.fail_safe.gain(uav) for uav in gone}
-        loops = {
-            actuation: Loop(
-                team, next_tick=actuation == "next_tick", age=age, uncontrolled=fail_safe
-            )
-            for actuation in ACTUATIONS
-        }
-        known = Mismatch(lag_s=settings.motor_lag_s)
-        return HoverMargins(
-            scenario=name,
-            without=absent,
-            settling_s={actuation: loop.settling_s(known) for actuation, loop in loops.items()},
-            growth_per_s={actuation: loop.growth(known) for actuation, loop in loops.items()},
-            margins={actuation: margins(loop) for actuation, loop in loops.items()},
-        )
+    return team
 
 
-def rows(found: HoverMargins) -> Iterator[tuple[str, ...]]:
-    """Yield property and range for each actuation, as text, and first in which time deviations decay."""
-    settling = (found.settling_s[actuation] for actuation in ACTUATIONS)
+def rows(result: HoverMargins) -> Iterator[tuple[str, ...]]:
+    """Yield property and range for each actuation, as text.
+
+    The first row has the times in which deviations decay.
+    """
+    settling_s = [result.settling_s[actuation] for actuation in ACTUATIONS]
     yield (
         "deviations decay in",
-        *("never" if time_s is None else f"{time_s:.2g} s" for time_s in settling),
+        *("never" if time_s is None else f"{time_s:.2g} s" for time_s in settling_s),
     )
     for name, label in LABELS.items():
-        yield (
-            label,
-            *(_range(name, found.margins[actuation].get(name)) for actuation in ACTUATIONS),
-        )
+        of_actuations = [result.margins[actuation].get(name) for actuation in ACTUATIONS]
+        yield label, *(_range(name, margin) for margin in of_actuations)
 
 
 def _ends(name: str, margin: Margin) -> tuple[float, float]:
     """Return the ends of a range that is drawn and printed, in ms or as factors."""
-    unit, least, most = (
-        (1e3, 0.0, FARTHEST_S) if name.endswith("_s") else (1.0, 1.0 / FARTHEST, FARTHEST)
-    )
-    return unit * (margin.lower or least), unit * (margin.upper or most)
+    if name.endswith("_s"):
+        return _MS_PER_S * (margin.lower or 0.0), _MS_PER_S * (margin.upper or FARTHEST_S)
+    return margin.lower or 1.0 / FARTHEST, margin.upper or FARTHEST
 
 
 def _range(name: str, margin: Margin | None) -> str:
+    """Return a range in words; its ends may be beyond the searched range."""
     if margin is None:
         return "unstable"
     lower, upper = _ends(name, margin)
     above = f"> {upper:g}" if margin.upper is None else f"{upper:.3g}"
     if lower == 0.0:
         return f"up to {above}"
-    return f"{f'< {lower:g}' if margin.lower is None else f'{lower:.3g}'} to {above}"
+    below = f"< {lower:g}" if margin.lower is None else f"{lower:.3g}"
+    return f"{below} to {above}"
 
 
-def draw(found: HoverMargins, figure: Figure) -> None:
+def draw(result: HoverMargins, figure: Figure) -> None:
     """Draw the ranges as bars: times on the left, factors on the right."""
-    figure.set_size_inches(COLUMN_IN, 1.5)
+    figure.set_size_inches(COLUMN_IN, _HEIGHT_IN)
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.6))
-    for axes, is_time in ((left, True), (right, False)):
-        names = [name for name in LABELS if name.endswith("_s") == is_time]
-        for i, actuation in enumerate(ACTUATIONS):
-            of = found.margins[actuation]  # all or none
-            lower, upper = (
-                np.array([_ends(name, of[name]) for name in names if name in of]).reshape(-1, 2).T
-            )
-            places = np.arange(len(lower)) + 0.36 * (i - 0.5)
-            axes.barh(places, upper - lower, 0.32, lower, color=CURVES[i][0], label=actuation)
-        axes.set_yticks(np.arange(len(names)), [LABELS[name].split(",")[0] for name in names])
-        axes.invert_yaxis()
+    _draw_ranges(left, result, [name for name in LABELS if name.endswith("_s")])
+    _draw_ranges(right, result, [name for name in LABELS if not name.endswith("_s")])
+
     left.set_xlabel("ms")
     right.set_xscale("log")
     right.axvline(1.0, color="#000000", linewidth=0.6)
     right.set_xlabel("actual value / known value")
     figure.legend(*left.get_legend_handles_labels(), loc="upper center", ncols=2)
     figure.subplots_adjust(left=0.21, right=0.98, top=0.86, bottom=0.24, wspace=0.75)
+
+
+def _draw_ranges(axes: Axes, result: HoverMargins, names: list[str]) -> None:
+    """Draw the ranges of some properties, a bar for each actuation."""
+    for i, actuation in enumerate(ACTUATIONS):
+        ranges = result.margins[actuation]  # all or none
+        ends = [_ends(name, ranges[name]) for name in names if name in ranges]
+        lower, upper = np.array(ends).reshape(-1, 2).T
+        places = np.arange(len(lower)) + _APART * (i - 0.5)
+        colour, _, _ = CURVES[i]
+        axes.barh(places, upper - lower, _BAR, lower, color=colour, label=actuation)
+
+    short_labels = [LABELS[name].split(",")[0] for name in names]
+    axes.set_yticks(np.arange(len(names)), short_labels)
+    axes.invert_yaxis()

@@ -34,7 +34,7 @@ class _Means:
 
 
 def draw_radio(setup: Setup, log: RunLog, _: Series, panels_of: Panels) -> list[Axes]:
-    """Draw the airtime, deliveries and delays of the radio; no panel without one, or without news."""
+    """Draw airtime, deliveries and delays of the radio; no panel without one, or without news."""
     news = [one for one in log.of(Airtime) if one.agents]
     if setup.scenario.radio is None or not news:
         return []

@@ -101,7 +101,7 @@ def _draw_over_time(panel: Axes, setup: Setup, steps: _Steps, rest_ms: Mapping[i
 
 
 def _draw_by_stage(panel: Axes, steps: _Steps, rest_ms: Mapping[int, float]) -> None:
-    """Draw the median of each stage of the steps of an agent as a bar, and of the rest of a tick."""
+    """Draw the medians of the stages of each agent's steps, and of the rest of a tick, as bars."""
     medians_ms = np.array([_medians_ms(reports) for reports in steps.values()])
     left_ms = np.cumsum(medians_ms, axis=1) - medians_ms
     colours = mpl.colormaps["cividis"](np.linspace(0.05, 0.95, len(_WORK)))
