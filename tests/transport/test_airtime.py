@@ -12,8 +12,8 @@ from transport.experiments.cases import run_in_memory
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Airtime
 from transport.report.figures import fill
-from transport.report.report import _radio
 from transport.report.style import RC
+from transport.report.summary_texts import radio_text
 from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder
 from transport.viewer import html
@@ -50,8 +50,8 @@ def test_numbers_at_one_instant() -> None:
     assert radio["delivered_share"] == 0.0
     assert radio["collisions"] == 4 * 3 * (TICKS - 1)
     assert radio["delay_ms"] == {"p50": None, "p99": None, "max": None}
-    assert "0.0% delivered" in _radio(radio)
-    assert f"{4 * 3 * (TICKS - 1)} lost by collisions" in _radio(radio)
+    assert "0.0% delivered" in radio_text(radio)
+    assert f"{4 * 3 * (TICKS - 1)} lost by collisions" in radio_text(radio)
 
 
 def test_without_a_radio_there_are_no_numbers() -> None:

@@ -7,7 +7,8 @@ from msgspec.structs import replace
 from tests.support import runs
 from tests.support.logs import SINGLE_UAV, log_of, noted, plan, plant_state, report
 from transport.analysis.analysed_run import AnalysedRun
-from transport.analysis.metrics import rest_of_tick_ms, summarise
+from transport.analysis.communication import rest_of_tick_ms
+from transport.analysis.metrics import summarise
 from transport.analysis.series import series_of
 from transport.analysis.steps import steps_columns, steps_rows
 from transport.cli.top import Watch
@@ -15,7 +16,7 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.model.hover import released_state
 from transport.protocol.wire.messages import ActualInputs, Control, Message, Outcome
-from transport.report.report import summary_table
+from transport.report.summary_table import summary_table
 
 # A few roundings of numbers of order one to a hundred.
 ROUNDING = 1e-12

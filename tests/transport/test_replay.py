@@ -11,7 +11,8 @@ from msgspec.structs import replace as edited
 from typer.testing import CliRunner, Result
 
 from tests.support import logs, runs
-from transport.analysis.replay import Comparison, Replay
+from transport.analysis.comparison import Comparison
+from transport.analysis.replay import Replay
 from transport.cli.main import app
 from transport.log.run_log import RunLog
 from transport.protocol.wire.messages import Plan

@@ -13,7 +13,8 @@ from tests.support import runs
 from tests.support.logs import SINGLE_UAV, record_run
 from transport.protocol.wire.errors import Reason
 from transport.protocol.wire.messages import Message
-from transport.report.report import summary_table, write_report
+from transport.report.report import write_report
+from transport.report.summary_table import summary_table
 
 SCHEMA = json.loads(
     files("transport.analysis").joinpath("summary.schema.json").read_text(encoding="utf-8")

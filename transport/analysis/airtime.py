@@ -1,4 +1,4 @@
-"""Numbers of the team's radio over a run, from the coordinator's news in its log (docs/radio.md)."""
+"""Numbers of the team's radio over a run, from the coordinator's news (docs/radio.md)."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -27,17 +27,21 @@ def radio_of(setup: Setup, log: RunLog) -> dict[str, Any] | None:
     section = setup.scenario.radio
     if section is None:
         return None
+
     news = list(log.of(Airtime))
     fates = _Fates(news)
-    duration_s = max((one.tick for one in news), default=0) * setup.settings.sampling_period_s
+    last_tick = max((one.tick for one in news), default=0)
+    duration_s = last_tick * setup.settings.sampling_period_s
     busy_s = sum(one.busy_s for one in news)
+    losses = {name: fates.count(result) for name, result in _LOSSES.items()}
+
     return {
         "standard": section.standard,
         "rate_mbps": section.rate_mbps,
         "airtime_share": busy_s / duration_s if duration_s else None,
         "delivered_share": fates.delivered_share(),
         "delay_ms": fates.delays_ms(),
-        **{name: fates.count(result) for name, result in _LOSSES.items()},
+        **losses,
         "transmissions": sum(one.transmissions for one in news),
         "repetitions": sum(one.repetitions for one in news),
         "links": _links(setup, fates),
@@ -45,7 +49,7 @@ def radio_of(setup: Setup, log: RunLog) -> dict[str, Any] | None:
 
 
 class _Fates:
-    """Arrivals and losses of plans: senders, receivers, delays, a row for each plan and receiver."""
+    """Arrivals and losses of plans, a row for each plan and receiver (see `_rows`)."""
 
     def __init__(self, news: Iterable[Airtime]) -> None:
         rows = [_rows(one) for one in news if one.agents]
@@ -53,8 +57,9 @@ class _Fates:
 
     def of_link(self, sender: int, receiver: int) -> "_Fates":
         """Return those of one link."""
+        is_link = (self.table[:, 0] == sender) & (self.table[:, 1] == receiver)
         part = _Fates([])
-        part.table = self.table[(self.table[:, 0] == sender) & (self.table[:, 1] == receiver)]
+        part.table = self.table[is_link]
         return part
 
     def count(self, result: Result) -> int:
@@ -70,6 +75,7 @@ class _Fates:
         delays_ms = _MS_PER_S * self.table[self.table[:, 2] >= 0.0, 3]
         if not len(delays_ms):
             return {"p50": None, "p99": None, "max": None}
+
         p50, p99 = np.percentile(delays_ms, [50.0, 99.0])
         return {"p50": float(p50), "p99": float(p99), "max": float(delays_ms.max())}
 
@@ -81,19 +87,26 @@ def _rows(news: Airtime) -> Array:
     arrivals = news.arrivals.ravel()
     delays = (news.arrivals - news.sent[:, None]).ravel()
     rows = np.column_stack([agents, receivers, arrivals, delays])
+
     decided: Array = rows[arrivals != NO_NEWS]
     return decided
 
 
 def _links(setup: Setup, fates: _Fates) -> list[dict[str, Any]]:
+    """Return share and delays of the delivered plans of each link, as JSON data."""
     links = []
     for sender in setup.agents:
         for receiver in setup.agents:
             if sender == receiver:
                 continue
+
             link = fates.of_link(sender, receiver)
-            delays_ms = link.delays_ms()
-            ends = {"from": agent_name(sender), "to": agent_name(receiver)}
-            numbers = {"delivered_share": link.delivered_share(), "delay_ms": delays_ms}
-            links.append({**ends, **numbers})
+            links.append(
+                {
+                    "from": agent_name(sender),
+                    "to": agent_name(receiver),
+                    "delivered_share": link.delivered_share(),
+                    "delay_ms": link.delays_ms(),
+                }
+            )
     return links

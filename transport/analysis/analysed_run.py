@@ -41,10 +41,13 @@ def counted(setup: Setup, log: RunLog) -> RunLog:
         message = entry.message
         if not isinstance(message, Plan | StepReport):
             return True
-        tick, after = ticks.get(message.tick), ticks.get(message.tick + 1)
+
+        tick = ticks.get(message.tick)
         members = rosters.get(tick.roster) if tick is not None else None
         if members is not None and members.get(message.agent) != message.incarnation:
             return False
+
+        after = ticks.get(message.tick + 1)
         return not lockstep or after is None or message.agent in after.answered
 
     return replace(log, messages=tuple(filter(counts, log.messages)))

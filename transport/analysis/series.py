@@ -1,30 +1,27 @@
-"""Time series of a run, the basis of every metric and figure.
-
-The swing at its end; estimates of the agents.
-"""
+"""Time series of a run, the basis of every metric and figure, and the swing at its end."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from transport.agent.estimation.payload_pose import NAMES, poses
+from transport.analysis.constraints import clearances_of, separation_of, violation_of
 from transport.log.run_log import RunLog
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.obstacles import clearances
 from transport.model.rotations import rotation
 from transport.protocol.scenario.faults import failures
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.stage_cost import StageCost
-from transport.protocol.wire.messages import (
-    Note,
-    PlantState,
-    Target,
-)
+from transport.protocol.wire.messages import PlantState, Target
+
+# End of the run in which the swing is measured, s: longer than the 3.6 s period of a pendulum of
+# 3.2 m, and shorter than the last hover of the paper's maneuver, 5 s.
+SWING_S = 4.0
+# Tolerance of a number of periods: a time over the sampling period has rounding errors.
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,15 +38,24 @@ class Series:
     uavs_I: Array  # (T, N, 3)
     payload_reference_I: Array  # (T, 3)
     uav_references_I: Array  # (T, N, 3)
-    cost: Array  # stage cost, docs/equations.md (21), (T,); of the remaining team after a UAV failure, see `StageCost`
+    # Stage cost, docs/equations.md (21), (T,); of the remaining team after a UAV failure, see
+    # `StageCost`.
+    cost: Array
     attitude_deg: Array  # payload roll, pitch, yaw, (T, 3)
     on_rods: npt.NDArray[np.bool_]  # whether a UAV has not been released, (T, N)
-    separation_m: (
-        Array  # smallest distance between two UAVs on their rods, (T,); infinite for one UAV
-    )
-    clearance_m: Array  # smallest distances of UAVs on their rods, rods, payload from obstacles, (T, 3); or infinite
-    violation: Array  # largest constraint violation relative to the constraint's range, (T,); see `_violation`
-    local_error: Array  # largest local error estimate of the plant's integration where it is known, (<= T,), SI
+    # Smallest distance between two UAVs on their rods, (T,); infinite for one UAV.
+    separation_m: Array
+    # Smallest distances of UAVs on their rods, rods, payload from obstacles, (T, 3); or infinite.
+    clearance_m: Array
+    # Largest constraint violation relative to the constraint's range, (T,); see `violation_of`.
+    violation: Array
+    # Largest local error estimate of the plant's integration where it is recorded, (<= T,), SI.
+    local_error: Array
+
+    @property
+    def row_of_tick(self) -> dict[int, int]:
+        """Rows of the series by tick."""
+        return {int(tick): row for row, tick in enumerate(self.ticks)}
 
     @property
     def payload_error_I(self) -> Array:
@@ -81,12 +87,14 @@ class Series:
         NaN where all of them are released. `owned` has the UAVs of the agents, 0-based.
         """
         errors_m = np.linalg.norm(self.uav_errors_I, axis=2)
-        largest_m = [
-            np.where(self.on_rods[:, uavs], errors_m[:, uavs], -np.inf).max(axis=1)
-            for uavs in map(list, owned)
-        ]
-        largest = np.column_stack(largest_m)
-        return np.where(largest >= 0.0, largest, np.nan)
+        columns = []
+        for group in owned:
+            uavs = list(group)
+            flying_m = np.where(self.on_rods[:, uavs], errors_m[:, uavs], -np.inf)
+            columns.append(flying_m.max(axis=1))
+
+        largest_m = np.column_stack(columns)
+        return np.where(largest_m >= 0.0, largest_m, np.nan)
 
     @property
     def attitude_max_deg(self) -> Array:
@@ -97,25 +105,23 @@ class Series:
 def series_of(setup: Setup, log: RunLog) -> Series:
     """Return the series of a run from its recorded plant states.
 
-    Those of another number of UAVs are left out.
+    States of another number of UAVs are left out.
     """
     setup = setup.after(log.of(Target))
-    plant_states = {
-        entry.tick: entry for entry in log.of(PlantState) if entry.x.shape == setup.hover.x.shape
-    }
-    ticks = np.array(sorted(plant_states), dtype=np.int64)
-    times_s: Array = ticks.astype(np.float64) * setup.settings.sampling_period_s
+    states = _recorded_states(setup, log)
     N = setup.system.N
-    x = np.array([plant_states[tick].x for tick in ticks]).reshape(-1, len(setup.hover.x))
-    u = np.array([plant_states[tick].u for tick in ticks]).reshape(-1, state.INPUTS * N)
+    ticks = np.array([entry.tick for entry in states], dtype=np.int64)
+    times_s: Array = ticks.astype(np.float64) * setup.settings.sampling_period_s
+    x = np.array([entry.x for entry in states]).reshape(-1, len(setup.hover.x))
+    u = np.array([entry.u for entry in states]).reshape(-1, state.INPUTS * N)
+
     y_ref = setup.reference.outputs(times_s)
     y = np.array([setup.model.outputs(row) for row in x]).reshape(y_ref.shape)
     uavs_I = y[:, : 3 * N].reshape(len(ticks), N, 3)
-    cost = StageCost(setup)
-    on_rods = np.ones((len(ticks), N), dtype=bool)
-    for fault in failures(setup.faults):
-        on_rods[ticks >= fault.tick, fault.uav] &= fault.do != "release"
-    separation_m, clear_m = _separation(uavs_I, on_rods), _clearances(setup, x, on_rods)
+    on_rods = _on_rods(setup, ticks)
+    separation_m = separation_of(uavs_I, on_rods)
+    clearance_m = clearances_of(setup, x, on_rods)
+
     return Series(
         ticks=ticks,
         times_s=times_s,
@@ -124,74 +130,47 @@ def series_of(setup: Setup, log: RunLog) -> Series:
         uavs_I=uavs_I,
         payload_reference_I=setup.maneuver.path(times_s)[0],
         uav_references_I=y_ref[:, : 3 * N].reshape(len(ticks), N, 3),
-        cost=np.array(
-            [cost.at(int(tick), *row) for tick, *row in zip(ticks, y, y_ref, u, strict=True)],
-            dtype=float,
-        ),
+        cost=_costs(setup, ticks, y, y_ref, u),
         attitude_deg=np.degrees(x[:, state.THETA0]),
         on_rods=on_rods,
         separation_m=separation_m,
-        clearance_m=clear_m.min(axis=0, initial=np.inf),
-        violation=_violation(setup, ticks, u, separation_m, clear_m[..., 0]),
-        local_error=np.array(
-            [e for tick in ticks if (e := plant_states[tick].local_error) >= 0.0], dtype=np.float64
-        ),
+        clearance_m=clearance_m.min(axis=0, initial=np.inf),
+        violation=violation_of(setup, ticks, u, separation_m, clearance_m[..., 0]),
+        local_error=_local_errors(states),
     )
 
 
-def _separation(uavs_I: Array, on_rods: npt.NDArray[np.bool_]) -> Array:
-    """Return the smallest distance between any two UAVs on their rods, (T,), m."""
-    i, j = np.triu_indices(uavs_I.shape[1], 1)
-    distances_m = np.linalg.norm(uavs_I[:, i] - uavs_I[:, j], axis=2)
-    return np.asarray(
-        np.where(on_rods[:, i] & on_rods[:, j], distances_m, np.inf).min(axis=1, initial=np.inf)
-    )
+def _recorded_states(setup: Setup, log: RunLog) -> list[PlantState]:
+    """Return the plant states of the run's UAVs, one for each tick, ascending."""
+    by_tick = {
+        entry.tick: entry for entry in log.of(PlantState) if entry.x.shape == setup.hover.x.shape
+    }
+    return [by_tick[tick] for tick in sorted(by_tick)]
 
 
-def _clearances(setup: Setup, x: Array, on_rods: npt.NDArray[np.bool_]) -> Array:
-    """Return the smallest distances of UAVs on their rods, rods and payload from each obstacle, (k, T, 3), m."""
-    N, found = setup.system.N, np.empty((len(setup.obstacles), len(x), 3))
-    for row, obstacle in zip(found, setup.obstacles, strict=True):
-        clear_m = clearances(setup.system, obstacle, x)
-        for column in range(2):
-            row[:, column] = np.where(
-                on_rods, clear_m[:, N * column : N * (column + 1)], np.inf
-            ).min(axis=1)
-        row[:, 2] = clear_m[:, -1]
-    return found
-
-
-def _violation(
-    setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_m: Array, clear_m: Array
-) -> Array:
-    """Return the largest constraint violation at each tick as a share of the constraint's range, (T,); 0 if all hold.
-
-    Ranges: largest minus smallest value of an input; twice its largest change per period; the
-    minimum separation, and the margin of UAVs from obstacles, themselves. Changes across a gap in
-    the record and own constraints do not count.
-    """
-    settings, N = setup.settings, setup.system.N
-    lower, upper, step = settings.lower(N), settings.upper(N), settings.step(N)
-    worst = (np.maximum(lower - u, u - upper) / (upper - lower)).max(axis=1, initial=0.0)
-    before = np.vstack([setup.hover.u[None], u[:-1]])[: len(u)]
-    change = (np.abs(u - before) - step) / (2.0 * step)
+def _on_rods(setup: Setup, ticks: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+    """Return whether each UAV has not been released, (T, N)."""
+    on_rods = np.ones((len(ticks), setup.system.N), dtype=bool)
     for fault in failures(setup.faults):
-        change[ticks == fault.tick, state.input_slice(fault.uav)] = (
-            0.0  # stopping motors violates no limit
-        )
-    consecutive = np.diff(ticks, prepend=-1) == 1
-    worst = np.maximum(worst, np.where(consecutive, change.max(axis=1, initial=0.0), 0.0))
-    if settings.separation is not None:
-        minimum_m = settings.separation.minimum_m
-        worst = np.maximum(worst, (minimum_m - separation_m) / minimum_m)
-    for obstacle, distance_m in zip(setup.obstacles, clear_m, strict=True):
-        worst = np.maximum(worst, (obstacle.margin_m - distance_m) / obstacle.margin_m)
-    return np.asarray(worst)
+        if fault.do == "release":
+            on_rods[ticks >= fault.tick, fault.uav] = False
+    return on_rods
 
 
-# End of the run in which the swing is measured, s: longer than the 3.6 s period of a pendulum of
-# 3.2 m, and shorter than the last hover of the paper's maneuver, 5 s.
-SWING_S = 4.0
+def _costs(setup: Setup, ticks: npt.NDArray[np.int64], y: Array, y_ref: Array, u: Array) -> Array:
+    """Return the stage cost, docs/equations.md (21), (T,), of outputs, references and inputs."""
+    cost = StageCost(setup)
+    costs = [
+        cost.at(int(tick), y_k, y_ref_k, u_k)
+        for tick, y_k, y_ref_k, u_k in zip(ticks, y, y_ref, u, strict=True)
+    ]
+    return np.array(costs, dtype=float)
+
+
+def _local_errors(states: Sequence[PlantState]) -> Array:
+    """Return the local errors of the plant's integration, without those not recorded (< 0)."""
+    errors = [entry.local_error for entry in states if entry.local_error >= 0.0]
+    return np.array(errors, dtype=np.float64)
 
 
 def swing_of(setup: Setup, series: Series) -> float | None:
@@ -201,32 +180,6 @@ def swing_of(setup: Setup, series: Series) -> float | None:
     """
     if not len(series.ticks):
         return None
-    periods = math.ceil(SWING_S / setup.settings.sampling_period_s - 1e-6)
-    last = series.ticks > series.ticks[-1] - periods
-    return float(series.payload_error_norm_m[last].max())
-
-
-class Estimates(NamedTuple):
-    """Estimates of the payload's pose (x, y, z, roll, pitch, yaw), m and rad, by all agents at some recorded ticks."""
-
-    agents: npt.NDArray[np.intp]  # (k,), 1-based
-    rows: npt.NDArray[np.intp]  # their ticks' rows in the series, (k,)
-    pose: Array  # estimated, (k, 6)
-    true: Array  # (k, 6)
-    P: Array  # covariance of the error, (k, 6, 6)
-    surprise: Array  # squared innovation of the newest measurements over its covariance, and their number, (k, 2)
-
-
-def estimates_of(series: Series, log: RunLog) -> Estimates | None:
-    """Return the estimates in a log; None if there are none."""
-    at = {int(tick): row for row, tick in enumerate(series.ticks)}
-    notes = [note for note in log.of(Note) if note.names == NAMES and note.tick in at]
-    if not notes:
-        return None
-    numbers, rows = (
-        np.array([note.values for note in notes]),
-        np.array([at[note.tick] for note in notes]),
-    )
-    pose, P = poses(numbers)
-    true = series.x[rows][:, np.r_[state.R0, state.THETA0]]
-    return Estimates(np.array([note.agent for note in notes]), rows, pose, true, P, numbers[:, -2:])
+    periods = math.ceil(SWING_S / setup.settings.sampling_period_s - _ROUNDING)
+    at_end = series.ticks > series.ticks[-1] - periods
+    return float(series.payload_error_norm_m[at_end].max())

@@ -58,10 +58,11 @@ def steps_rows(run: AnalysedRun) -> Iterator[dict[str, Any]]:
     refer to the UAVs of the agent. Inputs of other UAVs, and values missing in the log, are None.
     """
     columns = steps_columns(run.setup)
-    row_of_tick = {int(tick): row for row, tick in enumerate(run.series.ticks)}
-    of_team = _team_series(run)
+    row_of_tick = run.series.row_of_tick
+    team = _team_series(run)
     uav_errors_m = run.series.uav_error_max_m(run.setup.owned)
     reports = {(report.tick, report.agent): report for report in run.log.of(StepReport)}
+
     for (tick, agent), report in sorted(reports.items()):
         row: dict[str, Any] = dict.fromkeys(columns)
         row["tick"] = tick
@@ -71,22 +72,24 @@ def steps_rows(run: AnalysedRun) -> Iterator[dict[str, Any]]:
 
         k = row_of_tick.get(tick)
         if k is not None:
-            row |= {name: float(values[k]) for name, values in of_team.items()}
+            row |= {name: float(values[k]) for name, values in team.items()}
             if agent <= len(run.setup.owned):
-                row["uav_error_max_m"] = _known(uav_errors_m[k, agent - 1])
+                row["uav_error_max_m"] = _number(uav_errors_m[k, agent - 1])
                 row |= _inputs(run, agent, k)
         yield row
 
 
 def _of_report(report: StepReport) -> dict[str, Any]:
-    """Return what an agent has reported about a step, by column."""
+    """Return the values that an agent reports about a step, by column."""
     values = {name: getattr(report, name) for name in (*_SOLVE, *_MESSAGES)}
     values["fallback"] = int(report.fallback)
     values["plan_age_max"] = _oldest(report.plan_ages)
     values["state_age_max"] = _oldest(report.state_ages)
     values |= zip(_FORCE, report.force.tolist(), strict=True)
+
     for stage, time_ms in zip(STAGES, report.times_ms, strict=True):
         values[f"{stage}{WALL_CLOCK}"] = float(time_ms)
+
     return values
 
 
@@ -120,7 +123,7 @@ def _input_names(setup: Setup, i: int) -> list[str]:
 
 
 def _oldest(ages: tuple[int, ...]) -> int | None:
-    """Return the largest age.
+    """Return the largest age, ticks.
 
     -1 if nothing has been received yet from any of the others; None without other agents.
     """
@@ -129,6 +132,6 @@ def _oldest(ages: tuple[int, ...]) -> int | None:
     return max(ages, default=None)
 
 
-def _known(value: float) -> float | None:
+def _number(value: float) -> float | None:
     """Return a number; None for one that does not exist."""
     return None if np.isnan(value) else float(value)

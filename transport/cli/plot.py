@@ -16,7 +16,8 @@ from transport.log.run_log import LogError, open_run
 from transport.protocol.network.parent import stand_by
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE, EXIT_UNRECORDED
-from transport.report.report import report_run, summary_table, warnings, write_report
+from transport.report.report import report_run, write_report
+from transport.report.summary_table import summary_table, warnings
 
 
 def plot(

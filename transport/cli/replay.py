@@ -10,7 +10,8 @@ import typer
 from typer import Option
 
 from transport.agent.node import AgentNode
-from transport.analysis.replay import Comparison, Replay
+from transport.analysis.comparison import Comparison
+from transport.analysis.replay import Replay
 from transport.cli.lazy import with_options
 from transport.cli.options import FormatOption, RunArgument, run_folder
 from transport.cli.output import Format, blame, fail, rows, show
@@ -22,7 +23,7 @@ from transport.protocol.scenario.file import ScenarioError, find_scenario, read_
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.exit_codes import EXIT_DIFFERENT
 from transport.protocol.wire.messages import Measurement
-from transport.report.figures import draw_replay
+from transport.report.replay_figure import draw_replay
 
 # Smaller differences of inputs, N or N m, are rounding: other numbers on the way to the same
 # decision.

@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 
 from transport.experiments.declaration import NONE, Axis, Experiment, axis
 from transport.experiments.statistics import COST_RATIO, PointStatistics
-from transport.report.column import column_panels, head
+from transport.report.column import Room, column_panels, head
 from transport.report.style import CURVES, DIVERGED, MARKER, label_decades
 
 Scenarios = Mapping[str, Sequence[PointStatistics]]
@@ -189,7 +189,7 @@ def draw_curves(figure: Figure, experiment: Experiment, scenarios: Scenarios) ->
         [_PANEL_IN] * (len(shown) + bool(diverged_s)),
         legend=[Line2D([], [], **curve.style) for curve in curves],
         x_label=x.axis.title,
-        top_in=_ABOVE_IN,
+        room=Room(top_in=_ABOVE_IN),
     )
     for panel in panels:
         x.apply(panel, len(curves))

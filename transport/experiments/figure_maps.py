@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from transport.experiments.declaration import Axis
 from transport.experiments.statistics import PointStatistics
-from transport.report.column import column_panels, head
+from transport.report.column import Room, column_panels, head
 from transport.report.style import COLUMN_IN, SMALL, TEXT, label_decades
 
 # Height of a row, room above a map and beside it, distance and width of the colour bar, in.
@@ -40,9 +40,8 @@ def draw_maps(
     scale = _scale(measured)
 
     heights_in = [_ROW_IN * len(rows)] * len(scenarios)
-    panels = column_panels(
-        figure, heights_in, x_label=x.title, right_in=_RIGHT_IN, top_in=_ABOVE_IN
-    )
+    room = Room(right_in=_RIGHT_IN, top_in=_ABOVE_IN)
+    panels = column_panels(figure, heights_in, x_label=x.title, room=room)
     for panel, (scenario, own) in zip(panels, scenarios.items(), strict=True):
         costs = np.full((len(rows), len(columns)), np.nan)
         for statistics in own:

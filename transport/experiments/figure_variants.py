@@ -13,7 +13,7 @@ from matplotlib.transforms import ScaledTranslation
 
 from transport.experiments.declaration import axis
 from transport.experiments.statistics import PointStatistics
-from transport.report.column import column_panels, head, text_width_in
+from transport.report.column import Room, column_panels, head, text_width_in
 from transport.report.style import CURVES, DIVERGED, MARKER, REFERENCE, SMALL, label_decades
 
 # Height of a row, room around and between panels, distance of the marks of diverged runs, in.
@@ -44,11 +44,13 @@ def draw_variants(figure: Figure, scenarios: Mapping[str, Sequence[PointStatisti
         [_ROW_IN * len(names) for names in names_by_scenario],
         legend=[Line2D([], [], label=network, **style) for network, style in styles.items()],
         x_label="mean cost over that of the unchanged scenario\non a perfect network",
-        left_in=max(widths_in) + _BESIDE_NAME_IN,
-        right_in=_RIGHT_IN,  # for marks of diverged runs
-        top_in=_ABOVE_IN,
-        gap_in=_BETWEEN_IN,
-        bottom_in=_BELOW_IN,
+        room=Room(
+            left_in=max(widths_in) + _BESIDE_NAME_IN,
+            right_in=_RIGHT_IN,  # for marks of diverged runs
+            top_in=_ABOVE_IN,
+            gap_in=_BETWEEN_IN,
+            bottom_in=_BELOW_IN,
+        ),
     )
 
     span = _span(measured)

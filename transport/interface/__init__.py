@@ -1,1 +1,1 @@
-"""Python interface: simulate, load, plot, view and save runs, sweep over settings, edit scenarios (docs/python.md)."""
+"""Python interface: runs, their figures and viewer, sweeps, and scenarios (docs/python.md)."""

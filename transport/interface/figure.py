@@ -1,4 +1,4 @@
-"""Figures as objects, whose files equal those of the report, and margins of a scenario, which have one."""
+"""Figures as objects, whose files equal those of the report, and margins of a scenario."""
 
 import io
 from collections.abc import Callable, Collection
@@ -19,14 +19,18 @@ from transport.report.style import RC
 
 
 class RunFigure(Figure):
-    """A matplotlib figure in the style of the project; it belongs to no window, so nothing has to be closed."""
+    """A matplotlib figure in the style of the project.
+
+    It belongs to no window, so nothing has to be closed.
+    """
 
     def savefig(self, fname: Any, **options: Any) -> None:
-        """Write the figure to a file, whose ending is the format, with the options of matplotlib."""
+        """Write the figure to a file, whose ending is the format, with options of matplotlib."""
         with mpl.rc_context(RC):
             super().savefig(fname, **options)
 
     def _repr_png_(self) -> bytes:
+        """Return the picture that a notebook shows."""
         picture = io.BytesIO()
         self.savefig(picture, format="png")
         return picture.getvalue()
@@ -41,9 +45,13 @@ def drawn(draw: Callable[[RunFigure], Any]) -> RunFigure:
 
 
 def run_figure(name: str, run: AnalysedRun) -> RunFigure:
-    """Return a figure of the report of a run. Raises: ArgumentError: no such figure, or no data for it."""
+    """Return a figure of the report of a run.
+
+    Raises: ArgumentError: no such figure, or no data for it.
+    """
     if name not in FIGURES:
         raise ArgumentError(f"figure: expected one of {', '.join(FIGURES)}, got {name!r}")
+
     with mpl.rc_context(RC):
         figure = RunFigure()
         if not len(run.series.ticks) or not fill(figure, name, run):
@@ -53,7 +61,10 @@ def run_figure(name: str, run: AnalysedRun) -> RunFigure:
 
 @dataclass(frozen=True)
 class Margins:
-    """Margins of the hover of a scenario, as `transport.margins` returns them; printed as a table."""
+    """Margins of the hover of a scenario, as `transport.margins` returns them.
+
+    They are printed as a table.
+    """
 
     found: HoverMargins  # SI units, factors relative to the known value
 
@@ -67,8 +78,10 @@ class Margins:
         return drawn(lambda figure: draw(self.found, figure))
 
     def __str__(self) -> str:
+        """Return the table of the ranges as text."""
         table = [("property", *ACTUATIONS), *rows(self.found)]
-        return "\n".join("".join(f"{text:20s}" for text in row).rstrip() for row in table)
+        lines = ["".join(f"{text:20s}" for text in row).rstrip() for row in table]
+        return "\n".join(lines)
 
 
 def margins(
@@ -78,11 +91,12 @@ def margins(
     without: Collection[int] = (),
     **short: Unpack[ShortSettings],
 ) -> Margins:
-    """Return how far the plant may differ from the controllers' model before the hover becomes unstable.
+    """Return how far the plant may differ from the controllers' model with a stable hover.
 
-    A linear analysis of the sampled loop about hover, without limits and constraints; it takes seconds. The agents in
-    `without`, 1-based, are gone for good, and their UAVs follow the fail-safe; the team that is left holds the payload
-    if all deviations decay (`settling_s`). Other arguments are those of `fly`.
+    It is a linear analysis of the sampled loop about hover, without limits and constraints, and
+    takes seconds. The agents in `without`, 1-based, are gone for good, and their UAVs follow the
+    fail-safe; the team that is left holds the payload if all deviations decay (`settling_s`).
+    Other arguments are those of `fly`.
 
     >>> import transport
     >>> lag_s = transport.margins("resilient").data["margins"]["immediate"]["lag_s"]
@@ -92,4 +106,5 @@ def margins(
     Raises: ScenarioError: the scenario or a setting is refused. ArgumentError: an argument is.
     """
     chosen = Scenario(scenario, settings, **short)
-    return Margins(hover_margins(Setup.of(chosen.validated, str(chosen.file)), without))
+    setup = Setup.of(chosen.validated, str(chosen.file))
+    return Margins(hover_margins(setup, without))

@@ -29,7 +29,10 @@ RUNS = Path("runs")
 
 
 def console(*, shown: bool) -> Console:
-    """Return the console for progress: standard error; in a notebook as lines of text, without widgets."""
+    """Return the console for progress, on standard error.
+
+    In a notebook it writes lines of text, without widgets.
+    """
     return Console(stderr=True, quiet=not shown, force_jupyter=False)
 
 
@@ -45,8 +48,8 @@ def fly(
 ) -> Run:
     """Simulate a run and return it, also if it diverges.
 
-    In memory by default: the whole team in this process, unpaced, nothing written, with the same bits as with
-    processes, which are those of `transport run` and recorded.
+    In memory by default: the whole team in this process, unpaced, nothing written, with the same
+    bits as with processes, which are those of `transport run` and recorded.
 
     >>> import transport
     >>> hover = [{"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]}]
@@ -56,39 +59,43 @@ def fly(
     >>> transport.fly("resilient", horizn=10)
     Traceback (most recent call last):
         ...
-    transport.interface.settings.ArgumentError: horizn: expected a dotted key such as 'links.delay_s' or a short name; \
-did you mean 'horizon'?
+    transport.interface.settings.ArgumentError: horizn: expected a dotted key such as \
+'links.delay_s' or a short name; did you mean 'horizon'?
 
     Args:
         scenario: Scenario file, name of one that comes with the package, or a `Scenario`.
         settings: Changes by dotted key; list entries count from 1.
         processes: Start a process for each agent, the plant and the coordinator.
-        folder: Run folder to create; by default none in memory, and runs/<time>-<scenario> with processes.
+        folder: Run folder to create; by default none in memory, and runs/<time>-<scenario> with
+            processes.
         progress: Show the progress on standard error.
-        path: Path of the payload in place of the maneuver: rows of time and position, (t_s, x_m, y_m, z_m), as an array
-            or a list; both count from the first row. Between rows at constant speed; with a flat reference a spline
-            through them, so a few rows are enough.
+        path: Path of the payload in place of the maneuver: rows of time and position,
+            (t_s, x_m, y_m, z_m), as an array or a list; both count from the first row. Between rows
+            at constant speed; with a flat reference a spline through them, so a few rows are
+            enough.
         short: Changes by short name (`transport.interface.settings.KEY_OF`), such as `horizon=10`.
 
-    Raises: ScenarioError: the scenario or a setting is refused. ArgumentError: an argument is. RunError, HarnessError:
-        the processes cannot be started. KeyboardInterrupt: Ctrl-C; no process is left.
+    Raises: ScenarioError: the scenario or a setting is refused. ArgumentError: an argument is.
+        RunError, HarnessError: the processes cannot be started. KeyboardInterrupt: Ctrl-C; no
+        process is left.
     """
     flown = Scenario(scenario, settings, **short)
     if path is not None:
         flown.set(phases=[path_phase(path, flat=flown.maneuver.reference == "flat")])
-    setup = Setup.of(
-        flown.validated, str(flown.file)
-    )  # its own: compiled functions must not be used by two threads
+    # A setup of its own: compiled functions must not be used by two threads.
+    setup = Setup.of(flown.validated, str(flown.file))
+
     target = None if folder is None else Path(folder)
     if target is not None and target.exists():  # before the simulation
         raise ArgumentError(f"folder: expected a folder that does not exist yet, got {target}")
     if processes:
         return _with_processes(flown, setup, target, shown=progress)
+
     if flown.clock.mode != "lockstep":
-        expected = (
-            "expected lockstep in memory, where no time passes (processes=True runs in real time)"
-        )
+        reason = "where no time passes (processes=True runs in real time)"
+        expected = f"expected lockstep in memory, {reason}"
         raise ScenarioError(str(flown.file), "clock.mode", f"{expected}, got {flown.clock.mode}")
+
     run = _in_memory(flown, setup, shown=progress)
     if target is not None:
         run.save(target)
@@ -96,30 +103,31 @@ did you mean 'horizon'?
 
 
 def load(folder: "str | PathLike[str]") -> Run:
-    """Return a recorded run from its folder, also one that was cut off: `run.summary["log_cut"]` tells.
+    """Return a recorded run from its folder, also one that was cut off.
+
+    `run.summary["log_cut"]` tells whether it was.
 
     >>> import transport
     >>> transport.load("runs/none")
     Traceback (most recent call last):
         ...
-    transport.log.run_log.LogError: runs/none/run.mcap: cannot read the log (No such file or directory)
+    transport.log.run_log.LogError: runs/none/run.mcap: cannot read the log \
+(No such file or directory)
 
-    Raises: LogError: no run folder, or a log that cannot be read. ScenarioError: its scenario cannot be read.
+    Raises: LogError: no run folder, or a log that cannot be read. ScenarioError: its scenario
+        cannot be read.
     """
     recorded = open_run(Path(folder))
-    return Run(
-        Scenario(recorded.scenario_file, allow_large=True),
-        recorded.setup,
-        recorded.log,
-        Path(folder),
-    )
+    scenario = Scenario(recorded.scenario_file, allow_large=True)
+    return Run(scenario, recorded.setup, recorded.log, Path(folder))
 
 
 class ActiveRun:
     """A run that is active on this machine, in its run folder `folder`."""
 
     def __init__(self, folder: Path, there: live.LiveRun) -> None:
-        self.folder, self._there = folder, there
+        self.folder = folder
+        self._live = there
 
     def __repr__(self) -> str:
         return f"ActiveRun({str(self.folder)!r})"
@@ -129,7 +137,7 @@ class ActiveRun:
 
         The largest speed, m/s, is up to 1 m/s, if feasible, by default.
 
-        Returns: `tick`, its time `t_s`, and when the reference is there, `reached_s` and `ends_s`, s.
+        Returns: `tick`, its time `t_s`, and when the reference is there, `reached_s` and `ends_s`.
         Raises: TransportError: it cannot be flown, or the run does not answer.
         """
         return self.path([[x, y, z]], speed=speed)
@@ -141,33 +149,42 @@ class ActiveRun:
         times: Sequence[float] | None = None,
         speed: float | None = None,
     ) -> dict[str, Any]:
-        """Send the payload through way points on a smooth curve, after it has reached the first of them.
+        """Send the payload through way points on a smooth curve.
 
-        Points are positions, (k, 3), inertial frame, m, or a CSV file with columns x,y,z or t,x,y,z; times, s, count
-        from that of the first one and replace a largest speed, m/s. Returns and raises as `target`.
+        The curve begins once it has reached the first of them. Points are positions, (k, 3),
+        inertial frame, m, or a CSV file with columns x,y,z or t,x,y,z; times, s, count from that of
+        the first one and replace a largest speed, m/s.
+        Returns and raises as `target`.
         """
         if isinstance(points, str | PathLike):
             points, times = points_of(Path(points))
+
         every = {"points_m": plain(points), "times_s": plain(times), "speed_mps": plain(speed)}
         given = {key: value for key, value in every.items() if value is not None}
-        return self._there.ask(COORDINATOR, "target", given)
+        return self._live.ask(COORDINATOR, "target", given)
 
 
 def active(folder: "str | PathLike[str] | None" = None) -> ActiveRun:
-    """Return the active run of a folder, by default the most recent one in `runs`; raise ArgumentError without one."""
-    found = live.newest_folder(RUNS) if folder is None else Path(folder)
-    there = None if found is None else live.read(found)
-    if found is None or there is None:
+    """Return the active run of a folder, by default the most recent one in `runs`.
+
+    Raises: ArgumentError: there is none.
+    """
+    run_folder = live.newest_folder(RUNS) if folder is None else Path(folder)
+    running = None if run_folder is None else live.read(run_folder)
+    if run_folder is None or running is None:
         raise ArgumentError(f"no active run in {RUNS if folder is None else folder}")
-    return ActiveRun(found, there)
+    return ActiveRun(run_folder, running)
 
 
 def _in_memory(scenario: Scenario, setup: Setup, *, shown: bool) -> Run:
-    began_ns, began_s = time.time_ns(), time.monotonic()
+    """Simulate a run in this process."""
+    began_ns = time.time_ns()
+    began_s = time.monotonic()
     compile_model(setup.system.N, console(shown=shown))
-    header = run_header(
-        setup, setup.scenario.name, 1, tomli_w.dumps(setup.scenario.tree()), checked(setup)
-    )
+    text = tomli_w.dumps(setup.scenario.tree())
+    header = run_header(setup, setup.scenario.name, 1, text, checked(setup))
+    header = {**header, "command_started_ns": str(began_ns)}
+
     messages: list[Recorded] = []
     next_s = began_s
     with RunProgress(setup, console(shown=shown), waiting="in memory") as progress:
@@ -182,13 +199,13 @@ def _in_memory(scenario: Scenario, setup: Setup, *, shown: bool) -> Run:
                 progress.show(message, began_s)
 
         memory.simulate(setup, record)
-    log = RunLog(
-        header={**header, "command_started_ns": str(began_ns)}, messages=tuple(messages), cut=""
-    )
+
+    log = RunLog(header=header, messages=tuple(messages), cut="")
     return Run(scenario, setup, log)
 
 
 def _with_processes(scenario: Scenario, setup: Setup, folder: Path | None, *, shown: bool) -> Run:
+    """Simulate a run with a process for each part, and write its report."""
     # Imported when needed: a run in memory starts no process.
     from transport.flight import run as processes_run
     from transport.flight.fork_server import close_fork_server
@@ -199,6 +216,7 @@ def _with_processes(scenario: Scenario, setup: Setup, folder: Path | None, *, sh
         finished = processes_run.simulate(setup, target, console(shown=shown))
     finally:
         close_fork_server()
+
     write_report(finished.folder, setup=setup)
     if finished.exit_code == EXIT_INTERRUPTED:
         raise KeyboardInterrupt(f"interrupted; recorded in {finished.folder}")

@@ -17,7 +17,8 @@ from transport.interface.settings import ArgumentError, printed
 from transport.log.run_log import RunLog
 from transport.log.writer import LogWriter
 from transport.protocol.scenario.setup import Setup
-from transport.report.report import summary_table, write_report
+from transport.report.report import write_report
+from transport.report.summary_table import summary_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,11 +36,13 @@ class Run:
     """A run: its scenario, its messages, and what follows from them.
 
     >>> import transport
-    >>> run = transport.fly("paper", phases=[{"name": "hover", "duration_s": 0.5, "displacement_m": [0, 0, 0]}])
+    >>> hover = [{"name": "hover", "duration_s": 0.5, "displacement_m": [0, 0, 0]}]
+    >>> run = transport.fly("paper", phases=hover)
     >>> run.completed, run.summary["ticks"], run.series["payload_position_m"].shape
     (True, 10, (10, 3))
 
-    `scenario` is the one that was simulated, `log` has all messages, `folder` is None for a run without run folder.
+    `scenario` is the one that was simulated, `log` has all messages, `folder` is None for a run
+    without run folder.
     """
 
     def __init__(
@@ -57,7 +60,7 @@ class Run:
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """The content of summary.json (docs/summary.md): outcome, cost, tracking, times, messages, faults, ..."""
+        """The content of summary.json: outcome, cost, tracking, faults, ... (docs/summary.md)."""
         return summarise(self._analysed)
 
     @cached_property
@@ -67,7 +70,10 @@ class Run:
 
     @property
     def outcome(self) -> str:
-        """The end of the run: completed, failed, diverged, aborted, or unknown for a log without its end."""
+        """The end of the run: completed, failed, diverged, aborted.
+
+        It is unknown for a log without its end.
+        """
         return str(self.summary["outcome"])
 
     @property
@@ -76,10 +82,14 @@ class Run:
         return self.outcome == "completed"
 
     def __repr__(self) -> str:
-        cost, attitude_deg = self.summary["cost"]["mean"], self.summary["attitude_max_deg"]
         parts = [self.outcome, f"{self.summary['sim_time_s']:.2f} s"]
-        parts += [] if cost is None else [f"mean cost {cost:.3g}"]
-        parts += [] if attitude_deg is None else [f"payload attitude max {attitude_deg:.2f} deg"]
+        cost = self.summary["cost"]["mean"]
+        if cost is not None:
+            parts.append(f"mean cost {cost:.3g}")
+
+        attitude_deg = self.summary["attitude_max_deg"]
+        if attitude_deg is not None:
+            parts.append(f"payload attitude max {attitude_deg:.2f} deg")
         return f"Run({self.summary['scenario']!r}: {', '.join(parts)})"
 
     def __str__(self) -> str:
@@ -87,52 +97,62 @@ class Run:
         return printed(summary_table(self.summary), _WIDTH)
 
     def to_pandas(self, table: TableName = "series") -> "pd.DataFrame":
-        """Return a table: "series" has a row per tick, "steps" one per agent and tick, as steps.csv (docs/summary.md).
+        """Return a table of the run.
 
-        Columns of "series" are those of `RunSeries.columns`, with time as index. Needs the extra `pandas`.
+        "series" has a row per tick, "steps" one per agent and tick, as steps.csv (docs/summary.md).
+        Columns of "series" are those of `RunSeries.columns`, with time as index. Needs the extra
+        `pandas`.
+
         Raises: ArgumentError: no such table.
         """
         import pandas as pd
 
         if table not in ("series", "steps"):
             raise ArgumentError(f"table: expected 'series' or 'steps', got {table!r}")
+
         if table == "steps":
             return pd.DataFrame(list(steps_rows(self._analysed)))
         return pd.DataFrame(self.series.columns()).set_index("time_s")
 
     def plot(self, figure: FigureName = "performance") -> "RunFigure":
-        """Return a figure of the report, of matplotlib: a notebook shows it, `savefig("name.png")` writes it.
+        """Return a figure of the report, of matplotlib.
+
+        A notebook shows it, `savefig("name.png")` writes it.
 
         Raises: ArgumentError: no such figure, or a run without data for it.
         """
-        from transport.interface.figure import (
-            run_figure,  # loads matplotlib, 0.5 s that runs without figures save
-        )
+        # Loads matplotlib, 0.5 s that runs without figures save.
+        from transport.interface.figure import run_figure
 
         return run_figure(figure, self._analysed)
 
     def view(self, host: str = "127.0.0.1", port: int = 8080) -> "RunViewer":
-        """Show the run in the browser until the viewer is closed; raise ViewerError without viser (extra `view`)."""
-        from transport.interface.viewing import (
-            RunViewer,  # loads the viewer, which other uses do not need
-        )
+        """Show the run in the browser until the viewer is closed.
+
+        Raises: ViewerError: viser is not installed (extra `view`).
+        """
+        # Loads the viewer, which other uses do not need.
+        from transport.interface.viewing import RunViewer
 
         return RunViewer(self._setup, self.log, host, port)
 
     def save(self, folder: "str | PathLike[str]", *, figures: bool = True) -> Path:
-        """Write the run folder that `transport run` writes, to a folder that does not exist yet; return its path.
+        """Write the run folder that `transport run` writes; return its path.
 
-        Raises: RunError, or OSError for a recorded run: it exists or cannot be created. LogError: no log is written.
+        Raises: RunError, or OSError for a recorded run: the folder exists or cannot be created.
+            LogError: no log is written.
         """
         target = Path(folder)
         if self.folder is not None:
             return Path(shutil.copytree(self.folder, target))
+
         create(target, self._setup)
-        with closing(
-            LogWriter(target / "run.mcap", self.log.header, period_ns=self._setup.period_ns)
-        ) as writer:
+        period_ns = self._setup.period_ns
+        log_writer = LogWriter(target / "run.mcap", self.log.header, period_ns=period_ns)
+        with closing(log_writer) as writer:
             for entry in self.log.messages:
                 writer.write(entry.message, entry.received_ns)
+
         write_report(target, figures=figures)
         self.folder = target
         return target

@@ -1,4 +1,4 @@
-"""Scenario as an object that stays valid: each change is checked as a whole, and made or refused."""
+"""Scenario as an object that stays valid: a change is checked as a whole, and made or refused."""
 
 from collections.abc import Sequence
 from os import PathLike
@@ -18,25 +18,36 @@ from transport.protocol.scenario.schema import Scenario as ScenarioTree
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.team import FEWEST, MOST, Team, given, resized
 
+_LONGEST_RAMP_S = 3.0  # at the ends of a path with a flat reference
+
 
 class Section:
-    """A section of a scenario; reading an attribute reads the value, setting one changes the scenario."""
+    """A section of a scenario.
+
+    Reading an attribute reads the value, setting one changes the scenario.
+    """
 
     _owner: "Scenario"
     _key: str
 
     def __init__(self, owner: "Scenario", key: str) -> None:
-        self._owner, self._key = owner, key
+        self._owner = owner
+        self._key = key
 
     @property
     def _data(self) -> Any:
-        return self._owner._found(self._key)
+        """The section as the model has it."""
+        return self._owner._value(self._key)
+
+    def _key_of(self, name: str) -> str:
+        """Return the dotted key of an attribute."""
+        return f"{self._key}.{name}".lstrip(".")
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
         try:
-            return self._owner._shown(f"{self._key}.{name}".lstrip("."))
+            return self._owner._shown(self._key_of(name))
         except ScenarioError as error:
             raise AttributeError(str(error)) from None
 
@@ -44,7 +55,7 @@ class Section:
         if name.startswith("_"):
             object.__setattr__(self, name, value)
         else:
-            self._owner[f"{self._key}.{name}".lstrip(".")] = value
+            self._owner[self._key_of(name)] = value
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *type(self._data).model_fields]
@@ -61,8 +72,9 @@ class Section:
 class Scenario(Section):
     """A scenario that can be changed and is valid at any time.
 
-    A change that would make an impossible scenario raises `ScenarioError` and leaves the scenario as it was. Sections
-    are attributes, list entries count from 0; dotted keys count list entries from 1, as on the command line.
+    A change that would make an impossible scenario raises `ScenarioError` and leaves the scenario
+    as it was. Sections are attributes, list entries count from 0; dotted keys count list entries
+    from 1, as on the command line.
 
     >>> from transport import Scenario
     >>> scenario = Scenario("resilient", horizon=10)
@@ -72,16 +84,19 @@ class Scenario(Section):
     >>> scenario.links.loss = 1.5
     Traceback (most recent call last):
         ...
-    transport.protocol.scenario.errors.ScenarioError: links.loss=1.5: expected less than or equal to 1, got 1.5
+    transport.protocol.scenario.errors.ScenarioError: links.loss=1.5: expected less than or \
+equal to 1, got 1.5
     >>> scenario.links.loss
     0.0
     >>> scenario.resized(6)
     Scenario('resilient-6': 6 UAVs, 6 agents, 25 s)
 
-    The source is a scenario file, the name of one that comes with the package, or another scenario; changes are those
-    of `fly`. With `allow_large` runs may exceed the limits of `transport validate`.
+    The source is a scenario file, the name of one that comes with the package, or another scenario;
+    changes are those of `fly`. With `allow_large` runs may exceed the limits of
+    `transport validate`.
 
-    Raises: ScenarioError: naming file or setting, field, expected, got. ArgumentError: an argument is refused.
+    Raises: ScenarioError: naming file or setting, field, expected, got. ArgumentError: an argument
+        is refused.
     """
 
     _path: Path
@@ -101,13 +116,16 @@ class Scenario(Section):
         super().__init__(self, "")
         changes = settings_of(settings, short)
         if isinstance(source, Scenario):
-            self._path, self._tree, self._setup = source._path, source._tree, source._setup
+            self._path = source._path
+            self._tree = source._tree
+            self._setup = source._setup
             self._allow_large = allow_large or source._allow_large
             self._origins = source._origins
             if changes:
                 self._change(given(self._tree), changes)
         else:
-            self._path, self._allow_large = find_scenario(str(source)), allow_large
+            self._path = find_scenario(str(source))
+            self._allow_large = allow_large
             self._origins = ()
             self._change(read_tree(self._path), changes)
 
@@ -124,13 +142,14 @@ class Scenario(Section):
         self.set({key: value})
 
     def __repr__(self) -> str:
-        N, agents = self._setup.system.N, len(self._setup.agents)
+        N = self._setup.system.N
+        agents = len(self._setup.agents)
         sizes = f"{N} UAV{'s' * (N > 1)}, {agents} agent{'s' * (agents > 1)}"
         return f"Scenario({self._tree.name!r}: {sizes}, {self._setup.maneuver.duration_s:g} s)"
 
     @property
     def file(self) -> Path:
-        """File that the scenario was read from; paths in the scenario are relative to its folder."""
+        """File that the scenario was read from; its folder is that of relative paths."""
         return self._path
 
     @property
@@ -164,11 +183,15 @@ class Scenario(Section):
         vehicle: "str | PathLike[str] | None" = None,
         load_kg: float | None = None,
     ) -> "Scenario":
-        """Return a scenario with another team, as `team`; an agent owns `group` UAVs, by default as many as here."""
+        """Return a scenario with another team, as `team` does.
+
+        An agent owns `group` UAVs, by default as many as here.
+        """
         if not FEWEST <= uavs <= MOST:
             raise ArgumentError(f"uavs: expected {FEWEST} to {MOST}, got {uavs}")
         if group is not None and group < 1:
             raise ArgumentError(f"group: expected at least 1 UAV per agent, got {group}")
+
         chosen = None if vehicle is None else str(vehicle)
         team = Team(uavs=uavs, group=group, name=name, vehicle=chosen, load_kg=load_kg)
         tree = given(resized(self._tree, team, str(self._path)))
@@ -182,30 +205,30 @@ class Scenario(Section):
         return made
 
     def save(self, path: "str | PathLike[str]") -> Path:
-        """Write the scenario, with every default, to a file that does not exist yet; return its path."""
+        """Write the scenario, with every default, to a new file; return its path."""
         with Path(path).open("x", encoding="utf-8") as file:
             file.write(tomli_w.dumps(self.tree()))
         return Path(path)
 
-    def _found(self, key: str) -> Any:
-        """Return the value of a dotted key as the model has it; the scenario itself for an empty one."""
-        found: Any = self._tree
+    def _value(self, key: str) -> Any:
+        """Return the value of a dotted key as the model has it.
+
+        An empty key is that of the scenario itself.
+        """
+        value: Any = self._tree
         for part in filter(None, key.split(".")):
-            parts: dict[str, Any] = {}
-            if isinstance(found, list | tuple):
-                parts = {str(number): entry for number, entry in enumerate(found, start=1)}
-            elif isinstance(found, BaseModel):
-                parts = {
-                    name: getattr(found, field) for name, field in names_of(type(found)).items()
-                }
+            parts = _parts(value)
             if part not in parts:
                 raise ScenarioError(str(self._path), key, f"unknown key; {hint(part, parts)}")
-            found = parts[part]
-        return found
+            value = parts[part]
+        return value
 
     def _shown(self, key: str) -> Any:
-        """Return a value as the user gets it: sections, and lists as tuples, which cannot be changed."""
-        value = self._found(key)
+        """Return a value as the user gets it.
+
+        It is a section, a plain value, or a tuple for a list, which cannot be changed.
+        """
+        value = self._value(key)
         if isinstance(value, BaseModel):
             return Section(self, key)
         if isinstance(value, list | tuple):
@@ -213,7 +236,10 @@ class Scenario(Section):
         return value
 
     def _change(self, tree: dict[str, Any], changes: list[str]) -> None:
-        """Become the scenario of a tree with changes, or stay as it is if that is refused; errors name the changes."""
+        """Become the scenario of a tree with changes, or stay as it is if that is refused.
+
+        Errors name the changes.
+        """
         source = str(self._path)
         try:
             scenario = with_settings(tree, changes, source, allow_large=self._allow_large)
@@ -222,7 +248,20 @@ class Scenario(Section):
             if error.source == source:  # not one of the changes
                 error = error.traced(self._origins)
             raise error.blaming(changes) from error.__cause__
+
         self._tree = scenario
+
+
+def _parts(value: Any) -> dict[str, Any]:
+    """Return the entries of a section by name, or of a list by number from 1.
+
+    A plain value has none.
+    """
+    if isinstance(value, list | tuple):
+        return {str(number): entry for number, entry in enumerate(value, start=1)}
+    if isinstance(value, BaseModel):
+        return {name: getattr(value, field) for name, field in names_of(type(value)).items()}
+    return {}
 
 
 def team(
@@ -240,8 +279,9 @@ def team(
     >>> transport.team(4, vehicle="x500", load_kg=3)
     Scenario('resilient-x500-4': 4 UAVs, 4 agents, 25 s)
 
-    The vehicle is a file, or crazyflie, x500, racing, by default the paper's; the payload has by default half the mass
-    of the UAVs. The base has all other keys: maneuver, controller, network; changes are those of `fly`.
+    The vehicle is a file, or crazyflie, x500, racing, by default the paper's; the payload has by
+    default half the mass of the UAVs. The base has all other keys: maneuver, controller, network;
+    changes are those of `fly`.
 
     Raises: ScenarioError: the scenario or a setting is refused. ArgumentError: an argument is.
     """
@@ -250,7 +290,10 @@ def team(
 
 
 def path_phase(path: Sequence[Sequence[float]], *, flat: bool) -> dict[str, Any]:
-    """Return the phase of a maneuver along rows of time and position, (t_s, x_m, y_m, z_m), counted from the first."""
+    """Return the phase of a maneuver along rows of time and position, (t_s, x_m, y_m, z_m).
+
+    Times and positions count from the first row.
+    """
     try:
         rows = np.asarray(path, dtype=np.float64)
     except (TypeError, ValueError):
@@ -259,15 +302,16 @@ def path_phase(path: Sequence[Sequence[float]], *, flat: bool) -> dict[str, Any]
         raise ArgumentError(
             f"path: expected two or more rows of t_s, x_m, y_m, z_m, got {path!r:.60}"
         )
-    rows = rows - rows[0]
-    if flat:
-        points, times = rows[1:, 1:].tolist(), rows[1:, 0].tolist()
-        ramp_s = min(3.0, times[-1] / 2.0)
-        return {
-            "name": "path",
-            "kind": "spline",
-            "points_m": points,
-            "times_s": times,
-            "ramp_s": ramp_s,
-        }
-    return {"name": "path", "way": rows.tolist()}
+
+    way = rows - rows[0]
+    if not flat:
+        return {"name": "path", "way": way.tolist()}
+
+    times_s = way[1:, 0].tolist()
+    return {
+        "name": "path",
+        "kind": "spline",
+        "points_m": way[1:, 1:].tolist(),
+        "times_s": times_s,
+        "ramp_s": min(_LONGEST_RAMP_S, times_s[-1] / 2.0),
+    }

@@ -11,8 +11,10 @@ from transport.model import state
 from transport.model.arrays import Array, frozen
 from transport.protocol.wire.messages import ActualInputs, StepReport
 
-_XYZ, _ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")
-_UAV, _AGENT = "uav", "agent"
+_XYZ = ("x", "y", "z")
+_ANGLES = ("roll", "pitch", "yaw")
+_UAV = "uav"
+_AGENT = "agent"
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +22,8 @@ class Quantity:
     """One quantity of a run over time."""
 
     unit: str  # empty for none
-    # Meaning of the axes behind the first, which is time: "uav", "agent" (both counted from 1), or components.
+    # Meaning of the axes behind the first, which is time: "uav", "agent" (both counted from 1), or
+    # components.
     axes: tuple[str | tuple[str, ...], ...]
     meaning: str  # one sentence
 
@@ -101,7 +104,9 @@ QUANTITIES: Mapping[str, Quantity] = {
 
 
 class RunSeries(Mapping[str, Array]):
-    """Series of a run by name: read-only arrays with one row per recorded tick; names end in the unit.
+    """Series of a run by name: read-only arrays with one row per recorded tick.
+
+    Names end in the unit.
 
     >>> import transport
     >>> hover = [{"name": "hover", "duration_s": 0.5, "displacement_m": [0, 0, 0]}]
@@ -135,27 +140,40 @@ class RunSeries(Mapping[str, Array]):
 
     def unit(self, name: str) -> str:
         """Return the unit of a series, empty for none."""
-        return _known(name).unit
+        return _quantity(name).unit
 
     def axes(self, name: str) -> tuple[str | tuple[str, ...], ...]:
-        """Return the meaning of a series' axes behind time: "uav", "agent" (counted from 1), or names of components."""
-        return _known(name).axes
+        """Return the meaning of a series' axes behind time.
+
+        It is "uav", "agent" (counted from 1), or names of components.
+        """
+        return _quantity(name).axes
 
     def meaning(self, name: str) -> str:
         """Return the meaning of a series in one sentence."""
-        return _known(name).meaning
+        return _quantity(name).meaning
 
     def columns(self) -> dict[str, Array]:
-        """Return all series as columns, (ticks,), by name: `thrust_N[1]`, `payload_error_m[x]`, `uav_error_m[1,x]`."""
-        found: dict[str, Array] = {}
+        """Return all series as columns, (ticks,), by name.
+
+        Names are such as `thrust_N[1]`, `payload_error_m[x]`, `uav_error_m[1,x]`.
+        """
+        columns: dict[str, Array] = {}
         for name, quantity in QUANTITIES.items():
-            for place in np.ndindex(self[name].shape[1:]):
-                axes = zip(quantity.axes, place, strict=True)
-                label = ",".join(
-                    axis[i] if isinstance(axis, tuple) else str(i + 1) for axis, i in axes
-                )
-                found[f"{name}[{label}]" if label else name] = self[name][(slice(None), *place)]
-        return found
+            values = self[name]
+            for entry in np.ndindex(values.shape[1:]):
+                column = _column_name(name, quantity, entry)
+                columns[column] = values[(slice(None), *entry)]
+        return columns
+
+
+def _column_name(name: str, quantity: Quantity, entry: tuple[int, ...]) -> str:
+    """Return the name of the column of an entry of a series."""
+    labels = [
+        axis[i] if isinstance(axis, tuple) else str(i + 1)
+        for axis, i in zip(quantity.axes, entry, strict=True)
+    ]
+    return f"{name}[{','.join(labels)}]" if labels else name
 
 
 def _arrays(run: AnalysedRun) -> dict[str, Array]:
@@ -198,7 +216,8 @@ def _of_uavs(run: AnalysedRun) -> dict[str, Array]:
 def _inputs(run: AnalysedRun) -> dict[str, Array]:
     """Return the inputs of the UAVs with their limits, and the tensions of cables."""
     s = run.series
-    T, N = len(s.ticks), run.setup.system.N
+    T = len(s.ticks)
+    N = run.setup.system.N
     limits = run.setup.settings.limits
     commands_rates = run.setup.system.commands_rates
     inputs = s.u.reshape(T, N, state.INPUTS)
@@ -207,7 +226,7 @@ def _inputs(run: AnalysedRun) -> dict[str, Array]:
     moments_Nm = missing.copy() if commands_rates else inputs[:, :, 1:]
     rates_radps = inputs[:, :, 1:] if commands_rates else missing
     tensions_N = missing[:, :, 0].copy()
-    row_of_tick = {int(tick): row for row, tick in enumerate(s.ticks)}
+    row_of_tick = s.row_of_tick
     for actual in run.log.of(ActualInputs):
         row = row_of_tick.get(actual.tick)
         if row is None:
@@ -241,21 +260,25 @@ def _of_team(run: AnalysedRun) -> dict[str, Array]:
 def _of_agents(run: AnalysedRun) -> dict[str, Array]:
     """Return the series of the agents, NaN without a step."""
     s = run.series
-    T, M = len(s.ticks), len(run.setup.agents)
+    T = len(s.ticks)
+    M = len(run.setup.agents)
     plan_ages = np.full((T, M), np.nan)
     lost = np.full((T, M), np.nan)
     step_ms = np.full((T, M), np.nan)
     force_N = np.full((T, M, 3), np.nan)
-    row_of_tick = {int(tick): row for row, tick in enumerate(s.ticks)}
+
+    row_of_tick = s.row_of_tick
     for report in run.log.of(StepReport):
         row = row_of_tick.get(report.tick)
         if row is None or report.agent not in run.setup.agents:
             continue
-        place = row, report.agent - 1
-        plan_ages[place] = max((age for age in report.plan_ages if age >= 0), default=np.nan)
-        lost[place] = report.lost
-        step_ms[place] = report.times_ms[-1]
-        force_N[place] = report.force
+        column = report.agent - 1
+        ages = [age for age in report.plan_ages if age >= 0]
+        plan_ages[row, column] = max(ages, default=np.nan)
+        lost[row, column] = report.lost
+        step_ms[row, column] = report.times_ms[-1]
+        force_N[row, column] = report.force
+
     return {
         "uav_error_max_m": s.uav_error_max_m(run.setup.owned),
         "plan_age_ticks": plan_ages,
@@ -265,7 +288,8 @@ def _of_agents(run: AnalysedRun) -> dict[str, Array]:
     }
 
 
-def _known(name: str) -> Quantity:
+def _quantity(name: str) -> Quantity:
+    """Return the quantity of a name; raise ArgumentError for another name."""
     if name not in QUANTITIES:
         raise ArgumentError(f"{name}: expected one of {', '.join(QUANTITIES)}")
     return QUANTITIES[name]

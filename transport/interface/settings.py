@@ -1,4 +1,4 @@
-"""Arguments of the Python interface: settings by dotted key or short name, and errors about them."""
+"""Arguments of the Python interface: settings by dotted key or short name, and their errors."""
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -15,11 +15,17 @@ Settings = Mapping[str, Any]
 
 
 class ArgumentError(TransportError, TypeError):
-    """An argument of the Python interface that is refused: its text is one line with argument, expected and got."""
+    """An argument of the Python interface that is refused.
+
+    Its text is one line with argument, expected and got.
+    """
 
 
 class ShortSettings(TypedDict, total=False):
-    """Keyword arguments that stand for keys of the scenario; `KEY_OF` has the keys, docs/scenario.md their meaning."""
+    """Keyword arguments that stand for keys of the scenario.
+
+    `KEY_OF` has the keys, docs/scenario.md their meaning.
+    """
 
     seed: int
     horizon: int
@@ -47,7 +53,10 @@ KEY_OF: Mapping[str, str] = short_names()  # keys of the scenario
 
 
 def key_of(name: str) -> str:
-    """Return the dotted key of a setting given by its key or its short name; raise ArgumentError for another name."""
+    """Return the dotted key of a setting given by its key or its short name.
+
+    Raises: ArgumentError: it is another name.
+    """
     if name in KEY_OF:
         return KEY_OF[name]
     if "." in name or name in ("name", "seed", "schema", "obstacle"):
@@ -57,19 +66,28 @@ def key_of(name: str) -> str:
 
 
 def settings_of(settings: Settings | None, short: Mapping[str, Any]) -> list[str]:
-    """Return settings by dotted key, then keyword arguments; raise ArgumentError for an unknown or repeated key."""
-    found: dict[str, PythonSetting] = {}
+    """Return settings by dotted key, then keyword arguments.
+
+    Raises: ArgumentError: a key is unknown or repeated.
+    """
+    by_key: dict[str, PythonSetting] = {}
     for name, given in [*(settings or {}).items(), *short.items()]:
-        key, value = key_of(name), plain(given)
-        if key in found:
+        key = key_of(name)
+        if key in by_key:
             raise ArgumentError(f"{name}: expected each key once, got {key} twice")
-        found[key] = PythonSetting(f"{key}={value!r}")
-        found[key].value = value
-    return list(found.values())
+
+        value = plain(given)
+        setting = PythonSetting(f"{key}={value!r}")
+        setting.value = value
+        by_key[key] = setting
+    return list(by_key.values())
 
 
 def plain(value: Any) -> Any:
-    """Return a value without types of NumPy, paths and classes: a controller or an engine is named."""
+    """Return a value without types of NumPy, paths and classes.
+
+    A class, such as that of a controller, is named.
+    """
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Mapping):

@@ -1,8 +1,8 @@
-"""Sweeps: a run for each combination of settings and each seed, on the cores of this machine or on a Dask cluster."""
+"""Sweeps: a run for each combination of settings and seed, on this machine or on a Dask cluster."""
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -26,10 +26,8 @@ if TYPE_CHECKING:
 
 Base = str | PathLike[str] | Scenario
 
-_NAME, _CURVE = (
-    "sweep",
-    "settings",
-)  # the latter is the label of all keys but the one along the axis
+_NAME = "sweep"
+_CURVE = "settings"  # label of all keys but the one along the axis
 
 
 def sweep(
@@ -56,40 +54,30 @@ def sweep(
         base: Scenario file, name, `Scenario`, several of these, or a dictionary of these by label.
         grid: Values by dotted key or short name, such as `{"links.delay_s": [0.0, 0.1, 0.2]}`.
         seeds: Number of seeds, 0, 1, ...; a run without random parts is simulated once.
-        workers: Number of processes, by default one for each core; 1 simulates in this process. An address such as
-            "tcp://host:8786" stands for a Dask cluster (extra `cluster`).
-        folder: Folder for tables, figure and each result as it comes; a folder of the same sweep is resumed.
+        workers: Number of processes, by default one for each core; 1 simulates in this process. An
+            address such as "tcp://host:8786" stands for a Dask cluster (extra `cluster`).
+        folder: Folder for tables, figure and each result as it comes; a folder of the same sweep is
+            resumed.
         progress: Show the progress on standard error.
 
-    Raises: ScenarioError, ArgumentError: a combination or an argument is refused, before the first run.
-        ExperimentError: a worker was lost, a run raised an error, or the folder cannot be used. KeyboardInterrupt:
-        Ctrl-C; no process is left.
+    Raises: ScenarioError, ArgumentError: a combination or an argument is refused, before the first
+        run. ExperimentError: a worker was lost, a run raised an error, or the folder cannot be
+        used. KeyboardInterrupt: Ctrl-C; no process is left.
     """
     values = _checked_grid(grid)
     if seeds < 1:
         raise ArgumentError(f"seeds: expected a number >= 1, got {seeds}")
-    if isinstance(workers, str):
-        check_cluster(workers)
-        simulate: experiment_sweep.Simulate = partial(on_cluster, address=workers)
-    else:
-        simulate = partial(on_cores, jobs=workers)
-    points, cases, sizes = list[Point](), list[Case](), set[int]()
-    for label, scenario in _scenarios(base).items():
-        for number, combination in enumerate(itertools.product(*values.values())):
-            settings = dict(zip(values, combination, strict=True))
-            labels = {name: _label(value) for name, value in settings.items()}
-            text = ", ".join(f"{name} {value}" for name, value in labels.items())
-            changed = scenario.copy(settings)
-            cases += cases_of_point(len(points), changed.validated, changed.file, seeds)
-            points.append(Point(scenario=label, labels=labels, text=text, baseline=number == 0))
-            sizes.add(changed.setup.system.N)
-    experiment = Experiment(name=_NAME, points=tuple(points))
+    simulate = _simulate_with(workers)
+    plan = _plan(_scenarios(base), values, seeds)
+
     shown = console(shown=progress)
     target = None if folder is None else Path(folder)
     with Results(_NAME, target) as results:
-        for size in sizes:
+        for size in plan.sizes:
             compile_model(size, shown)  # once, not in each worker
-        swept = experiment_sweep.sweep(experiment, cases, simulate, results, shown)
+        experiment = Experiment(name=_NAME, points=tuple(plan.points))
+        swept = experiment_sweep.sweep(experiment, plan.cases, simulate, results, shown)
+
     made = Sweep(swept)
     if target is not None:
         made.save(target)
@@ -97,14 +85,49 @@ def sweep(
     return made
 
 
+@dataclass(slots=True)
+class _Plan:
+    """Points of a sweep with their cases, and the numbers of UAVs of their teams."""
+
+    points: list[Point] = field(default_factory=list)
+    cases: list[Case] = field(default_factory=list)
+    sizes: set[int] = field(default_factory=set)
+
+
+def _plan(
+    scenarios: Mapping[str, Scenario], values: Mapping[str, Sequence[Any]], seeds: int
+) -> _Plan:
+    """Return a point for each scenario and combination of values, and a case for each seed."""
+    plan = _Plan()
+    for label, scenario in scenarios.items():
+        for number, combination in enumerate(itertools.product(*values.values())):
+            settings = dict(zip(values, combination, strict=True))
+            labels = {name: _label(value) for name, value in settings.items()}
+            text = ", ".join(f"{name} {value}" for name, value in labels.items())
+            changed = scenario.copy(settings)
+            plan.cases += cases_of_point(len(plan.points), changed.validated, changed.file, seeds)
+            plan.points.append(
+                Point(scenario=label, labels=labels, text=text, baseline=number == 0)
+            )
+            plan.sizes.add(changed.setup.system.N)
+    return plan
+
+
+def _simulate_with(workers: int | str | None) -> experiment_sweep.Simulate:
+    """Return the function that simulates cases on cores of this machine, or on a cluster."""
+    if isinstance(workers, str):
+        check_cluster(workers)
+        return partial(on_cluster, address=workers)
+    return partial(on_cores, jobs=workers)
+
+
 class Sweep:
     """The results of a sweep: a point for each combination of settings, and its runs."""
 
     def __init__(self, swept: experiment_sweep.Swept) -> None:
         self._swept = swept
-        self.points: list[PointStatistics] = (
-            swept.measured
-        )  # means over completed runs with 95 % confidence intervals
+        # Means over completed runs with 95 % confidence intervals.
+        self.points: list[PointStatistics] = swept.measured
 
     def __repr__(self) -> str:
         return f"Sweep({len(self.points)} points, {len(self._swept.results)} runs)"
@@ -114,7 +137,10 @@ class Sweep:
         return printed(table_of(TITLE, self.points), WIDTH)
 
     def rows(self, table: Literal["points", "runs"] = "points") -> list[dict[str, Any]]:
-        """Return a row for each point, or each run, as points.csv and cases.csv have them (docs/experiments.md)."""
+        """Return a row for each point, or each run.
+
+        Rows are those of points.csv and cases.csv (docs/experiments.md).
+        """
         return self._swept.rows(table)
 
     def to_pandas(self, table: Literal["points", "runs"] = "points") -> "pd.DataFrame":
@@ -124,9 +150,11 @@ class Sweep:
         return pd.DataFrame(self.rows(table))
 
     def plot(self, x: str | None = None, kind: Literal["curves", "map"] = "curves") -> RunFigure:
-        """Return a figure: completed runs, mean cost and payload attitude over a setting x, by default the first.
+        """Return a figure of completed runs, mean cost and payload attitude over a setting.
 
-        There is a curve for each combination of the other settings; or it is a map of cost over exactly two settings.
+        The setting x is by default the first. There is a curve for each combination of the other
+        settings; or it is a map of cost over exactly two settings.
+
         Raises: ArgumentError: no such setting, or no map of these settings.
         """
         experiment, measured = self._drawn_as(x, kind)
@@ -141,7 +169,10 @@ class Sweep:
         return f"<pre>{self}</pre>"
 
     def _drawn_as(self, x: str | None, kind: str) -> tuple[Experiment, list[PointStatistics]]:
-        """Return the experiment with the axes of a figure, and the statistics with the labels it is drawn by."""
+        """Return the experiment with the axes of a figure, and the statistics that it shows.
+
+        Their labels are those it is drawn by.
+        """
         points = self._swept.experiment.points
         names = list(points[0].labels)
         along = names[0] if x is None else x
@@ -149,48 +180,54 @@ class Sweep:
             raise ArgumentError(f"x: expected one of {', '.join(names)}, got {along!r}")
         if kind not in ("curves", "map"):
             raise ArgumentError(f"kind: expected 'curves' or 'map', got {kind!r}")
+
         others = [name for name in names if name != along]
         if kind == "map":
-            if len(others) != 1 or any(
-                isinstance(value, str) for point in points for value in point.labels.values()
-            ):
+            values = [value for point in points for value in point.labels.values()]
+            if len(others) != 1 or any(isinstance(value, str) for value in values):
                 raise ArgumentError(
                     f"kind: expected two settings with numbers for a map, got {', '.join(names)}"
                 )
             return Experiment(name=_NAME, points=points, x=along, y=others[0]), self.points
-        measured = []
-        for m in self.points:  # the settings other than that along the axis tell the curve
-            curve = (
-                {_CURVE: ", ".join(axis(name).text(m.point.labels[name]) for name in others)}
-                if others
-                else {}
-            )
-            measured.append(
-                replace(m, point=replace(m.point, labels={along: m.point.labels[along], **curve}))
-            )
-        shown = tuple(m.point for m in measured)
-        return Experiment(
-            name=_NAME, points=shown, x=along, curves=_CURVE if others else None
-        ), measured
+
+        measured = [
+            replace(statistics, point=_relabelled(statistics.point, along, others))
+            for statistics in self.points
+        ]
+        shown = tuple(statistics.point for statistics in measured)
+        curves = _CURVE if others else None
+        return Experiment(name=_NAME, points=shown, x=along, curves=curves), measured
+
+
+def _relabelled(point: Point, along: str, others: Sequence[str]) -> Point:
+    """Return a point with the setting along the axis; the other ones tell its curve."""
+    labels = {along: point.labels[along]}
+    if others:
+        texts = [axis(name).text(point.labels[name]) for name in others]
+        labels[_CURVE] = ", ".join(texts)
+    return replace(point, labels=labels)
 
 
 def _checked_grid(grid: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
     """Return the values of each setting as a list."""
-    found: dict[str, list[Any]] = {}
-    for name, values in grid.items():
-        if isinstance(values, str | Mapping) or not isinstance(values, Iterable):
-            raise ArgumentError(f"{name}: expected a list of values, got {values!r:.60}")
-        found[name] = plain(list(values))
-        if not found[name] or len(set(map(_label, found[name]))) < len(found[name]):
+    checked: dict[str, list[Any]] = {}
+    for name, given in grid.items():
+        if isinstance(given, str | Mapping) or not isinstance(given, Iterable):
+            raise ArgumentError(f"{name}: expected a list of values, got {given!r:.60}")
+
+        values: list[Any] = plain(list(given))
+        if not values or len(set(map(_label, values))) < len(values):
             raise ArgumentError(
-                f"{name}: expected different values, at least one, got {found[name]!r:.60}"
+                f"{name}: expected different values, at least one, got {values!r:.60}"
             )
-    keys = [key_of(name) for name in found]
+        checked[name] = values
+
+    keys = [key_of(name) for name in checked]
     if not keys or "seed" in keys or len(set(keys)) < len(keys):
         raise ArgumentError(
             f"grid: expected settings other than the seed (seeds=...), each once, got {keys}"
         )
-    return found
+    return checked
 
 
 def _label(value: Any) -> str | float:
@@ -206,6 +243,7 @@ def _scenarios(base: "Base | Sequence[Base] | Mapping[str, Base]") -> dict[str, 
     else:
         several = [base] if isinstance(base, str | PathLike | Scenario) else base
         named = [(scenario.name, scenario) for scenario in map(Scenario, several)]
+
     if len(dict(named)) < max(1, len(named)):
         got = [name for name, _ in named]
         raise ArgumentError(

@@ -10,7 +10,10 @@ from transport.viewer.viewer import Viewer
 
 
 class RunViewer(Viewer):
-    """Viewer of a run in this process, at `address`; a context that closes it, or `close()` does."""
+    """Viewer of a run in this process, at `address`.
+
+    As a context it closes the viewer at its end, as `close()` does.
+    """
 
     def __init__(self, setup: Setup, log: RunLog, host: str, port: int) -> None:
         super().__init__(SceneBuilder.of(setup, log), host=host, port=port, notice=log.cut)
@@ -25,7 +28,8 @@ class RunViewer(Viewer):
 
     def _repr_html_(self) -> str:
         address = html.escape(self.address)
-        return f'<iframe src="{address}" width="100%" height="600" style="border:0"></iframe><p>{address}</p>'
+        frame = f'<iframe src="{address}" width="100%" height="600" style="border:0"></iframe>'
+        return f"{frame}<p>{address}</p>"
 
     def wait(self) -> None:
         """Wait until the viewer is closed."""

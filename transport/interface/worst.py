@@ -28,7 +28,7 @@ class Worst:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """Numbers of the search as plain data: cases, failures, the worst cases, the minimal one."""
+        """Numbers of the search as plain data: cases, failures, worst cases, the minimal one."""
         return summary(self.result)
 
     @property

@@ -7,6 +7,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.animation import FFMpegWriter, PillowWriter
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from rich.console import Console
@@ -15,18 +16,22 @@ from rich.progress import track
 from transport.analysis.series import Series, series_of
 from transport.log.run_log import open_run
 from transport.protocol.wire.errors import TransportError
-from transport.report.figures_3d import UP, draw_parts, frame, line
+from transport.report.drawn_parts import UP, draw_parts, frame, line
 from transport.report.style import COMPONENTS, RC, REFERENCE, scale_cost, shade_phases
 from transport.scene.drawing import Drawing
 from transport.scene.scene import Scene, SceneBuilder
 
 KINDS = (".gif", ".mp4")
-# Frames per second; length of the animation of a run, whatever its duration, s.
-FPS, LENGTH_S = 10, 6.0
+FPS = 10  # frames per second
+LENGTH_S = 6.0  # of the animation of a run, whatever its duration
 _DPI = 100
 _SIZE_IN = (7.2, 4.4)
 _NOW = "#b2182b"
-_DECADES = 4
+_DECADES = 4  # of the cost
+_WIDTH = 0.45  # of a line, points for a pixel on the screen
+_PROPORTION = 1.9  # width of the view from above over its height
+_NOT_IN_SPACE = ("reference", "links")
+_NOT_FROM_ABOVE = ("reference", "actual paths", "thrust")
 _PIXELS = ["-pix_fmt", "yuv420p"]  # that every player of MP4 knows
 
 
@@ -35,32 +40,36 @@ class AnimationError(TransportError, RuntimeError):
 
 
 def check_animation(out: Path | None) -> None:
-    """Raise AnimationError if the file to write, if any, is neither GIF nor MP4, or is an MP4 without ffmpeg."""
-    if out is not None and out.suffix not in KINDS:
+    """Raise AnimationError if a file cannot be written.
+
+    It is neither GIF nor MP4, or is an MP4 without ffmpeg. No file is fine.
+    """
+    if out is None:
+        return
+    if out.suffix not in KINDS:
         raise AnimationError(f"expected a file that ends in {' or '.join(KINDS)}, got {out}")
-    if out is not None and out.suffix == ".mp4" and shutil.which("ffmpeg") is None:
+    if out.suffix == ".mp4" and shutil.which("ffmpeg") is None:
         raise AnimationError("an MP4 needs ffmpeg, which is not installed; a .gif does not")
 
 
 def animate_run(folder: Path, out: Path, *, speed: float | None = None) -> Path:
-    """Animate the run in a folder as a .gif or .mp4 file, in `LENGTH_S` or at a multiple of real time; return the file.
+    """Animate the run in a folder as a .gif or .mp4 file; return the file.
+
+    It takes `LENGTH_S`, or has a speed as a multiple of real time.
 
     Raises: AnimationError: another kind of file, an MP4 without ffmpeg; LogError: no state to draw.
     """
     check_animation(out)
     run = open_run(folder)
-    builder, series = SceneBuilder.of(run.setup, run.log), series_of(run.setup, run.log)
-    out.parent.mkdir(parents=True, exist_ok=True)
+    builder = SceneBuilder.of(run.setup, run.log)
+    series = series_of(run.setup, run.log)
     period_s = builder.setup.settings.sampling_period_s
     speed = speed or max(1.0, len(series.ticks) * period_s / LENGTH_S)
     ticks = np.arange(series.ticks[0], series.ticks[-1] + 1, speed / FPS / period_s)
     shown = list(dict.fromkeys(builder.history.nearest(round(tick)) for tick in ticks))
 
-    writer: Any = (
-        PillowWriter(FPS)
-        if out.suffix == ".gif"
-        else FFMpegWriter(FPS, "libx264", extra_args=_PIXELS)
-    )
+    out.parent.mkdir(parents=True, exist_ok=True)
+    writer = _writer(out)
     with mpl.rc_context(RC):
         page = AnimationPage(builder, series)
         with writer.saving(page.figure, str(out), _DPI):
@@ -70,61 +79,94 @@ def animate_run(folder: Path, out: Path, *, speed: float | None = None) -> Path:
     return out
 
 
+def _writer(out: Path) -> Any:
+    """Return the writer for a kind of file."""
+    if out.suffix == ".gif":
+        return PillowWriter(FPS)
+    return FFMpegWriter(FPS, "libx264", extra_args=_PIXELS)
+
+
 class AnimationPage:
     """Figure of one run, of at least one tick, whose moving parts are redrawn for every frame."""
 
     def __init__(self, builder: SceneBuilder, series: Series) -> None:
-        self._drawing, self._moving = Drawing(builder), list[Any]()
-        self._reach_m = float(np.ptp(builder.start_I[:, :2], axis=0).max(initial=0.0)) / 2.0 + 0.4
+        self._drawing = Drawing(builder)
+        self._moving: list[Any] = []
+        spread_m = np.ptp(builder.start_I[:, :2], axis=0).max(initial=0.0)
+        self._reach_m = float(spread_m) / 2.0 + 0.4
+
         self.figure = Figure(figsize=_SIZE_IN, dpi=_DPI)
-        space: Any = self.figure.add_axes((-0.04, 0.0, 0.58, 0.95), projection="3d")
-        self._space, self._above = space, self.figure.add_axes((0.54, 0.42, 0.44, 0.47))
-        line(space, series.payload_reference_I, color=REFERENCE, linewidth=0.8, linestyle="--")
-        frame(
-            space, np.concatenate([series.uavs_I.reshape(-1, 3), series.x[:, :3]]) * UP, zoom=0.85
-        )
-        space.view_init(elev=20.0, azim=-62.0)
-        space.tick_params(pad=-2.0)
-        space.set(xlabel="", ylabel="", zlabel="")
-        space.yaxis.set_major_locator(MaxNLocator(2))
         self.figure.text(0.03, 0.03, "x, y, altitude in m")
-        self._above.set(aspect="equal", xticks=[], yticks=[])
-        self._above.spines[["top", "right"]].set_visible(True)
-        self._above.set_title(
-            "from above, with predicted paths\nlinks grey: fresh, orange: delayed, black: no plan"
-        )
-        self._over_time = [self.figure.add_axes((0.62, y, 0.36, 0.11)) for y in (0.25, 0.10)]
-        cost, attitude = self._over_time
-        cost.set_ylabel("cost")
-        cost.tick_params(labelbottom=False)
-        cost.plot(series.times_s, np.where(series.cost > 0.0, series.cost, np.nan), color="#000000")
-        scale_cost(cost, float(series.cost.max()), _DECADES)
-        attitude.set(xlabel="time (s)", ylabel="attitude\n(deg)")
-        for k, name in enumerate(("roll", "pitch", "yaw")):
-            attitude.plot(series.times_s, series.attitude_deg[:, k], color=COMPONENTS[k])
-            attitude.text(
-                0.11 * k, 1.0, name, color=COMPONENTS[k], va="bottom", transform=attitude.transAxes
-            )
-        shade_phases(builder.setup, self._over_time, float(series.times_s[-1]) + 1e-9, named=False)
+        self._space: Any = self.figure.add_axes((-0.04, 0.0, 0.58, 0.95), projection="3d")
+        _set_space(self._space, series)
+        self._above = self.figure.add_axes((0.54, 0.42, 0.44, 0.47))
+        _set_above(self._above)
+
+        cost = self.figure.add_axes((0.62, 0.25, 0.36, 0.11))
+        _draw_cost(cost, series)
+        attitude = self.figure.add_axes((0.62, 0.10, 0.36, 0.11))
+        _draw_attitude(attitude, series)
+        self._over_time = [cost, attitude]
+        end_s = float(series.times_s[-1]) + 1e-9  # a run of one tick has a length, too
+        shade_phases(builder.setup, self._over_time, end_s, named=False)
 
     def show(self, scene: Scene) -> None:
         """Draw a scene in place of the previous one."""
         for artist in self._moving:
             artist.remove()
-        poses, drawing = self._drawing.poses(scene), self._drawing
+
+        drawing = self._drawing
+        poses = drawing.poses(scene)
         parts = [*drawing.fixed, *drawing.moving(scene), drawing.flown(scene)]
-        in_space = [part for part in parts if part.layer not in ("reference", "links")]
-        from_above = [
-            part for part in parts if part.layer not in ("reference", "actual paths", "thrust")
-        ]
-        self._moving = draw_parts(self._space, in_space, poses, above=False, width=0.45)
-        self._moving += draw_parts(self._above, from_above, poses, above=True, width=0.45)
+        in_space = [part for part in parts if part.layer not in _NOT_IN_SPACE]
+        from_above = [part for part in parts if part.layer not in _NOT_FROM_ABOVE]
+        self._moving = draw_parts(self._space, in_space, poses, above=False, width=_WIDTH)
+        self._moving += draw_parts(self._above, from_above, poses, above=True, width=_WIDTH)
+
         x, y = scene.uavs_I[:, :2].mean(axis=0)
+        reach_x_m = self._reach_m * _PROPORTION
+        self._above.set_xlim(x - reach_x_m, x + reach_x_m)
         # z points away from the viewer, so y points down.
-        self._above.set_xlim(x - self._reach_m * 1.9, x + self._reach_m * 1.9)
         self._above.set_ylim(y + self._reach_m, y - self._reach_m)
+
         self._moving += [axes.axvline(scene.time_s, color=_NOW) for axes in self._over_time]
         text = f"{scene.time_s:5.2f} s   {scene.phase}"
-        self._moving.append(
-            self.figure.text(0.03, 0.94, text, fontsize=10.0, family="monospace", weight="bold")
-        )
+        style: Any = {"fontsize": 10.0, "family": "monospace", "weight": "bold"}
+        self._moving.append(self.figure.text(0.03, 0.94, text, **style))
+
+
+def _set_space(axes: Any, series: Series) -> None:
+    """Set the view in space, with the payload's reference."""
+    line(axes, series.payload_reference_I, color=REFERENCE, linewidth=0.8, linestyle="--")
+    flown_I = np.concatenate([series.uavs_I.reshape(-1, 3), series.x[:, :3]])
+    frame(axes, flown_I * UP, zoom=0.85)
+    axes.view_init(elev=20.0, azim=-62.0)
+    axes.tick_params(pad=-2.0)
+    axes.set(xlabel="", ylabel="", zlabel="")
+    axes.yaxis.set_major_locator(MaxNLocator(2))
+
+
+def _set_above(axes: Axes) -> None:
+    """Set the view from above."""
+    axes.set(aspect="equal", xticks=[], yticks=[])
+    axes.spines[["top", "right"]].set_visible(True)
+    axes.set_title(
+        "from above, with predicted paths\nlinks grey: fresh, orange: delayed, black: no plan"
+    )
+
+
+def _draw_cost(axes: Axes, series: Series) -> None:
+    """Draw the cost of the whole run."""
+    axes.set_ylabel("cost")
+    axes.tick_params(labelbottom=False)
+    axes.plot(series.times_s, np.where(series.cost > 0.0, series.cost, np.nan), color="#000000")
+    scale_cost(axes, float(series.cost.max()), _DECADES)
+
+
+def _draw_attitude(axes: Axes, series: Series) -> None:
+    """Draw the attitude of the payload over the whole run."""
+    axes.set(xlabel="time (s)", ylabel="attitude\n(deg)")
+    for k, name in enumerate(("roll", "pitch", "yaw")):
+        colour = COMPONENTS[k]
+        axes.plot(series.times_s, series.attitude_deg[:, k], color=colour)
+        axes.text(0.11 * k, 1.0, name, color=colour, va="bottom", transform=axes.transAxes)

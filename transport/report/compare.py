@@ -1,7 +1,4 @@
-"""Comparison of recorded runs.
-
-Table of quantities, differences from the first run, caveats, and figure.
-"""
+"""Comparison of recorded runs: quantities with differences from the first run, caveats, figure."""
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial, reduce
@@ -18,10 +15,11 @@ from transport.analysis.analysed_run import AnalysedRun, counted
 from transport.analysis.metrics import summarise
 from transport.analysis.series import SWING_S, Series
 from transport.log.run_log import RecordedRun
+from transport.model.arrays import Array
 from transport.protocol.scenario.setup import Setup
-from transport.report.column import column_panels, head
-from transport.report.report import HELD
+from transport.report.column import Room, column_panels, head
 from transport.report.style import CURVES, RC, line_width, save, scale_cost, shade_phases
+from transport.report.summary_texts import HELD
 
 Summary = dict[str, Any]
 
@@ -32,21 +30,19 @@ _PANELS = (
     "payload attitude, largest angle (deg)",
     "stage cost",
 )
-_HEIGHT_IN, _ABOVE_IN = (
-    0.9,
-    0.3,
-)  # of a panel, and room above the first for its title and the names of the phases
+_HEIGHT_IN = 0.9
+# Room above the first panel for its title and the names of the phases.
+_ROOM = Room(top_in=0.3)
+_WIDEST = 1.8  # curve, points
+_PERCENT = 100.0
 
 
 class Compared(NamedTuple):
-    """One of the compared runs.
+    """One of the compared runs with its summary and series."""
 
-    Its label in tables and figures, its summary (docs/summary.md) and its series.
-    """
-
-    label: str
+    label: str  # in tables and figures
     run: RecordedRun
-    summary: Summary
+    summary: Summary  # docs/summary.md
     series: Series
 
     @staticmethod
@@ -66,13 +62,20 @@ class Row(NamedTuple):
 
 
 def _lost(summary: Summary) -> float | None:
+    """Return the share of plans that were lost."""
     messages = summary["messages"]
     return messages["lost"] / messages["sent"] if messages["sent"] else None
 
 
 def _exceeded(summary: Summary) -> float | None:
+    """Return the largest violation of a limit as a share of its range; 0 if all held."""
     share = summary["constraint_violation_max"]
     return None if share is None else share * (share >= HELD)
+
+
+def _radio(key: str) -> Callable[[Summary], Any]:
+    """Return the function that reads a number of the radio from a summary; None without one."""
+    return lambda summary: (summary.get("radio") or {}).get(key)
 
 
 # Compared quantities: name, unit, dotted key or function of a summary (docs/summary.md);
@@ -100,8 +103,8 @@ _QUANTITIES: tuple[tuple[str, str, str | Callable[[Summary], Any]], ...] = (
     ("plan age, mean", "ticks", "plan_age_ticks.mean"),
     ("plan age, max", "ticks", "plan_age_ticks.max"),
     ("plans lost", "%", _lost),
-    ("radio: airtime", "%", lambda summary: (summary.get("radio") or {}).get("airtime_share")),
-    ("radio: delivered", "%", lambda summary: (summary.get("radio") or {}).get("delivered_share")),
+    ("radio: airtime", "%", _radio("airtime_share")),
+    ("radio: delivered", "%", _radio("delivered_share")),
     ("messages rejected", "", "messages.rejected"),
     ("solver fallbacks", "", "solver.fallbacks"),
     ("solver failures", "", "solver.failures"),
@@ -126,20 +129,15 @@ _SHARED: tuple[tuple[str, Callable[[Compared], Any], str], ...] = (
 def rows(runs: Sequence[Compared]) -> list[Row]:
     """Return a row for each quantity that any of the runs has; at least one run."""
     table = []
-    for name, unit, of in _QUANTITIES:
-        value_of = of if callable(of) else partial(reduce, getitem, of.split("."))
+    for name, unit, source in _QUANTITIES:
+        value_of = source if callable(source) else partial(reduce, getitem, source.split("."))
         values = tuple(value_of(one.summary) for one in runs)
         if unit == "%":
-            values = tuple(None if value is None else 100.0 * value for value in values)
-        if any(value is not None for value in values):
-            table.append(
-                Row(
-                    name,
-                    unit,
-                    values,
-                    tuple(_difference_percent(value, values[0]) for value in values),
-                )
-            )
+            values = tuple(None if value is None else _PERCENT * value for value in values)
+        if all(value is None for value in values):
+            continue
+        percent = tuple(_difference_percent(value, values[0]) for value in values)
+        table.append(Row(name, unit, values, percent))
     return table
 
 
@@ -147,15 +145,19 @@ def doubts(runs: Sequence[Compared]) -> Iterator[str]:
     """Yield the caveats of a comparison, a sentence each."""
     first = runs[0]
     for other in runs[1:]:
-        for what, of, why in _SHARED:
-            if of(other) != of(first):
-                yield f"{other.label} has another {what} than {first.label}: {why}"
+        for name, value_of, reason in _SHARED:
+            if value_of(other) != value_of(first):
+                yield f"{other.label} has another {name} than {first.label}: {reason}"
+
     for compared in runs:
-        summary, period_s = compared.summary, compared.run.setup.settings.sampling_period_s
-        held_s, planned_s = summary["ticks"] * period_s, compared.run.setup.ticks * period_s
+        summary = compared.summary
+        setup = compared.run.setup
+        held_s = summary["ticks"] * setup.settings.sampling_period_s
+        planned_s = setup.ticks * setup.settings.sampling_period_s
         if held_s < planned_s:
-            why = summary["reason"] or summary["outcome"]
-            yield f"{compared.label}: the log holds {held_s:.2f} of {planned_s:.2f} s ({why}); means are over this time"
+            reason = summary["reason"] or summary["outcome"]
+            part = f"the log holds {held_s:.2f} of {planned_s:.2f} s ({reason})"
+            yield f"{compared.label}: {part}; means are over this time"
         if compared.run.log.cut:
             yield f"{compared.label}: {compared.run.log.cut}"
 
@@ -167,7 +169,7 @@ def _difference_percent(value: Any, first: Any) -> float | None:
     """
     if isinstance(value, str) or isinstance(first, str) or value is None or not first:
         return None
-    return float(100.0 * (value - first) / abs(first))
+    return float(_PERCENT * (value - first) / abs(first))
 
 
 def draw_compared(runs: Sequence[Compared], folder: Path) -> list[Path]:
@@ -186,36 +188,48 @@ def draw_compared(runs: Sequence[Compared], folder: Path) -> list[Path]:
 def fill_overlaid(
     figure: Figure, runs: Sequence[tuple[str, Setup, Series]], *, shaded: bool
 ) -> None:
-    """Draw runs over one another into an empty figure.
+    """Draw runs over one another into an empty figure, perhaps with the phases of the first.
 
-    Label, setup and series; perhaps with phases of the first.
+    Each run has its label, setup and series.
     """
-    styles: list[dict[str, Any]] = []
-    for i, (label, _, _) in enumerate(runs):
-        colour, _, dashes = CURVES[i % len(CURVES)]
-        width = line_width(i, len(runs), 1.8)
-        styles.append({"color": colour, "linestyle": dashes, "linewidth": width, "label": label})
+    styles = _styles([label for label, _, _ in runs])
     legend = [Line2D([], [], **style) for style in styles]
-    panels = column_panels(figure, [_HEIGHT_IN] * len(_PANELS), legend=legend, top_in=_ABOVE_IN)
+    panels = column_panels(figure, [_HEIGHT_IN] * len(_PANELS), legend=legend, room=_ROOM)
     for (_, _, series), style in zip(runs, styles, strict=True):
-        # UAVs that have been released and costs of zero are left out.
-        curves = (
-            np.where(series.on_rods, np.linalg.norm(series.uav_errors_I, axis=2), 0.0).max(axis=1),
-            series.payload_error_norm_m,
-            series.attitude_max_deg,
-            np.where(series.cost > 0.0, series.cost, np.nan),
-        )
-        for panel, values in zip(panels, curves, strict=True):
+        for panel, values in zip(panels, _curves(series), strict=True):
             panel.plot(series.times_s, values, **style)
-    until_s = max(
+
+    ends_s = [
         float(series.times_s[-1]) + setup.settings.sampling_period_s for _, setup, series in runs
-    )
+    ]
+    until_s = max(ends_s)
     for panel, title in zip(panels, _PANELS, strict=True):
         head(panel, title, legend=False)
         panel.set_xlim(0.0, until_s)
         panel.set_ylim(bottom=0.0)
-    scale_cost(
-        panels[-1], max(float(np.nanmax(series.cost)) for _, _, series in runs), _COST_DECADES
-    )
+
+    largest_cost = max(float(np.nanmax(series.cost)) for _, _, series in runs)
+    scale_cost(panels[-1], largest_cost, _COST_DECADES)
     if shaded:
         shade_phases(runs[0][1], panels, until_s)
+
+
+def _styles(labels: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the styles of curves with labels, which stay visible where they coincide."""
+    styles: list[dict[str, Any]] = []
+    for i, label in enumerate(labels):
+        colour, _, dashes = CURVES[i % len(CURVES)]
+        width = line_width(i, len(labels), _WIDEST)
+        styles.append({"color": colour, "linestyle": dashes, "linewidth": width, "label": label})
+    return styles
+
+
+def _curves(series: Series) -> tuple[Array, Array, Array, Array]:
+    """Return the curves of `_PANELS`, without released UAVs and costs of zero, (T,) each."""
+    errors_m = np.linalg.norm(series.uav_errors_I, axis=2)
+    return (
+        np.where(series.on_rods, errors_m, 0.0).max(axis=1),
+        series.payload_error_norm_m,
+        series.attitude_max_deg,
+        np.where(series.cost > 0.0, series.cost, np.nan),
+    )

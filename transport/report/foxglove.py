@@ -1,13 +1,11 @@
-"""Copy of a log for Foxglove.
-
-Messages as JSON, and additional channels for transforms, 3D scene and numbers.
+"""Copy of a log for Foxglove: messages as JSON, and channels for transforms, scene and numbers.
 
 Transforms and scenes are Foxglove's own messages in protobuf. A matrix in JSON is written row by
-row with its shape in
-a second field (`inputs`, `inputs_shape`): viewers plot `inputs[0]`, but few plot a list of lists. A
-float64 is written with the fewest digits that read back as the same bits.
+row with its shape in a second field (`inputs`, `inputs_shape`): viewers plot `inputs[0]`, but few
+plot a list of lists. A float64 is written with the fewest digits that read back as the same bits.
 """
 
+from collections.abc import Container, Iterable
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -24,6 +22,7 @@ from transport.model.arrays import Array
 from transport.protocol.wire.messages import KINDS, Message
 from transport.report.mcap_copy import (
     Fields,
+    Put,
     Schema,
     colour_fields,
     mcap_copy,
@@ -37,9 +36,11 @@ from transport.scene.scene import Scene, SceneBuilder
 
 NUMBERS = "transport.Numbers"
 # Array fields with two axes; all others have one.
-_MATRICES = ("points", "uav_states", "inputs", "corrections")
+_MATRICES = ("points", "uav_states", "inputs", "corrections", "arrivals")
 _LINE_LIST = 2  # foxglove.LinePrimitive
 _FIXED: Fields = {"scale_invariant": True}  # on the screen
+_TEXT_SIZE = 14.0
+_NS_PER_S = 10**9
 
 
 def write_foxglove(builder: SceneBuilder, log: RunLog, out: Path) -> int:
@@ -47,125 +48,167 @@ def write_foxglove(builder: SceneBuilder, log: RunLog, out: Path) -> int:
 
     Return the number of ticks with a scene.
     """
+    with mcap_copy(out, log.header) as put:
+        _write_messages(put, builder, log)
+        return _write_scenes(put, builder)
+
+
+def _write_messages(put: Put, builder: SceneBuilder, log: RunLog) -> None:
+    """Write the messages of a log as JSON, at the times of their ticks."""
     period_ns = builder.setup.period_ns
     schemas = {
         kind: _json(f"transport.{cls.__name__}", orjson.dumps(json_schema(kind)))
         for kind, cls in KINDS.items()
     }
+    for entry in log.messages:
+        message = entry.message
+        put(
+            topic_of(message),
+            schemas[message.kind],
+            to_json(message),
+            min(message.tick * period_ns, LAST_TIME_NS),
+            published_ns=entry.received_ns,
+            number=message.sequence % SEQUENCES,
+        )
+
+
+def _write_scenes(put: Put, builder: SceneBuilder) -> int:
+    """Write transforms, parts of the scene and numbers of each tick; return the number of ticks."""
     numbers = _json(NUMBERS, Path(__file__).with_name("numbers.schema.json").read_bytes())
-    with mcap_copy(out, log.header) as put:
-        for entry in log.messages:
-            message, at_ns = entry.message, min(entry.message.tick * period_ns, LAST_TIME_NS)
-            content, number = to_json(message), message.sequence % SEQUENCES
-            put(topic_of(message), schemas[message.kind], content, at_ns, entry.received_ns, number)
-        drawing, ticks, shown = Drawing(builder), sorted(builder.history.plant_states), set[str]()
-        for tick in ticks:
-            scene, at_ns = builder.at(tick), tick * period_ns
-            poses = drawing.poses(scene)
-            transforms: Any = [_transform(*link, at_ns) for link in tree(poses)]
-            put(
-                "/tf",
-                _TRANSFORMS,
-                FrameTransforms(transforms=transforms).SerializeToString(),
-                at_ns,
-            )
-            entities: dict[str, Any] = {
-                "now": [_entity(part, at_ns) for part in drawing.moving(scene)]
-            }
-            if tick == ticks[0]:
-                entities["paths"] = [_entity(drawing.flown(builder.at(ticks[-1])), at_ns)]
-            if (
-                shown != poses.keys()
-            ):  # at the start, and when a UAV leaves or the payload touches the ground
-                shown = set(poses)
-                entities["bodies"] = [
-                    _entity(part, at_ns, empty=part.frame not in shown) for part in drawing.fixed
-                ]
-            for name, parts in entities.items():
-                put(
-                    f"/scene/{name}", _SCENE, SceneUpdate(entities=parts).SerializeToString(), at_ns
-                )
-            put("/numbers", numbers, orjson.dumps(_numbers(scene)), at_ns)
+    drawing = Drawing(builder)
+    ticks = sorted(builder.history.plant_states)
+    shown: set[str] = set()
+    for tick in ticks:
+        at_ns = tick * builder.setup.period_ns
+        scene = builder.at(tick)
+        poses = drawing.poses(scene)
+        transforms: Any = [_transform(*link, at_ns) for link in tree(poses)]
+        put("/tf", _TRANSFORMS, FrameTransforms(transforms=transforms).SerializeToString(), at_ns)
+
+        _put_parts(put, "now", drawing.moving(scene), at_ns)
+        if tick == ticks[0]:
+            flown = drawing.flown(builder.at(ticks[-1]))
+            _put_parts(put, "paths", [flown], at_ns)
+        # At the start, and when a UAV leaves or the payload touches the ground.
+        if shown != poses.keys():
+            shown = set(poses)
+            _put_parts(put, "bodies", drawing.fixed, at_ns, shown)
+
+        put("/numbers", numbers, orjson.dumps(_numbers(scene)), at_ns)
     return len(ticks)
 
 
+def _put_parts(
+    put: Put, name: str, parts: Iterable[Part], at_ns: int, shown: Container[str] | None = None
+) -> None:
+    """Write parts of the drawing; those in other frames than the shown ones are empty."""
+    entities: Any = [
+        _entity(part, at_ns, empty=shown is not None and part.frame not in shown) for part in parts
+    ]
+    put(f"/scene/{name}", _SCENE, SceneUpdate(entities=entities).SerializeToString(), at_ns)
+
+
 def _json(name: str, schema: bytes) -> Schema:
+    """Return the schema of messages in JSON."""
     return Schema(name, "jsonschema", schema, "json")
 
 
 def _protobuf(message: type[Any]) -> Schema:
+    """Return the schema of messages in protobuf."""
     content = build_file_descriptor_set(message).SerializeToString()
     return Schema(message.DESCRIPTOR.full_name, "protobuf", content, "protobuf")
 
 
-_TRANSFORMS, _SCENE = _protobuf(FrameTransforms), _protobuf(SceneUpdate)
+_TRANSFORMS = _protobuf(FrameTransforms)
+_SCENE = _protobuf(SceneUpdate)
 
 
 def _entity(part: Part, at_ns: int, *, empty: bool = False) -> Fields:
-    """Return a part of the drawing, which moves with its frame and is replaced by the next of its name."""
-    entity = _at(at_ns) | {
+    """Return a part of the drawing, which moves with its frame.
+
+    The next part of its name replaces it.
+    """
+    entity = _stamp(at_ns) | {
         "frame_id": part.frame,
         "id": f"{part.frame}/{part.name}",
         "frame_locked": True,
     }
+    if empty:
+        return entity
     match part:
-        case _ if empty:
-            return entity
         case Lines():
-            colours = [colour_fields(colour) for colour in np.repeat(part.colours, 2, axis=0)]
-            shape = {
-                "type": _LINE_LIST,
-                "points": _points(part.segments.reshape(-1, 3)),
-                "colors": colours,
-            }
-            return entity | {
-                "lines": [_FIXED | shape | {"thickness": part.width, "pose": pose_fields()}]
-            }
+            return entity | {"lines": [_lines(part)]}
         case Mesh():
-            shape = {"points": _points(part.vertices), "indices": part.faces.reshape(-1).tolist()}
-            colour = colour_fields(part.colour, part.opacity)
-            return entity | {"triangles": [shape | {"color": colour, "pose": pose_fields()}]}
+            return entity | {"triangles": [_triangles(part)]}
         case Label():
-            style: Fields = {
-                "color": colour_fields(part.colour),
-                "billboard": True,
-                "font_size": 14.0,
-            }
-            return entity | {
-                "texts": [_FIXED | style | {"text": part.text, "pose": pose_fields(part.position)}]
-            }
+            return entity | {"texts": [_text(part)]}
+
+
+def _lines(part: Lines) -> Fields:
+    """Return lines, each end with the colour of its line."""
+    return _FIXED | {
+        "type": _LINE_LIST,
+        "points": _points(part.segments.reshape(-1, 3)),
+        "colors": [colour_fields(colour) for colour in np.repeat(part.colours, 2, axis=0)],
+        "thickness": part.width,
+        "pose": pose_fields(),
+    }
+
+
+def _triangles(part: Mesh) -> Fields:
+    """Return the faces of a mesh."""
+    return {
+        "points": _points(part.vertices),
+        "indices": part.faces.reshape(-1).tolist(),
+        "color": colour_fields(part.colour, part.opacity),
+        "pose": pose_fields(),
+    }
+
+
+def _text(part: Label) -> Fields:
+    """Return a text that faces the reader."""
+    return _FIXED | {
+        "color": colour_fields(part.colour),
+        "billboard": True,
+        "font_size": _TEXT_SIZE,
+        "text": part.text,
+        "pose": pose_fields(part.position),
+    }
 
 
 def _transform(parent: str, child: str, pose: FramePose, at_ns: int) -> Fields:
+    """Return the pose of a frame in its parent."""
     place = pose_fields(*pose)
-    frames = {"parent_frame_id": parent, "child_frame_id": child}
-    return (
-        _at(at_ns) | frames | {"translation": place["position"], "rotation": place["orientation"]}
-    )
+    return _stamp(at_ns) | {
+        "parent_frame_id": parent,
+        "child_frame_id": child,
+        "translation": place["position"],
+        "rotation": place["orientation"],
+    }
 
 
 def _points(points: Array) -> list[Fields]:
+    """Return points, (k, 3)."""
     return [point_fields(point) for point in points]
 
 
-def _at(at_ns: int) -> Fields:
-    return {"timestamp": {"seconds": at_ns // 10**9, "nanos": at_ns % 10**9}}
+def _stamp(at_ns: int) -> Fields:
+    """Return a time of the scenario."""
+    return {"timestamp": {"seconds": at_ns // _NS_PER_S, "nanos": at_ns % _NS_PER_S}}
 
 
 def _numbers(scene: Scene) -> Fields:
+    """Return the numbers of a tick, as in numbers.schema.json."""
+    roll, pitch, yaw = scene.attitude_deg.tolist()
+    ages_s = [age_s for *_, age_s in scene.links if age_s is not None]
+    steps_ms = [None if report is None else float(report.times_ms[-1]) for report in scene.reports]
     return {
         "cost": scene.cost,
-        "attitude_deg": dict(
-            zip(("roll", "pitch", "yaw"), scene.attitude_deg.tolist(), strict=True)
-        ),
+        "attitude_deg": {"roll": roll, "pitch": pitch, "yaw": yaw},
         "payload_error_norm_m": scene.error_m,
         "phase": scene.phase,
-        "step_ms": [
-            None if report is None else float(report.times_ms[-1]) for report in scene.reports
-        ],
-        "oldest_plan_s": max(
-            (age_s for *_, age_s in scene.links if age_s is not None), default=None
-        ),
+        "step_ms": steps_ms,
+        "oldest_plan_s": max(ages_s, default=None),
     }
 
 
@@ -173,23 +216,31 @@ def to_json(message: Message) -> bytes:
     """Return a message as a JSON object."""
     content: Fields = {}
     for name in message.__struct_fields__:
-        content[name] = getattr(message, name)
+        value = getattr(message, name)
         if name in _MATRICES:
-            content[name], content[f"{name}_shape"] = content[name].reshape(-1), content[name].shape
+            content[name] = value.reshape(-1)
+            content[f"{name}_shape"] = value.shape
+        else:
+            content[name] = value
     return orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
 
 
 def json_schema(kind: str) -> Fields:
     """Return the JSON Schema of a kind of message, for viewers."""
-    cls, properties = KINDS[kind], Fields()
+    cls = KINDS[kind]
+    properties: Fields = {}
     for name, hint in get_type_hints(cls).items():
         if name in cls.__struct_fields__:
-            properties[name] = TypeAdapter(list[float] if hint == Array else hint).json_schema()
+            written = list[float] if hint == Array else hint
+            properties[name] = TypeAdapter(written).json_schema()
         if name in _MATRICES:
             properties[f"{name}_shape"] = TypeAdapter(list[int]).json_schema()
-    about = {
+
+    description, *_ = (cls.__doc__ or "").split("\n", 1)
+    return {
         "title": cls.__name__,
-        "description": (cls.__doc__ or "").split("\n", 1)[0],
+        "description": description,
         "type": "object",
+        "properties": properties,
+        "required": list(properties),
     }
-    return about | {"properties": properties, "required": list(properties)}

@@ -1,9 +1,9 @@
 """A copy of a log in another format, for viewers, as an MCAP file."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -14,51 +14,83 @@ from transport.scene.parts import quaternion
 
 # Metadata record with the header of the log; another name than in a log, which the copy is not.
 METADATA = "exported run"
-_ORIGIN, _LEVEL = np.zeros(3), np.eye(3)
+_ORIGIN = np.zeros(3)
+_LEVEL = np.eye(3)
+_BRIGHTEST = 255.0
 
 # Fields of a message by name.
 Fields = dict[str, Any]
 
 
 class Schema(NamedTuple):
-    """Schema of messages: its name, and its encoding and content, and the encoding of the messages."""
+    """Schema of messages."""
 
     name: str
     encoding: str
     content: bytes
-    messages: str
+    messages: str  # encoding of the messages
+
+
+class Put(Protocol):
+    """A function that writes a message to a copy of a log."""
+
+    def __call__(
+        self,
+        topic: str,
+        schema: Schema,
+        data: bytes,
+        at_ns: int,
+        *,
+        published_ns: int = 0,
+        number: int = 0,
+    ) -> None:
+        """Write a message with its time; its time of publication and number if they are others."""
 
 
 @contextmanager
-def mcap_copy(
-    out: Path, header: Mapping[str, str], profile: str = ""
-) -> Iterator[Callable[..., None]]:
-    """Open a copy of the log with a header, which gets its name once it is complete.
+def mcap_copy(out: Path, header: Mapping[str, str], profile: str = "") -> Iterator[Put]:
+    """Open a copy of the log with a header, and give the function that writes a message.
 
-    Give the function that writes.
-
-    It takes topic, schema, bytes and time, ns, of a message, and time of publication and number if
-    they are others.
+    The file gets its name once it is complete.
     """
-    channels: dict[str, int] = {}
     with atomic_file(out) as file:
         writer = Writer(file, compression=CompressionType.ZSTD)
         writer.start(profile=profile, library="payload-transport")
         writer.add_metadata(METADATA, dict(header))
-
-        def put(
-            topic: str, schema: Schema, data: bytes, at_ns: int, published_ns: int = 0, n: int = 0
-        ) -> None:
-            if topic not in channels:
-                channels[topic] = writer.register_channel(
-                    topic, schema.messages, writer.register_schema(*schema[:3])
-                )
-            writer.add_message(
-                channels[topic], at_ns, data, publish_time=published_ns or at_ns, sequence=n
-            )
-
-        yield put
+        yield _Copy(writer)
         writer.finish()  # type: ignore[no-untyped-call]
+
+
+class _Copy:
+    """Messages of a copy; a topic gets its channel with its first message."""
+
+    def __init__(self, writer: Writer) -> None:
+        self._writer = writer
+        self._channel_of_topic: dict[str, int] = {}
+
+    def __call__(
+        self,
+        topic: str,
+        schema: Schema,
+        data: bytes,
+        at_ns: int,
+        *,
+        published_ns: int = 0,
+        number: int = 0,
+    ) -> None:
+        """Write a message."""
+        if topic not in self._channel_of_topic:
+            registered = self._writer.register_schema(schema.name, schema.encoding, schema.content)
+            channel = self._writer.register_channel(topic, schema.messages, registered)
+            self._channel_of_topic[topic] = channel
+
+        self._writer.add_message(
+            self._channel_of_topic[topic],
+            at_ns,
+            data,
+            publish_time=published_ns or at_ns,
+            sequence=number,
+        )
 
 
 def point_fields(point: Array) -> Fields:
@@ -74,6 +106,5 @@ def pose_fields(position: Array = _ORIGIN, R: Array = _LEVEL) -> Fields:
 
 def colour_fields(colour: Iterable[float], opacity: float = 1.0) -> Fields:
     """Return a colour, 0..255, as Foxglove and ROS 2 have it."""
-    return dict(
-        zip("rgba", (*(float(channel) / 255.0 for channel in colour), float(opacity)), strict=True)
-    )
+    red, green, blue = (float(channel) / _BRIGHTEST for channel in colour)
+    return {"r": red, "g": green, "b": blue, "a": float(opacity)}

@@ -1,12 +1,11 @@
-"""Messages of ROS 2 about a run.
+"""Messages of ROS 2 about a run: poses, twists, plans, transforms and markers; and a bag of a run.
 
-Poses, twists, plans, transforms and markers, as CDR; and a bag of a recorded run.
-
-Poses are in the frame "inertial", z down, whose parent "map" has z up. Plans are the predicted
-paths of the scene, and markers are its drawing, as in the viewer.
+Messages are in CDR. Poses are in the frame "inertial", z down, whose parent "map" has z up. Plans
+are the predicted paths of the scene, and markers are its drawing, as in the viewer.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cache
 from itertools import chain
 from pathlib import Path
@@ -23,12 +22,12 @@ from transport.model.state import StateView
 from transport.report.mcap_copy import (
     Fields,
     Schema,
-    colour_fields,
     mcap_copy,
     point_fields,
     pose_fields,
 )
 from transport.scene.bodies import INERTIAL
+from transport.report.ros2_markers import marker_fields, stamped
 from transport.scene.drawing import PAYLOAD, ROOT, UPSIDE_DOWN, Drawing, tree
 from transport.scene.parts import Label, Lines, Mesh, Part
 from transport.scene.scene import SceneBuilder
@@ -36,9 +35,6 @@ from transport.scene.scene import SceneBuilder
 _GEOMETRY = "geometry_msgs/msg"
 # Topic and type of targets.
 TARGET = "/target", f"{_GEOMETRY}/PoseStamped"
-_LINE_LIST, _TEXT, _TRIANGLES, _DELETE = 5, 9, 11, 2  # visualization_msgs/msg/Marker
-# Width of a drawn line per pixel of the viewer, and height of names, m.
-_LINE_M, _TEXT_M = 0.004, 0.12
 # Values of fields that are not given; of other types 0.
 _EMPTY = {"string": "", "bool": False}
 
@@ -58,24 +54,24 @@ def cdr(kind: str, given: Fields) -> bytes:
 
 
 def _message(kind: str, given: Fields) -> Any:
-    fields = types().fielddefs[kind][1]
-    return types().types[kind](
-        **{name: _field(node, about, given.get(name)) for name, (node, about) in fields}
-    )
+    """Return a message of a type, whose fields that are not given are empty."""
+    _, fields = types().fielddefs[kind]
+    values = {name: _field(node, about, given.get(name)) for name, (node, about) in fields}
+    return types().types[kind](**values)
 
 
 def _field(node: Any, about: Any, value: Any) -> Any:
+    """Return the value of a field: a message, a plain value, or a list of messages."""
     match node.name:
         case "NAME":
             return _message(about, value or {})
         case "BASE":
             return _EMPTY.get(about[0], 0) if value is None else value
-    (of, inner), _ = about
-    return (
-        np.zeros(0, dtype=inner[0])
-        if of.name == "BASE"
-        else [_message(inner, each) for each in value or ()]
-    )
+
+    (entry, inner), _ = about
+    if entry.name == "BASE":
+        return np.zeros(0, dtype=inner[0])
+    return [_message(inner, each) for each in value or ()]
 
 
 class GoalError(ValueError):
@@ -85,20 +81,21 @@ class GoalError(ValueError):
 def goal_in(data: bytes) -> Array:
     """Return the position of a geometry_msgs/PoseStamped in CDR in the inertial frame, (3,), m.
 
-    Raises: GoalError: it is none, in another frame than "inertial", none, or "map", or not finite.
+    Raises: GoalError: it is no such message, not finite, or in another frame than "inertial", the
+        empty one, or "map".
     """
     try:
         goal: Any = types().deserialize_cdr(data, TARGET[1])
     except SerdeError as error:
         raise GoalError(f"expected a PoseStamped ({error})") from error
-    place, frame = (
-        np.array([getattr(goal.pose.position, axis) for axis in "xyz"]),
-        goal.header.frame_id,
-    )
+
+    place = np.array([getattr(goal.pose.position, axis) for axis in "xyz"])
+    frame = goal.header.frame_id
     if not np.isfinite(place).all():
         raise GoalError("expected a finite position, got nan or infinity")
     if frame not in ("", INERTIAL, ROOT):
         raise GoalError(f"expected the frame {INERTIAL} or {ROOT}, got {frame[:40]!r}")
+
     turned: Array = UPSIDE_DOWN[1] @ place
     return turned if frame == ROOT else place
 
@@ -110,115 +107,122 @@ class Ros2Messages:
     """
 
     def __init__(self, builder: SceneBuilder) -> None:
-        self._builder, self._drawing = builder, Drawing(builder)
-        self.period_ns, self.speed = builder.setup.period_ns, builder.setup.scenario.clock.speed
-        uavs = self._uavs = [f"uav{i + 1}" for i in range(builder.setup.system.N)]
-        self.topics = {
-            "/tf": "tf2_msgs/msg/TFMessage",
-            "/markers": "visualization_msgs/msg/MarkerArray",
-        }
-        self.topics |= {
-            f"/{body}/pose": f"{_GEOMETRY}/PoseStamped" for body in [PAYLOAD, *uavs, "reference"]
-        }
-        self.topics |= {f"/{body}/twist": f"{_GEOMETRY}/TwistStamped" for body in [PAYLOAD, *uavs]}
-        plans = [*uavs, *(f"agent{agent}/{PAYLOAD}" for agent in builder.setup.agents)]
-        self.topics |= {f"/{name}/plan": "nav_msgs/msg/Path" for name in plans}
+        setup = builder.setup
+        self.period_ns = setup.period_ns
+        self.speed = setup.scenario.clock.speed
+        self._builder = builder
+        self._drawing = Drawing(builder)
+        self._uavs = [f"uav{i + 1}" for i in range(setup.system.N)]
+        self.topics = _topics(self._uavs, setup.agents)
 
     def states(self, tick: int, at_ns: int) -> Iterator[tuple[str, bytes]]:
         """Yield topic and bytes of poses and twists at a tick, stamped with a time, ns."""
-        setup, x = self._builder.setup, self._builder.history.plant_states[tick].x
-        view, uavs_I = StateView(x), setup.model.outputs(x)[: 3 * setup.system.N].reshape(-1, 3)
-        places, turns = [view.r0_I, *uavs_I], map(rotation, [view.Theta0, *view.Theta])
-        speeds, spins = setup.model.velocities(x).reshape(-1, 3), [view.omega0_P, *view.omega_B]
-        names = [PAYLOAD, *self._uavs]
-        for name, place, R, velocity, rates in zip(
-            names, places, turns, speeds, spins, strict=True
-        ):
-            yield self._told(f"/{name}/pose", _stamped(at_ns) | {"pose": pose_fields(place, R)})
-            twist = {"linear": point_fields(velocity), "angular": point_fields(R @ rates)}
-            yield self._told(f"/{name}/twist", _stamped(at_ns) | {"twist": twist})
-        goal_I = setup.maneuver.path(np.array([tick * setup.settings.sampling_period_s]))[0][0]
-        yield self._told("/reference/pose", _stamped(at_ns) | {"pose": pose_fields(goal_I)})
+        setup = self._builder.setup
+        for body in self._bodies(tick):
+            pose = {"pose": pose_fields(body.position_I, body.R)}
+            yield self._told(f"/{body.name}/pose", stamped(at_ns) | pose)
+            spin_I = body.R @ body.omega
+            twist = {
+                "linear": point_fields(body.velocity_I),
+                "angular": point_fields(spin_I),
+            }
+            yield self._told(f"/{body.name}/twist", stamped(at_ns) | {"twist": twist})
+
+        time_s = tick * setup.settings.sampling_period_s
+        goal_I = setup.maneuver.path(np.array([time_s]))[0][0]
+        yield self._told("/reference/pose", stamped(at_ns) | {"pose": pose_fields(goal_I)})
+
+    def _bodies(self, tick: int) -> list["_Body"]:
+        """Return the motion of payload and UAVs at a tick."""
+        setup = self._builder.setup
+        x = self._builder.history.plant_states[tick].x
+        view = StateView(x)
+        uavs_I = setup.model.outputs(x)[: 3 * setup.system.N].reshape(-1, 3)
+        velocities_I = setup.model.velocities(x).reshape(-1, 3)
+        payload = _Body(
+            name=PAYLOAD,
+            position_I=view.r0_I,
+            R=rotation(view.Theta0),
+            velocity_I=velocities_I[0],
+            omega=view.omega0_P,
+        )
+        uavs = [
+            _Body(
+                name=name,
+                position_I=uavs_I[i],
+                R=rotation(view.Theta[i]),
+                velocity_I=velocities_I[i + 1],
+                omega=view.omega_B[i],
+            )
+            for i, name in enumerate(self._uavs)
+        ]
+        return [payload, *uavs]
 
     def scenes(self, tick: int, at_ns: int, *, fixed: bool) -> Iterator[tuple[str, bytes]]:
-        """Yield topic and bytes of plans, transforms and markers, with `fixed` those of the bodies too."""
+        """Yield topic and bytes of plans, transforms and markers at a tick.
+
+        With `fixed` the markers of the bodies are among them.
+        """
         scene = self._builder.at(tick)
-        for found in scene.predictions:
-            for k, uav in enumerate(self._builder.setup.owned[found.agent - 1]):
-                yield self._told(f"/uav{uav + 1}/plan", self._path(found.uavs_I[:, k], at_ns))
-            yield self._told(
-                f"/agent{found.agent}/{PAYLOAD}/plan", self._path(found.payload_I, at_ns)
-            )
-        poses, transforms = self._drawing.poses(scene), []
-        for parent, child, pose in tree(poses):
-            place = pose_fields(*pose)
-            transform = {"translation": place["position"], "rotation": place["orientation"]}
-            transforms.append(
-                _stamped(at_ns, parent) | {"child_frame_id": child, "transform": transform}
-            )
+        for prediction in scene.predictions:
+            for k, uav in enumerate(self._builder.setup.owned[prediction.agent - 1]):
+                path = self._path(prediction.uavs_I[:, k], at_ns)
+                yield self._told(f"/uav{uav + 1}/plan", path)
+            payload_path = self._path(prediction.payload_I, at_ns)
+            yield self._told(f"/agent{prediction.agent}/{PAYLOAD}/plan", payload_path)
+
+        poses = self._drawing.poses(scene)
+        transforms = [_transform(*link, at_ns) for link in tree(poses)]
         yield self._told("/tf", {"transforms": transforms})
+
         parts: list[Part] = [lines for lines in self._drawing.moving(scene) if len(lines.segments)]
-        markers = [
-            _marker(part, at_ns, poses)
-            for part in [*parts, *(self._drawing.fixed if fixed else ())]
-        ]
+        if fixed:
+            parts += self._drawing.fixed
+        markers = [marker_fields(part, at_ns, poses) for part in parts]
         yield self._told("/markers", {"markers": markers})
 
     def _told(self, topic: str, given: Fields) -> tuple[str, bytes]:
+        """Return a topic and a message of its type."""
         return topic, cdr(self.topics[topic], given)
 
-    def _path(self, positions: Array, at_ns: int) -> Fields:
-        times_ns = [at_ns + k * self.period_ns for k in range(len(positions))]
+    def _path(self, positions_I: Array, at_ns: int) -> Fields:
+        """Return a predicted path, (k, 3), one sampling period from point to point."""
         poses = [
-            _stamped(t) | {"pose": pose_fields(place)}
-            for t, place in zip(times_ns, positions, strict=True)
+            stamped(at_ns + k * self.period_ns) | {"pose": pose_fields(position_I)}
+            for k, position_I in enumerate(positions_I)
         ]
-        return _stamped(at_ns) | {"poses": poses}
+        return stamped(at_ns) | {"poses": poses}
 
 
-def _stamped(at_ns: int, frame: str = INERTIAL) -> Fields:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Body:
+    """Motion of the payload or a UAV, SI."""
+
+    name: str
+    position_I: Array  # (3,)
+    R: Array  # from the body's frame to the inertial one, (3, 3)
+    velocity_I: Array  # (3,)
+    omega: Array  # angular velocity in the body's frame, (3,)
+
+
+def _topics(uavs: Sequence[str], agents: Iterable[int]) -> dict[str, str]:
+    """Return the type of each topic."""
+    bodies = [PAYLOAD, *uavs]
+    plans = [*uavs, *(f"agent{agent}/{PAYLOAD}" for agent in agents)]
     return {
-        "header": {"stamp": {"sec": at_ns // 10**9, "nanosec": at_ns % 10**9}, "frame_id": frame}
+        "/tf": "tf2_msgs/msg/TFMessage",
+        "/markers": "visualization_msgs/msg/MarkerArray",
+        **{f"/{body}/pose": f"{_GEOMETRY}/PoseStamped" for body in [*bodies, "reference"]},
+        **{f"/{body}/twist": f"{_GEOMETRY}/TwistStamped" for body in bodies},
+        **{f"/{name}/plan": "nav_msgs/msg/Path" for name in plans},
     }
 
 
-def _marker(part: Part, at_ns: int, frames: Mapping[str, Any]) -> Fields:
-    """Return a part as a marker, which moves with its frame.
-
-    One without a frame, as of a UAV that left, is deleted.
-    """
-    marker = _stamped(at_ns, part.frame) | {"ns": f"{part.frame}/{part.name}", "frame_locked": True}
-    match part:
-        case _ if part.frame not in frames:
-            return marker | {"action": _DELETE}
-        case Lines():
-            points = [point_fields(point) for point in part.segments.reshape(-1, 3)]
-            colours = [colour_fields(colour) for colour in np.repeat(part.colours, 2, axis=0)]
-            scale = point_fields(np.full(3, part.width * _LINE_M))
-            shape = {
-                "type": _LINE_LIST,
-                "points": points,
-                "colors": colours,
-                "scale": scale,
-                "pose": pose_fields(),
-            }
-            return marker | shape | {"color": colour_fields((0, 0, 0))}
-        case Label():
-            shape = {"type": _TEXT, "text": part.text, "scale": point_fields(np.full(3, _TEXT_M))}
-            return (
-                marker
-                | shape
-                | {"pose": pose_fields(part.position), "color": colour_fields(part.colour)}
-            )
-        case Mesh():
-            points = [point_fields(point) for point in part.vertices[part.faces.reshape(-1)]]
-            shape = {
-                "type": _TRIANGLES,
-                "points": points,
-                "scale": point_fields(np.ones(3)),
-                "pose": pose_fields(),
-            }
-            return marker | shape | {"color": colour_fields(part.colour, part.opacity)}
+def _transform(parent: str, child: str, pose: Pose, at_ns: int) -> Fields:
+    """Return the pose of a frame in its parent."""
+    place = pose_fields(*pose)
+    transform = {"translation": place["position"], "rotation": place["orientation"]}
+    return stamped(at_ns, parent) | {"child_frame_id": child, "transform": transform}
 
 
 def write_bag(builder: SceneBuilder, log: RunLog, out: Path) -> int:
@@ -226,10 +230,13 @@ def write_bag(builder: SceneBuilder, log: RunLog, out: Path) -> int:
 
     Return the number of ticks.
     """
-    messages, ticks, schemas = Ros2Messages(builder), sorted(builder.history.plant_states), {}
+    messages = Ros2Messages(builder)
+    schemas = {}
     for topic, kind in messages.topics.items():
         definition = types().generate_msgdef(kind, ros_version=2)[0].encode()
         schemas[topic] = Schema(kind, "ros2msg", definition, "cdr")
+
+    ticks = sorted(builder.history.plant_states)
     with mcap_copy(out, log.header, profile="ros2") as put:
         for tick in ticks:
             at_ns = tick * builder.setup.period_ns

@@ -1,7 +1,4 @@
-"""Style of all figures.
-
-Size, fonts, colours for colour-blind readers, and the phases of the maneuver.
-"""
+"""Style of all figures: size, fonts, colours, axes of costs, and the phases of the maneuver."""
 
 from pathlib import Path
 from typing import Any
@@ -18,12 +15,14 @@ from transport.protocol.scenario.setup import Setup
 
 # Width of every figure: a column of a paper (8.5 cm), inches.
 COLUMN_IN = 3.35
+POINTS_PER_IN = 72.0
 # Settings of matplotlib; the type depends on its version.
 RC: Any = rc_params_from_file(
     Path(__file__).with_name("figures.mplstyle"), use_default_template=False
 )
 # Sizes of text in print, points: titles and labels, numbers at axes and legends.
-TEXT, SMALL = RC["font.size"], RC["legend.fontsize"]
+TEXT = RC["font.size"]
+SMALL = RC["legend.fontsize"]
 
 # Colours of components (x, y, z; roll, pitch, yaw), different from those of UAVs, and in grey from
 # each other.
@@ -52,37 +51,52 @@ _UNNAMED = {
     ".pdf": ("CreationDate", "Creator", "Producer"),
 }
 # Names of phases: distance from the panel, points; width of a letter, in font sizes.
-_ABOVE_PT, _LETTER = 11.0, 0.62
+_ABOVE_PT = 11.0
+_LETTER = 0.62
+# Costs below it are rounding errors, such as those of a team at rest.
+LEAST_COST = 1e-6
 
 
 def line_width(i: int, count: int, widest: float) -> float:
-    """Return the width of curve i in points: decreasing, so that curves that coincide stay visible."""
-    return 1.0 if count == 1 else widest - (widest - 1.0) * i / (count - 1)
+    """Return the width of curve i, points.
+
+    It decreases, so that curves that coincide stay visible.
+    """
+    if count == 1:
+        return 1.0
+    return widest - (widest - 1.0) * i / (count - 1)
 
 
 def shade_phases(setup: Setup, panels: list[Axes], until_s: float, *, named: bool = True) -> None:
-    """Shade every other phase of the maneuver in stacked panels over time and name those with room above the first."""
-    up = ScaledTranslation(0.0, _ABOVE_PT / 72.0, panels[0].figure.dpi_scale_trans)
-    points_per_s = 72.0 * panels[0].get_window_extent().width / panels[0].figure.dpi / until_s
+    """Shade every other phase of the maneuver in stacked panels over time.
+
+    Those with room have their names above the first panel.
+    """
+    width_pt = POINTS_PER_IN * panels[0].get_window_extent().width / panels[0].figure.dpi
+    points_per_s = width_pt / until_s
     for number, (phase, begin, end) in enumerate(setup.maneuver.stages()):
-        end = min(end, until_s)
-        if end <= begin:
+        shown_end = min(end, until_s)
+        if shown_end <= begin:
             break
         if number % 2:
             for axes in panels:
-                axes.axvspan(begin, end, color=_BAND, linewidth=0, zorder=0)
+                axes.axvspan(begin, shown_end, color=_BAND, linewidth=0, zorder=0)
+
         # Neighbouring names must not touch: one without room is left out.
-        if named and len(phase) * _LETTER * SMALL <= points_per_s * (end - begin):
-            style: Any = {"ha": "center", "va": "bottom", "color": "#555555", "fontsize": SMALL}
-            panels[0].text(
-                (begin + end) / 2.0,
-                1.0,
-                phase,
-                transform=panels[0].get_xaxis_transform() + up,
-                **style,
-            )
+        room_pt = points_per_s * (shown_end - begin)
+        if named and len(phase) * _LETTER * SMALL <= room_pt:
+            _name_phase(panels[0], phase, (begin + shown_end) / 2.0)
+
     for axes in panels:
         axes.set_xlim(0.0, until_s)
+
+
+def _name_phase(panel: Axes, phase: str, middle_s: float) -> None:
+    """Write the name of a phase above a panel."""
+    up = ScaledTranslation(0.0, _ABOVE_PT / POINTS_PER_IN, panel.figure.dpi_scale_trans)
+    above = panel.get_xaxis_transform() + up
+    style: Any = {"ha": "center", "va": "bottom", "color": "#555555", "fontsize": SMALL}
+    panel.text(middle_s, 1.0, phase, transform=above, **style)
 
 
 def label_decades(axis: Axis) -> None:
@@ -90,10 +104,6 @@ def label_decades(axis: Axis) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(FormatStrFormatter("%g"))
     axis.set_minor_locator(NullLocator())
-
-
-# Costs below it are rounding errors, such as those of a team at rest.
-LEAST_COST = 1e-6
 
 
 def scale_cost(axes: Axes, top: float, decades: int) -> None:
@@ -114,5 +124,6 @@ def save(figure: Figure, path: Path, *, pdf: bool = False) -> list[Path]:
     """
     files = [path.with_suffix(ending) for ending in _UNNAMED if pdf or ending != ".pdf"]
     for file in files:
-        figure.savefig(file, metadata=dict.fromkeys(_UNNAMED[file.suffix]), dpi=RC["savefig.dpi"])
+        unnamed = dict.fromkeys(_UNNAMED[file.suffix])
+        figure.savefig(file, metadata=unnamed, dpi=RC["savefig.dpi"])
     return files

@@ -1,0 +1,78 @@
+"""Distances that a team kept from obstacles and within itself, and violations of constraints."""
+
+import numpy as np
+import numpy.typing as npt
+
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.obstacles import clearances
+from transport.protocol.scenario.faults import failures
+from transport.protocol.scenario.setup import Setup
+
+
+def separation_of(uavs_I: Array, on_rods: npt.NDArray[np.bool_]) -> Array:
+    """Return the smallest distance between any two UAVs on their rods, (T,), m."""
+    i, j = np.triu_indices(uavs_I.shape[1], 1)
+    distances_m = np.linalg.norm(uavs_I[:, i] - uavs_I[:, j], axis=2)
+    both = on_rods[:, i] & on_rods[:, j]
+    return np.asarray(np.where(both, distances_m, np.inf).min(axis=1, initial=np.inf))
+
+
+def clearances_of(setup: Setup, x: Array, on_rods: npt.NDArray[np.bool_]) -> Array:
+    """Return the smallest distances from each of k obstacles, (k, T, 3), m.
+
+    The last axis has UAVs on their rods, their rods, and the payload.
+    """
+    N = setup.system.N
+    smallest_m = np.empty((len(setup.obstacles), len(x), 3))
+    for of_obstacle_m, obstacle in zip(smallest_m, setup.obstacles, strict=True):
+        distances_m = clearances(setup.system, obstacle, x)
+        uavs_m = distances_m[:, :N]
+        rods_m = distances_m[:, N : 2 * N]
+        of_obstacle_m[:, 0] = np.where(on_rods, uavs_m, np.inf).min(axis=1)
+        of_obstacle_m[:, 1] = np.where(on_rods, rods_m, np.inf).min(axis=1)
+        of_obstacle_m[:, 2] = distances_m[:, -1]
+    return smallest_m
+
+
+def violation_of(
+    setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_m: Array, clearance_m: Array
+) -> Array:
+    """Return the largest constraint violation at each tick, (T,); 0 if all hold.
+
+    It is a share of the constraint's range: largest minus smallest value of an input; twice its
+    largest change per period; the minimum separation, and the margin of UAVs from obstacles,
+    themselves. Changes across a gap in the record and own constraints do not count.
+    """
+    N = setup.system.N
+    lower = setup.settings.lower(N)
+    upper = setup.settings.upper(N)
+    excess = np.maximum(lower - u, u - upper) / (upper - lower)
+    worst = excess.max(axis=1, initial=0.0)
+    worst = np.maximum(worst, _change_excess(setup, ticks, u))
+
+    separation = setup.settings.separation
+    if separation is not None:
+        missing_m = separation.minimum_m - separation_m
+        worst = np.maximum(worst, missing_m / separation.minimum_m)
+
+    for obstacle, distance_m in zip(setup.obstacles, clearance_m, strict=True):
+        missing_m = obstacle.margin_m - distance_m
+        worst = np.maximum(worst, missing_m / obstacle.margin_m)
+    return np.asarray(worst)
+
+
+def _change_excess(setup: Setup, ticks: npt.NDArray[np.int64], u: Array) -> Array:
+    """Return by how much the inputs change too fast, as a share of their range, (T,).
+
+    0 across a gap in the record.
+    """
+    step = setup.settings.step(setup.system.N)
+    before = np.vstack([setup.hover.u[None], u[:-1]])[: len(u)]
+    excess = (np.abs(u - before) - step) / (2.0 * step)
+    for fault in failures(setup.faults):
+        # Stopping motors violates no limit.
+        excess[ticks == fault.tick, state.input_slice(fault.uav)] = 0.0
+
+    consecutive = np.diff(ticks, prepend=-1) == 1
+    return np.where(consecutive, excess.max(axis=1, initial=0.0), 0.0)

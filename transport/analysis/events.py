@@ -1,0 +1,191 @@
+"""Events of a run in its summary: faults, detections, rejoins, notices, and its end."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from transport.log.run_log import Recorded, RunLog
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire import messages
+from transport.protocol.wire.names import agent_name
+
+# Decimal places of times, s: a tick times the sampling period has rounding errors beyond.
+TIME_DIGITS = 9
+_NS_PER_S = 1e9
+_ORIGIN = {"script": " by script", "person": " by hand", "unknown": ""}
+
+Kind = Literal["fault", "detected", "rejoined", "notice", "end"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Event:
+    """One event at a tick, with the processes or UAVs that it concerns."""
+
+    tick: int
+    received_ns: int | None  # when the recorder received its message; None if it did not
+    kind: Kind
+    text: str
+    processes: list[str]
+
+
+def events(setup: Setup, log: RunLog, control: messages.Control | None) -> list[dict[str, Any]]:
+    """Return the events in the order of their ticks, as the field `faults` of the schema."""
+    period_s = setup.settings.sampling_period_s
+    began_ns = min(log.received_ns(messages.Tick).values(), default=None)
+    in_order = sorted(_before_end(setup, log), key=lambda event: event.tick)
+    if control is not None and control.reason:
+        in_order.append(_end(log, control))
+
+    return [
+        {
+            "tick": event.tick,
+            "time_s": round(event.tick * period_s, TIME_DIGITS),
+            "wall_s": _elapsed_s(began_ns, event.received_ns),
+            "kind": event.kind,
+            "processes": event.processes,
+            "what": event.text,
+        }
+        for event in in_order
+    ]
+
+
+def _elapsed_s(began_ns: int | None, received_ns: int | None) -> float | None:
+    """Return the wall time between two moments; None if either is not recorded."""
+    if began_ns is None or received_ns is None:
+        return None
+    return (received_ns - began_ns) / _NS_PER_S
+
+
+def _end(log: RunLog, control: messages.Control) -> _Event:
+    """Return the end of the run as an event."""
+    return _Event(
+        tick=control.tick,
+        received_ns=log.received_ns(messages.Control).get(control.tick),
+        kind="end",
+        text=control.reason,
+        processes=[],
+    )
+
+
+def _before_end(setup: Setup, log: RunLog) -> Iterator[_Event]:
+    """Yield the events before the end, in the order of the log."""
+    notices = _Notices(log)
+    rosters = _Rosters()
+    for entry in log.messages:
+        match entry.message:
+            case messages.FaultNote():
+                yield _fault(entry, entry.message)
+            case messages.ActualInputs():
+                yield from _degradations(setup, entry)
+            case messages.Note():
+                yield from notices.of(entry, entry.message)
+            case messages.Roster():
+                yield from rosters.of(entry, entry.message)
+
+
+def _fault(entry: Recorded, note: messages.FaultNote) -> _Event:
+    """Return a fault of a process."""
+    return _Event(
+        tick=note.tick,
+        received_ns=entry.received_ns,
+        kind="fault",
+        text=f"{note.target} {note.what}{_ORIGIN[note.origin]}",
+        processes=[note.target],
+    )
+
+
+def _degradations(setup: Setup, entry: Recorded) -> Iterator[_Event]:
+    """Yield the UAVs whose motors are degraded by script at the tick of a message."""
+    tick = entry.message.tick
+    for fault in setup.faults:
+        if fault.do != "degrade" or fault.tick != tick:
+            continue
+        share = f"{fault.efficiency:g} of their inputs"
+        yield _Event(
+            tick=tick,
+            received_ns=entry.received_ns,
+            kind="fault",
+            text=f"motors of {fault.target} degraded to {share} by script",
+            processes=[fault.target],
+        )
+
+
+class _Notices:
+    """Problems that controllers report: each is one event of all agents that have it.
+
+    The event is at the first tick of the problem.
+    """
+
+    def __init__(self, log: RunLog) -> None:
+        self._reported: set[str] = set()
+        self._agents_by_problem: dict[str, set[int]] = {}
+        for note in log.of(messages.Note):
+            self._agents_by_problem.setdefault(note.problem, set()).add(note.agent)
+
+    def of(self, entry: Recorded, note: messages.Note) -> Iterator[_Event]:
+        """Yield the event of a note if it is the first one with its problem."""
+        problem = note.problem
+        if not problem or problem in self._reported:
+            return
+
+        self._reported.add(problem)
+        agents = [agent_name(agent) for agent in sorted(self._agents_by_problem[problem])]
+        yield _Event(
+            tick=note.tick,
+            received_ns=entry.received_ns,
+            kind="notice",
+            text=f"{', '.join(agents)}: {problem}",
+            processes=agents,
+        )
+
+
+class _Rosters:
+    """Changes from each roster to the next."""
+
+    def __init__(self) -> None:
+        self._before: messages.Roster | None = None
+
+    def of(self, entry: Recorded, roster: messages.Roster) -> Iterator[_Event]:
+        """Yield the event of a roster, none for the first one unless it has lost UAVs."""
+        before = self._before
+        self._before = roster
+        lost = _lost_uavs(roster)
+        if before is not None:
+            lost -= _lost_uavs(before)
+            # A UAV whose motors were off already is released by an event of its own.
+            lost |= {*roster.released} - {*before.released}
+
+        if lost:
+            yield _Event(
+                tick=roster.tick,
+                received_ns=entry.received_ns,
+                kind="fault",
+                text=f"{roster.reason} by script",
+                processes=[f"uav{uav}" for uav in sorted(lost)],
+            )
+        elif before is not None:
+            yield _membership(entry, roster, before)
+
+
+def _lost_uavs(roster: messages.Roster) -> set[int]:
+    """Return the UAVs whose motors are off, or that are released, 1-based."""
+    return {*roster.off, *roster.released}
+
+
+def _membership(entry: Recorded, roster: messages.Roster, before: messages.Roster) -> _Event:
+    """Return the agents that left or joined with a roster as an event."""
+    left = {*before.agents} - {*roster.agents}
+    joined = {*roster.agents} - {*before.agents}
+    kind: Kind = "notice"
+    if left:
+        kind = "detected"
+    elif joined:
+        kind = "rejoined"
+
+    return _Event(
+        tick=roster.tick,
+        received_ns=entry.received_ns,
+        kind=kind,
+        text=roster.reason,
+        processes=[agent_name(agent) for agent in sorted(left or joined)],
+    )

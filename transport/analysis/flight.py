@@ -1,0 +1,163 @@
+"""Numbers of the flight in a summary: cost, tracking, distances, cables, estimates and targets."""
+
+from itertools import zip_longest
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from transport.analysis.estimates import estimates_of
+from transport.analysis.events import TIME_DIGITS
+from transport.analysis.series import Series, swing_of
+from transport.analysis.spread import finite, largest
+from transport.log.run_log import RunLog
+from transport.model.arrays import Array
+from transport.model.maneuver import Target
+from transport.model.state import R0
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire import messages
+
+# Time after which a target counts as reached or missed, s.
+SETTLED_S = 2.0
+# Tolerance of times, s: a tick times the sampling period has rounding errors.
+_ROUNDING_S = 1e-9
+# Probabilities at the ends of the band in which the mean NEES of a consistent filter lies.
+_BAND = (0.025, 0.975)
+
+
+def flight(setup: Setup, series: Series) -> dict[str, Any]:
+    """Return cost, attitude, tracking errors, distances and violations, as JSON data."""
+    # The first phase lets the formation settle about its hover, as in the paper's section V.
+    hover_ends_s = setup.maneuver.stages()[0][2]
+    settled = series.times_s >= hover_ends_s
+    swing_m = swing_of(setup, series)
+
+    return {
+        "cost": {
+            "mean": finite(series.cost.mean()) if len(series.cost) else None,
+            "max": largest(series.cost),
+            "max_after_hover": largest(series.cost[settled]),
+        },
+        "attitude_max_deg": largest(series.attitude_max_deg),
+        "uav_tracking": _tracking(series.uav_errors_I[series.on_rods]),
+        "payload_tracking": {
+            **_tracking(series.payload_error_I),
+            "swing_m": None if swing_m is None else finite(swing_m),
+        },
+        "separation_min_m": finite(series.separation_m.min(initial=np.inf)),
+        "clearance_min_m": _clearance(setup, series),
+        "constraint_violation_max": largest(series.violation),
+        "local_error_max": largest(series.local_error),
+    }
+
+
+def _clearance(setup: Setup, series: Series) -> dict[str, float | None] | None:
+    """Return the smallest distances from obstacles, m; None without obstacles."""
+    if not setup.obstacles:
+        return None
+    uav_m, rod_m, payload_m = series.clearance_m.min(axis=0, initial=np.inf)
+    return {"uav": finite(uav_m), "rod": finite(rod_m), "payload": finite(payload_m)}
+
+
+def _tracking(errors_I: Array) -> dict[str, float | None]:
+    """Return RMS and maximum of the lengths of position errors, (..., 3), m."""
+    errors_m = np.linalg.norm(errors_I, axis=-1).ravel()
+    if not len(errors_m):
+        return {"rms_m": None, "max_m": None}
+    rms_m = np.sqrt(np.mean(errors_m**2))
+    return {"rms_m": finite(rms_m), "max_m": largest(errors_m)}
+
+
+def cables(setup: Setup, log: RunLog) -> dict[str, Any] | None:
+    """Return the least tension of the cables, and how often and how long they were slack.
+
+    None without cables.
+    """
+    tensions_by_tick = {
+        actual.tick: actual.tensions
+        for actual in log.of(messages.ActualInputs)
+        if len(actual.tensions)
+    }
+    if not tensions_by_tick:
+        return None
+
+    tensions_N = np.array([tensions_by_tick[tick] for tick in sorted(tensions_by_tick)])
+    slack_ticks = _slack_ticks(tensions_N)
+    return {
+        "tension_min_N": finite(tensions_N.min()),
+        "slack": len(slack_ticks),
+        "slack_longest_s": float(slack_ticks.max(initial=0)) * setup.settings.sampling_period_s,
+        "slack_at_end": int((tensions_N[-1] <= 0.0).sum()),
+    }
+
+
+def _slack_ticks(tensions_N: Array) -> Array:
+    """Return the length of each slack of a cable, ticks, from tensions, (T, cables), N."""
+    taut = np.zeros_like(tensions_N[:1])
+    slack = np.vstack([taut, tensions_N <= 0.0, taut])
+    changes = np.diff(slack, axis=0)  # +1 at the first tick of a slack, -1 behind its last
+    lengths = []
+    for change in changes.T:
+        begins = np.flatnonzero(change > 0.0)
+        ends = np.flatnonzero(change < 0.0)
+        lengths.append(ends - begins)
+    return np.concatenate(lengths)
+
+
+def consistency(series: Series, log: RunLog) -> dict[str, Any] | None:
+    """Return errors of the estimates and how they match their covariance, as JSON data.
+
+    NEES and NIS are squared errors in units of the covariance (docs/equations.md, after (64)).
+    None without estimates.
+    """
+    estimates = estimates_of(series, log)
+    if estimates is None:
+        return None
+
+    # NEES = e^T P^-1 e, with the error e = true - estimated.
+    error = estimates.true - estimates.pose
+    weighted = np.linalg.solve(estimates.P, error[:, :, None])[:, :, 0]
+    nees = np.einsum("ki,ki->k", error, weighted)
+    low, high = chi2.ppf(_BAND, error.shape[1])
+
+    nis, measurements = estimates.surprise.sum(axis=0)
+    squares = (error**2).reshape(-1, 2, 3).sum(axis=2)
+    position_m, attitude_rad = np.sqrt(squares.mean(axis=0))
+    return {
+        "position_rms_m": float(position_m),
+        "attitude_rms_deg": float(np.degrees(attitude_rad)),
+        "nees": float(nees.mean()),
+        "nees_band": [float(low), float(high)],
+        "nis": float(nis / measurements) if measurements else None,
+    }
+
+
+def targets(setup: Setup, series: Series) -> list[dict[str, Any]]:
+    """Return the targets and how close the payload came to them, as JSON data.
+
+    The distance counts `SETTLED_S` after the reference had reached the last point. A target that is
+    followed sooner, by the next one or the end, counts at that moment.
+    """
+    paths = setup.maneuver.targets
+    last_s = series.times_s.max(initial=-np.inf)
+    rows = []
+    for path, following in zip_longest(paths, paths[1:]):
+        next_s = np.inf if following is None else following.since_s
+        counts_s = min(path.ends_s + SETTLED_S, last_s, next_s)
+        rows.append(
+            {
+                "t_s": round(path.since_s, TIME_DIGITS),
+                "arrives_s": round(path.ends_s, TIME_DIGITS),
+                "position_m": path.end_I.tolist(),
+                "error_m": _distance_m(series, path, counts_s),
+            }
+        )
+    return rows
+
+
+def _distance_m(series: Series, path: Target, counts_s: float) -> float | None:
+    """Return the payload's distance from the end of a path at a time, m; None before it ends."""
+    if counts_s < path.ends_s - _ROUNDING_S:
+        return None
+    row = np.searchsorted(series.times_s, counts_s - _ROUNDING_S)
+    return float(np.linalg.norm(series.x[row, R0] - path.end_I))

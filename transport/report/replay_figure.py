@@ -1,0 +1,48 @@
+"""Figure of a replay: differences of its inputs from the recorded ones over time."""
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from transport.analysis.comparison import Comparison
+from transport.model.arrays import Array
+from transport.protocol.scenario.setup import Setup
+from transport.report.column import column_panels, finish, head
+from transport.report.style import COMPONENTS, RC, save
+
+_HEIGHT_IN = 1.1
+
+
+def draw_replay(setup: Setup, comparison: Comparison, folder: Path) -> list[Path]:
+    """Draw replay.png and replay.svg, the largest difference of the inputs at each tick.
+
+    Return the files.
+    """
+    period_s = setup.settings.sampling_period_s
+    table = np.array(comparison.rows, dtype=float)
+    times_s = table[:, 0] * period_s
+    differences = np.where(table > 0.0, table, np.nan)
+    turning = "commanded rate (rad/s)" if setup.system.commands_rates else "moment (N m)"
+
+    with mpl.rc_context(RC):
+        figure = Figure()
+        upper, lower = column_panels(figure, [_HEIGHT_IN] * 2)
+        _draw_differences(upper, times_s, differences[:, [1, 3]])
+        _draw_differences(lower, times_s, differences[:, [2, 4]])
+        head(upper, "difference of thrust (N)")
+        head(lower, f"difference of {turning}", legend=False)
+        finish(figure, [upper, lower], setup, float(times_s[-1]) + period_s, [])
+        return save(figure, folder / "replay.png")
+
+
+def _draw_differences(panel: Axes, times_s: Array, differences: Array) -> None:
+    """Draw the difference of the first step and the largest of the horizon, (T, 2)."""
+    first, horizon = differences.T
+    wide: Any = {"color": COMPONENTS[1], "linewidth": 1.8}
+    panel.plot(times_s, horizon, label="largest of the horizon", **wide)
+    panel.plot(times_s, first, label="first step", color=COMPONENTS[0], linewidth=0.9)
+    panel.set_yscale("log")

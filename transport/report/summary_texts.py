@@ -1,0 +1,100 @@
+"""Sections of a summary in words, a line each: limits, deadlines, plans, radio and solver."""
+
+from collections.abc import Mapping
+from typing import Any
+
+# Violations below this share of a constraint's range are within the solver's tolerance.
+HELD = 1e-6
+_LOSSES = {
+    "collisions": "lost by collisions",
+    "weak": "too weak",
+    "queue_drops": "dropped by queues",
+    "given_up": "given up",
+    "repetitions": "repetitions",
+}
+
+
+def number_text(value: float | None, sentence: str, otherwise: str = "-") -> str:
+    """Return a sentence with a number; another one without it."""
+    return otherwise if value is None else sentence.format(value)
+
+
+def milliseconds(spread: Mapping[str, Any]) -> str:
+    """Return median, 99th percentile and maximum of times, ms."""
+    if spread["p50"] is None:
+        return "-"
+    return "median {p50:.2f} ms, p99 {p99:.2f} ms, max {max:.1f} ms".format(**spread)
+
+
+def own_constraint_text(own: Mapping[str, Any]) -> str:
+    """Return whether a constraint of the user held on the actual trajectory, and by how much not."""
+    violation = own["violation_max"]
+    if violation is not None and violation < OWN_HELD:
+        return f"{own['expression']}: held"
+
+    exceeded = number_text(violation, "exceeded by {:.3g}")
+    return f"{own['expression']}: {exceeded} at {own['at_s']:.2f} s"
+
+
+def limits_text(violation: float | None, solver: Mapping[str, Any]) -> str:
+    """Return whether the limits held: not if no controller saw to it, even if none was exceeded."""
+    is_exceeded = violation is None or violation >= HELD
+    exceeded = number_text(violation, "exceeded by {:.2%} of their range")
+
+    if solver["beyond_share"]:
+        excess = exceeded if is_exceeded else "none exceeded"
+        return f"{excess}, but {solver['failures']} steps without a controller"
+    return exceeded if is_exceeded else "held"
+
+
+def deadlines_text(deadline: Mapping[str, Any]) -> str:
+    """Return how many plans missed their deadline, and how late ticks opened."""
+    share = number_text(deadline["share"], "{:.2%}")
+    missed = f"{deadline['missed']} of {deadline['plans']} missed ({share})"
+    if deadline["missed"]:
+        otherwise = "no plan of which arrived"
+        worst = number_text(deadline["worst_ms"], "worst plan {:.1f} ms late", otherwise)
+        missed += f", {worst}"
+    return f"{missed}; ticks opened late: {milliseconds(deadline['tick_late_ms'])}"
+
+
+def solver_text(solver: Mapping[str, Any]) -> str:
+    """Return fallbacks and failed steps, with every agent that failed."""
+    counts = "{fallbacks} fallbacks, {failures} failures".format(**solver)
+    agents = ["agent{agent} {failures} of {steps}".format(**one) for one in solver["failed_agents"]]
+    return f"{counts}: {', '.join(agents)}" if agents else counts
+
+
+def plans_text(messages: Mapping[str, Any], ages: Mapping[str, Any]) -> str:
+    """Return how many plans were sent, lost and late, and how old those in use were."""
+    if ages["mean"] is None and not messages["sent"]:
+        return "-"
+
+    shared = messages["shared"]
+    planned = messages["planned"]
+    unsent = ""
+    if shared < planned:
+        unsent = f"{shared} of {planned} sent to the other agents ({shared / planned:.1%}); "
+
+    lost = f"{messages['lost']} of {messages['sent']} lost"
+    in_transit = messages.get("in_transit", 0)  # summaries of earlier versions lack it
+    unarrived = f"{in_transit} not arrived at the end, " if in_transit else ""
+    mean_age = number_text(ages["mean"], "{:.2f}")
+    largest_age = number_text(ages["max"], "{:d}")
+    age = f"age {mean_age} ticks, max {largest_age}"
+    return f"{unsent}{lost}, {unarrived}{messages['late']} late; {age}"
+
+
+def radio_text(radio: Mapping[str, Any]) -> str:
+    """Return airtime, deliveries, delays and losses of the team's radio."""
+    airtime = number_text(radio["airtime_share"], "{:.1%}")
+    delivered = number_text(radio["delivered_share"], "{:.1%}")
+    parts = [
+        f"{radio['rate_mbps']:g} Mb/s, {airtime} of the airtime",
+        f"{delivered} delivered",
+    ]
+    delays = radio["delay_ms"]
+    if delays["p50"] is not None:
+        parts.append("delay median {p50:.1f} ms, p99 {p99:.1f} ms".format(**delays))
+    parts += [f"{radio[key]} {words}" for key, words in _LOSSES.items() if radio[key]]
+    return "; ".join(parts)
