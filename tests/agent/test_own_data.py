@@ -21,7 +21,8 @@ from tests.support.runs import (
     setup,
 )
 from transport.agent.own import checked_controller
-from transport.analysis.replay import Comparison, Replay
+from transport.analysis.comparison import Comparison
+from transport.analysis.replay import Replay
 from transport.model.state import REPORTED, REPORTS
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.wire.codec import encode

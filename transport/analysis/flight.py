@@ -12,8 +12,8 @@ from transport.analysis.series import Series, swing_of
 from transport.analysis.spread import finite, largest
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
-from transport.model.maneuver import Target
 from transport.model.state import R0
+from transport.model.target import Target
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire import messages
 

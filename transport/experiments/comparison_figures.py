@@ -27,7 +27,7 @@ from transport.experiments.comparison import (
 from transport.experiments.statistics import COST_RATIO
 from transport.experiments.sweep import Swept
 from transport.protocol.scenario.setup import Setup
-from transport.report.column import column_panels, head
+from transport.report.column import Room, column_panels, head
 from transport.report.compare import fill_overlaid
 from transport.report.style import (
     CURVES,
@@ -83,7 +83,7 @@ def draw_costs(curves: Sequence[Curve], reference: Cell, folder: Path) -> list[P
             [_PANEL_IN] * len(shown),
             legend=legend,
             x_label="processor time per second of the run (s/s)",
-            top_in=_ABOVE_IN,
+            room=Room(top_in=_ABOVE_IN),
         )
         for panel, (budget, weather) in zip(panels, shown, strict=True):
             for curve in curves:

@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 
 from transport.experiments.statistics import PointStatistics
 from transport.experiments.weather_experiment import NETWORKS
-from transport.report.column import column_panels, head
+from transport.report.column import Room, column_panels, head
 from transport.report.style import CURVES, DIVERGED, MARKER
 
 _PANEL_IN = 0.62
@@ -35,9 +35,7 @@ def draw_weather(figure: Figure, scenarios: Mapping[str, Sequence[PointStatistic
         [_PANEL_IN] * len(air),
         legend=legend,
         x_label="network",
-        left_in=_LEFT_IN,
-        right_in=_RIGHT_IN,
-        bottom_in=_BELOW_IN,
+        room=Room(left_in=_LEFT_IN, right_in=_RIGHT_IN, bottom_in=_BELOW_IN),
     )
     for panel, weather in zip(panels, air, strict=True):
         for name, own in scenarios.items():

@@ -10,7 +10,7 @@ from transport.model.arrays import Array
 from transport.protocol.scenario.setup import Setup
 from transport.report.column import MOST_BESIDE
 from transport.report.style import COMPONENTS, line_width
-from transport.scene.drawing import uav_style
+from transport.scene.colours import uav_style
 
 # Smallest ranges of the axes, either side of zero: smaller errors are negligible.
 LEAST_M = 1e-3

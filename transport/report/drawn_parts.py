@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection  # type: ignore[import-untyped]
 
 from transport.model.arrays import Array
-from transport.scene.drawing import Label, Lines, Mesh, Part, Pose
+from transport.scene.parts import Label, Lines, Mesh, Part, Pose
 
 UP = np.array([1.0, 1.0, -1.0])  # z points down in the data and up on paper
 BRIGHTEST = 255.0

@@ -18,7 +18,6 @@ from transport.report.drawn_parts import BRIGHTEST, UP, frame, line
 from transport.report.style import COLUMN_IN, PAYLOAD, REFERENCE
 from transport.scene.bodies import obstacles
 from transport.scene.colours import uav_style
-from transport.scene.parts import Label, Lines, Mesh, Part, Pose
 
 # Smallest distance between drawn formations, m.
 _APART_M = 0.5

@@ -22,7 +22,7 @@ from transport.report.curves import (
     plot_uavs,
 )
 from transport.report.style import line_width
-from transport.scene.drawing import uav_style
+from transport.scene.colours import uav_style
 
 _HEIGHT_IN = 0.7
 # Shown distances from obstacles as a multiple of the largest margin.

@@ -26,10 +26,10 @@ from transport.report.mcap_copy import (
     point_fields,
     pose_fields,
 )
-from transport.scene.bodies import INERTIAL
 from transport.report.ros2_markers import marker_fields, stamped
+from transport.scene.bodies import INERTIAL
 from transport.scene.drawing import PAYLOAD, ROOT, UPSIDE_DOWN, Drawing, tree
-from transport.scene.parts import Label, Lines, Mesh, Part
+from transport.scene.parts import Part, Pose
 from transport.scene.scene import SceneBuilder
 
 _GEOMETRY = "geometry_msgs/msg"

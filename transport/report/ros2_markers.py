@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from transport.report.mcap_copy import Fields, colour_fields, point_fields, pose_fields
-from transport.scene.drawing import INERTIAL, Label, Lines, Mesh, Part
+from transport.scene.bodies import INERTIAL
+from transport.scene.parts import Label, Lines, Mesh, Part
 
 # Types of markers, and the action that deletes one, of visualization_msgs/msg/Marker.
 _LINE_LIST = 5

@@ -12,6 +12,7 @@ from transport.report.summary_texts import (
     limits_text,
     milliseconds,
     number_text,
+    own_constraint_text,
     plans_text,
     radio_text,
     solver_text,
@@ -171,6 +172,8 @@ def _constraint_rows(summary: _Summary) -> Iterator[_Row]:
         texts = [f"{number_text(clear_m[key], '{:.3f} m')} {body}" for key, body in _CLEAR.items()]
         yield "clearance", ", ".join(texts)
     yield "limits", limits_text(summary["constraint_violation_max"], summary["solver"])
+    for own in summary.get("own_constraints", ()):
+        yield "own constraint", own_constraint_text(own)
     yield "integration", number_text(summary["local_error_max"], "largest local error {:.1e}")
 
 

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from transport.analysis.own_constraints import HELD as OWN_HELD
+
 # Violations below this share of a constraint's range are within the solver's tolerance.
 HELD = 1e-6
 _LOSSES = {

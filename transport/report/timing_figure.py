@@ -16,7 +16,7 @@ from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import STAGES, StepReport
 from transport.report.column import CLOSE, Room, column_panels, head
 from transport.report.style import REFERENCE, label_decades, shade_phases
-from transport.scene.drawing import uav_style
+from transport.scene.colours import uav_style
 
 # Heights of the panel over time, and of a bar below it, inches.
 _OVER_TIME_IN = 1.5
