@@ -160,7 +160,7 @@ class AnnouncedInputs:
         self._assumed[agent] = Assumed(start_tick=start, inputs=inputs[:, columns])
 
     def newest(self, agent: int, before: int, started: int | None = None) -> Plan | None:
-        """Return an agent's newest plan made before a tick, and started at another."""
+        """Return an agent's newest plan made before a tick and, if given, started by `started`."""
         for plan in reversed(self._plans[agent]):
             if plan.tick < before and (started is None or plan.start_tick <= started):
                 return plan
@@ -353,9 +353,12 @@ class AnnouncedInputs:
         #   u_a(k) = U_a(min(k - s_a, N_p - 1))    (32)
         announced: Array = played.inputs[min(step, len(played.inputs) - 1)]
 
-        is_first = step <= 0 or plan.agent == self._own
-        if x is None or is_first or is_off or not self._is_under_law(plan, tick):
+        # Off the roster the last plan is played to its end; own inputs and first ones are known.
+        is_known = is_off or plan.agent == self._own or step <= 0
+        if is_known or x is None or not self._is_under_law(plan, tick):
             return announced
+
+        # The agent has replaced the later ones by plans not received: by the shared law, (32a).
         by_law = self._by_law(plan, tick, x)
         if by_law is None:
             return announced

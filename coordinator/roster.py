@@ -167,7 +167,9 @@ class TeamRoster:
             words = " | ".join(", ".join(group) for group in groups)
             reason = f"links between {words}: {settings}"[:MAX_TEXT]
         else:
-            ends = [self._ends(given)]
+            source, target = self._ends(given)
+            link_change(source, target, settings)  # refused here: agents take only valid changes
+            ends = [(source, target)]
             reason = ""
 
         changes = []

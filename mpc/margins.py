@@ -193,24 +193,31 @@ class Loop(SampledLoop):
         From states of all UAVs `age` periods old, its own measurements since, and the commands.
         """
         own = self._controllers[agent].own
+        is_own = np.isin(np.arange(self._system.m), own)[:, None]
         x = known[self._age].copy()
         x[self._lost] = guess
         offset = np.zeros(0)
+
+        # From the newest state known of all, x(k - age), to that of the plan, x(k + delay).
         for step in range(self._age + self._delay):
-            u = commands[self._age + self._delay - 1 - step]
-            if step > self._delay:
-                # Later plans of the others have not been received: the shared control law replaces
-                # them.
-                is_own = np.isin(np.arange(len(u)), own)[:, None]
-                u = np.where(is_own, u, self._law @ x + offset)
-            elif step == self._delay:
+            # In force in this period: issued `delay` periods before it; commands[0] is of k - 1.
+            issued = self._age + self._delay - 1 - step
+            u = commands[issued]
+            if step == self._delay:
+                # The newest plans received; their difference from the shared law holds on.
                 offset = u - self._law @ x
+            elif step > self._delay:
+                # Later plans of the others are not received: the shared law replaces them.
+                u = np.where(is_own, u, self._law @ x + offset)
             u = np.where(self._gone, self._fail_safe @ x, u)
             x = self._A @ x + self._B @ u
+
             if step < self._age:
-                x = x + self._measured[agent] @ (known[self._age - 1 - step] - x)
+                # Up to k the agent has its own measurements of x(k - age + step + 1).
+                measured = known[self._age - 1 - step]
+                x = x + self._measured[agent] @ (measured - x)
             if step == 0:
-                guess = x[self._lost]
+                guess = x[self._lost]  # where the next tick begins
         return x, guess
 
 

@@ -184,6 +184,7 @@ def test_sequential_plans_never_get_worse() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.pages
 def test_costs_over_the_maneuver() -> None:
     """Sequential solves are between the parallel and the centralized ones; ADMM is centralized."""
     centralized = cost("centralized", "mpc")

@@ -98,6 +98,10 @@ _HEARS_S = 1.5
 _ARMS_S = 2.6
 _LIFTS_S = 2.8
 _READY_S = 3.5
+# Channels of the receiver: roll, pitch, throttle, yaw, AUX1.
+_ROLL_PITCH_YAW = [0, 1, 3]
+_THROTTLE = 2
+_ARM = 4
 # Ends and middle of a channel, us.
 _LOW_US = 1000
 _MIDDLE_US = 1500
@@ -296,9 +300,10 @@ class Betaflight:
             for k in range(math.ceil(_READY_S / self._step_s)):
                 t = k * self._step_s
                 channels = flying.copy()
-                channels[:, [2, 4]] = np.where(
-                    [t < _LIFTS_S, t < _ARMS_S], _LOW_US, channels[:, [2, 4]]
-                )
+                if t < _LIFTS_S:
+                    channels[:, _THROTTLE] = _LOW_US
+                if t < _ARMS_S:
+                    channels[:, _ARM] = _LOW_US
                 outputs = [process.outputs() for process in self._processes]
                 for i, process in enumerate(self._processes):
                     process.give(sensors[i], channels[i] if t >= _HEARS_S else ())
@@ -351,15 +356,14 @@ class Betaflight:
         low, high = _THROTTLE_US
         outputs = np.sqrt(np.clip(command[:, 0] / (4.0 * self._most_N), 0.0, 1.0))
         channels = np.full((len(command), 16), float(_LOW_US))
-        throttles = (high - low) * np.maximum(
-            (outputs - _IDLE) / (1.0 - _IDLE), 0.0
-        ) + _TRUNCATED_US
-        channels[:, 2] = np.minimum(low + throttles, high)
-        sticks = (
-            500.0 * command[:, 1:] / self._rates_rads * [1.0, -1.0, 1.0]
-        )  # forward, nose down, is positive
-        channels[:, [0, 1, 3]] = np.clip(_MIDDLE_US + sticks, _LOW_US, _HIGH_US)
-        channels[:, 4] = _HIGH_US
+        above_idle = np.maximum((outputs - _IDLE) / (1.0 - _IDLE), 0.0)
+        throttles = (high - low) * above_idle + _TRUNCATED_US
+        channels[:, _THROTTLE] = np.minimum(low + throttles, high)
+
+        signs = [1.0, -1.0, 1.0]  # a pitch stick forward, nose down, is positive
+        sticks = (_HIGH_US - _MIDDLE_US) * command[:, 1:] / self._rates_rads * signs
+        channels[:, _ROLL_PITCH_YAW] = np.clip(_MIDDLE_US + sticks, _LOW_US, _HIGH_US)
+        channels[:, _ARM] = _HIGH_US
         rounded: npt.NDArray[np.int64] = np.rint(channels).astype(np.int64)
         return rounded
 

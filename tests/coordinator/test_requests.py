@@ -113,6 +113,18 @@ def test_a_cut_between_groups() -> None:
     assert roster.reason.startswith("links between agent1 | agent2, agent3")
 
 
+@pytest.mark.parametrize("end", ["agent1", "plant"])
+def test_a_link_from_a_process_to_itself_is_refused(end: str) -> None:
+    """Agents would refuse the change, and with it all later ones: none is sent."""
+    node = started(coordinator())
+    named = {"from": end, "to": end, "settings": {"loss": 1.0}}
+    reply, sent = answer_to(node, "link", **named)
+    assert "error" in reply
+    assert sent == []
+    reply, _ = answer_to(node, "link", settings={"loss": 1.0})
+    assert reply == {"tick": 1, "t_s": 0.05}
+
+
 @pytest.mark.parametrize(
     "groups",
     [[], [["agent1"]], [["agent1"], []], [["agent1"], ["agent1"]], [["agent1"], ["plant"]], "x", 3],

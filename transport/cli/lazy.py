@@ -229,14 +229,18 @@ def with_options(
     shared = [_parameters_of(option) for option in options]
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        own = list(inspect.signature(command).parameters.values())[len(options) :]
-        parameters = [*own, *(parameter for names in shared for parameter in names.values())]
+        # Typer reads the options from the signature: those of the command itself, without its
+        # first parameters, which take the results, and then all shared ones.
+        parameters = list(inspect.signature(command).parameters.values())[len(options) :]
+        for by_name in shared:
+            parameters += by_name.values()
 
         @wraps(command)
         def with_shared(**given: Any) -> None:
             results = []
-            for option, names in zip(options, shared, strict=True):
-                results.append(option(**{name: given.pop(name) for name in names}))
+            for option, by_name in zip(options, shared, strict=True):
+                arguments = {name: given.pop(name) for name in by_name}
+                results.append(option(**arguments))
             command(*results, **given)
 
         with_shared.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]

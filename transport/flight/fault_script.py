@@ -133,9 +133,12 @@ class FaultScript:
     def _is_due(self, fault: Fault) -> bool:
         """Return whether the tick before that of a return is open, or its wait is over."""
         # The coordinator does not open the tick of a return before the agent is ready.
-        is_open = self._recorder.tick >= fault.tick - 1
-        if is_open or fault.target not in (COORDINATOR, PLANT) or fault.target not in self._stops:
-            return is_open
+        if self._recorder.tick >= fault.tick - 1:
+            return True
+
+        # No tick opens while coordinator or plant is stopped: only their return waits by the clock.
+        if fault.target not in (COORDINATOR, PLANT) or fault.target not in self._stops:
+            return False
         stop, seen_s = self._stops[fault.target]
         speed = self._setup.scenario.clock.speed or 1.0  # an unpaced run waits as in real time
         stopped_s = (fault.tick - stop.tick) * self._setup.settings.sampling_period_s / speed

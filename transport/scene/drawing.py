@@ -76,6 +76,7 @@ class Drawing:
 
     def __init__(self, builder: SceneBuilder) -> None:
         self._builder = builder
+        # As at the start, for what no target changes; `builder.setup` has the newest targets, too.
         self._setup = builder.setup
         self._N = self._setup.system.N
 

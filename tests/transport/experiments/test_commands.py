@@ -153,7 +153,7 @@ def test_a_case_that_raises_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(EXPERIMENTS.keys() - {"latency", "scaling"}))
+@pytest.mark.parametrize("name", sorted(EXPERIMENTS.keys() - {"latency", "scaling", "radio"}))
 def test_a_trial_says_so(name: str, tmp_path: Path) -> None:
     """`--quick` of every experiment runs, is called a trial, and its table fits its width."""
     quick = (
