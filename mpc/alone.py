@@ -27,7 +27,9 @@ class AloneGains:
     # Time in which the integral forgets, s: UAVs on a rigid body could otherwise hold any force
     # against each other, which biases of their sensors would let grow.
     forgets_s: float = 20.0
-    swing: float = 0.5  # acceleration per velocity of the rod's lower end relative to the UAV, 1/s
+    # Acceleration per velocity of the rod's lower end relative to the UAV, 1/s, for a rod of 1 m. It
+    # grows with the period of the rod, sqrt(l): the lag of the attitude loop limits it.
+    swing: float = 0.5
     steepest_rad: float = 0.5  # largest change of the attitude that a deviation asks for
     most_held: float = 0.4  # largest force of the integral, as a share of what the UAV carries
 
@@ -119,6 +121,7 @@ class AloneLaw:
     def __init__(self, system: System, uav: int, hover_N: float, gains: AloneGains = GAINS) -> None:
         self._system, self._uav, self._gains, self._hover_N = system, uav, gains, hover_N
         mass, inertia = system.uavs[uav].mass, system.uavs[uav].inertia
+        self._swing = gains.swing * float(np.sqrt(system.uavs[uav].rod_length))
         # Sideways the rod gives way. Upwards the UAV lifts its share of the payload as well.
         self._masses = np.array([mass, mass, hover_N / system.gravity])
         weights = np.diag([1.0, 1.0, _HEADING])
@@ -157,7 +160,7 @@ class AloneLaw:
         acceleration = (
             gains.position * (ahead.position_I - motion.position_I)
             + gains.velocity * (ahead.velocity_I - motion.velocity_I)
-            - gains.swing * (swing_I - swing_I[2] * _VERTICAL)
+            - self._swing * (swing_I - swing_I[2] * _VERTICAL)
         )
         force_I: Array = course.force_I + self._masses * acceleration
         return force_I if held_I is None else force_I + held_I
@@ -180,7 +183,7 @@ class AloneLaw:
         """
         gains, (position, velocity, swing) = self._gains, self._motions(ahead_s)
         swing[2] = 0.0
-        acceleration = -gains.position * position - gains.velocity * velocity - gains.swing * swing
+        acceleration = -gains.position * position - gains.velocity * velocity - self._swing * swing
 
         gain = self._by_force() @ (self._masses[:, None] * acceleration)
         own = gain[1:, state.uav_slice(self._uav)]

@@ -107,7 +107,8 @@ def test_it_accelerates_towards_the_reference(seed: int) -> None:
     masses = np.array([uav.mass, uav.mass, AT_REST.u[4 * UAV] / SYSTEM.gravity])
     expected = GAINS.position * (wanted.position_I - motion.position_I)
     expected += GAINS.velocity * (wanted.velocity_I - motion.velocity_I)
-    expected[:2] -= GAINS.swing * (motion.swing_I - wanted.swing_I)[:2]
+    swing = GAINS.swing * np.sqrt(SYSTEM.uavs[UAV].rod_length)
+    expected[:2] -= swing * (motion.swing_I - wanted.swing_I)[:2]
     np.testing.assert_allclose(
         law.force(motion, course) - course.force_I, masses * expected, rtol=1e-9
     )

@@ -17,9 +17,9 @@ RATES = System(payload=SYSTEM.payload, uavs=SYSTEM.uavs, rate_gains=[25.0, 25.0,
 SHARED = ControllerSettings(prediction="closed_loop", terminal="riccati")
 # Rounding of eigenvalues of modes that come in equal pairs: the square root of that of the matrix.
 ROUNDING = 1e-6
-# With UAVs alone among those of the team, deviations decay by e within two and a half periods of the
-# rods' pendulum, 5 s: the slowest mode, 11.8 s, is one that the law alone damps by the rod's force.
-SETTLING_S = 12.5
+# With a fail-safe that follows, deviations decay by e within some periods of the rods' pendulum, 5
+# s.
+SETTLING_S = 10.0
 
 
 def _loop(

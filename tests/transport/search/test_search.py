@@ -24,7 +24,7 @@ WINDOW_S = (6.0, 7.0)  # the planted fault: a silence that begins here, while ag
 
 
 class Quiet:
-    """Progress that nobody sees."""
+    """Progress without a display."""
 
     def show(self, one: Flown) -> None:
         """Tell nothing."""
