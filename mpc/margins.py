@@ -115,7 +115,7 @@ class Loop(SampledLoop):
         self._set_uncontrolled(uncontrolled or {})
 
     def _set_uncontrolled(self, uncontrolled: Mapping[int, Array]) -> None:
-        """Set the fail-safe of UAVs without agents, and the coordinates that nobody measures."""
+        """Set the fail-safe of UAVs without agents, and the unmeasured coordinates."""
         m = self._system.m
         self._gone = np.zeros((m, 1), dtype=bool)  # their inputs
         self._fail_safe = np.zeros((m, len(self._A)))

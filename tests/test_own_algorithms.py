@@ -80,6 +80,7 @@ def test_the_paper_by_the_interface(settings: dict[str, Any]) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.pages
 @pytest.mark.parametrize("delay_s", [0.0, 0.05])
 def test_the_paper_over_the_maneuver(delay_s: float) -> None:
     """The same over the paper's maneuver, on a perfect network and with plans 50 ms late."""

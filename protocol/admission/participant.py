@@ -146,8 +146,8 @@ class Participant(ABC):
         self._out = Outbox(self.name, incarnation)
         self._tick = -1  # the newest worked on
 
-        everybody = (*map(agent_name, self._setup.agents), PLANT)
-        senders = [name for name in everybody if name != self.name]
+        participants = (*map(agent_name, self._setup.agents), PLANT)
+        senders = [name for name in participants if name != self.name]
         self._links = {name: self._setup.link(name, self.name) for name in senders}
         self._link_changes = LinkChanges(self._links.values())
         self._plans: Arrivals[Plan] = Arrivals(

@@ -45,7 +45,7 @@ def course_of(messages: list[Message]) -> Course:
     rosters = [message for message in messages if isinstance(message, Roster)]
     states = [message for message in messages if isinstance(message, PlantState)]
     plans = [message for message in messages if isinstance(message, Plan)]
-    # A continued agent may still send its plan of the tick at which it was stopped: nobody uses it.
+    # A continued agent may still send its plan of the tick at which it was stopped; no process uses it.
     stopped = {(round(0.5 / 0.05), 2)}
     return Course(
         [(roster.tick, roster.agents, roster.incarnations) for roster in rosters],

@@ -347,7 +347,7 @@ def change(number: int, tick: int, source: str, target: str, **settings: Any) ->
 
 
 def test_sliders_of_links_show_the_values_in_force(live: Viewer, builder: SceneBuilder) -> None:
-    """Sliders move to the new values after every change, whoever asked for it.
+    """Sliders move to the new values after every change, of this page or of another client.
 
     So they do when another link is chosen, and when all links are cleared.
     """

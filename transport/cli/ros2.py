@@ -20,6 +20,7 @@ from transport.flight.live import Commands
 from transport.flight.live import read as read_live_run
 from transport.log.run_log import LogTail, setup_of
 from transport.protocol.network.rmw_zenoh import RosNode
+from transport.protocol.wire.messages import PlantState
 from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder
 
@@ -77,7 +78,12 @@ def ros2(
     with closing(node):
         where = f"{len(published)} topics in domain {domain} through {connect}"
         typer.echo(f"{folder}: {where}", err=True)
-        reader = _Reader(folder=folder, tail=tail, history=history)
+        reader = _Reader(
+            folder=folder,
+            tail=tail,
+            history=history,
+            start=_PacedStart(period_ns=messages.period_ns, speed=messages.speed),
+        )
         targets = _Targets(node=node, commands=commands)
         _publish(reader, _Publisher(messages=messages, node=node), targets)
 
@@ -94,12 +100,41 @@ def _publish(reader: "_Reader", publisher: "_Publisher", targets: "_Targets") ->
         first = max(next_tick, history.first)
         ticks = [t for t in range(first, history.last + 1) if t in history.plant_states]
         for tick in ticks:
-            publisher.publish(tick, is_newest=tick == ticks[-1])
+            stamp_ns = reader.start.stamp_ns(tick)
+            publisher.publish(tick, stamp_ns, is_newest=tick == ticks[-1])
             next_tick = tick + 1
 
         if has_ended:
             return
         time.sleep(_POLL_S)
+
+
+@dataclass(slots=True, kw_only=True)
+class _PacedStart:
+    """Start of a paced run by the wall clock, from the times at which its ticks were recorded.
+
+    A tick is never recorded before its time, so the start is the earliest that any tick allows. The
+    time at which this process reads a tick would not do: it is late while the process begins.
+    """
+
+    period_ns: int
+    speed: float  # scenario time over wall time; 0 for a run that is not paced
+    start_ns: int | None = None
+
+    def note(self, tick: int, recorded_ns: int) -> None:
+        """Note when a tick was recorded."""
+        start_ns = recorded_ns - self._since_start_ns(tick)
+        if self.start_ns is None or start_ns < self.start_ns:
+            self.start_ns = start_ns
+
+    def stamp_ns(self, tick: int) -> int:
+        """Return the stamp of a tick, ns since 1970; now in a run that is not paced."""
+        if self.start_ns is None:
+            return time.time_ns()
+        return self.start_ns + self._since_start_ns(tick)
+
+    def _since_start_ns(self, tick: int) -> int:
+        return round(tick * self.period_ns / self.speed)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -109,6 +144,7 @@ class _Reader:
     folder: Path
     tail: LogTail
     history: RunHistory
+    start: _PacedStart
     next_look_s: float = 0.0  # steady-clock time of the next look at the parent
     is_left: bool = False  # whether the parent, which writes the log, was killed
 
@@ -118,7 +154,11 @@ class _Reader:
         if time.monotonic() >= self.next_look_s:
             self.next_look_s = time.monotonic() + _LOOK_S
             self.is_left = read_live_run(self.folder) is None
-        self.history.add(self.tail.read())
+        recorded = self.tail.read_recorded()
+        for entry in recorded:
+            if self.start.speed > 0.0 and isinstance(entry.message, PlantState):
+                self.start.note(entry.message.tick, entry.received_ns)
+        self.history.add([entry.message for entry in recorded])
         return self.history.control is not None or self.tail.ended or self.is_left
 
 
@@ -129,11 +169,9 @@ class _Publisher:
     messages: "Ros2Messages"
     node: RosNode
     next_fixed_s: float = 0.0  # steady-clock time of the next markers that do not change
-    began_ns: int = 0  # wall-clock time of the start of a paced run, 0 before its first tick
 
-    def publish(self, tick: int, *, is_newest: bool) -> None:
-        """Publish a tick."""
-        stamp_ns = self._stamp_ns(tick)
+    def publish(self, tick: int, stamp_ns: int, *, is_newest: bool) -> None:
+        """Publish a tick with its stamp, ns since 1970."""
         for topic, data in self.messages.states(tick, stamp_ns):
             self.node.put(topic, data)
         if not is_newest:
@@ -144,16 +182,6 @@ class _Publisher:
             self.next_fixed_s = time.monotonic() + _AGAIN_S
         for topic, data in self.messages.scenes(tick, stamp_ns, fixed=is_fixed_due):
             self.node.put(topic, data)
-
-    def _stamp_ns(self, tick: int) -> int:
-        """Return the stamp of a tick; those of a paced run have no jitter of this process."""
-        now_ns = time.time_ns()
-        if self.messages.speed <= 0.0:
-            return now_ns
-
-        since_ns = round(tick * self.messages.period_ns / self.messages.speed)
-        self.began_ns = min(self.began_ns or now_ns, now_ns - since_ns)
-        return self.began_ns + since_ns
 
 
 @dataclass(slots=True, kw_only=True)

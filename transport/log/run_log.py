@@ -118,17 +118,18 @@ class LogTail:
         return self.parser.ended
 
     def read(self) -> list[Message]:
-        """Return the new messages, in order.
-
-        A record written only in part waits for the next call.
-        """
-        if self.ended or not self._path.exists():
-            return []
-
-        messages = [entry.message for entry in self.entries()]
-        if self.ended:
+        """Return the new messages, in order; one written only in part waits for the next call."""
+        had_ended = self.ended
+        messages = [entry.message for entry in self.read_recorded()]
+        if self.ended and not had_ended:
             messages += self.last_notices()
         return messages
+
+    def read_recorded(self) -> list[Recorded]:
+        """Return the new messages, with the times at which they were recorded."""
+        if self.ended or not self._path.exists():
+            return []
+        return list(self.entries())
 
     def entries(self) -> Iterator[Recorded]:
         """Yield the messages of the entries that are whole and were not read yet.

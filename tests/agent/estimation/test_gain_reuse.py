@@ -87,7 +87,7 @@ def test_a_deferred_covariance_is_computed_once_when_asked_for() -> None:
 
 
 def test_a_failure_to_compute_is_not_hidden() -> None:
-    """An error reaches whoever asks, every time."""
+    """An error is raised at every request, not only at the first."""
 
     def fail() -> Covariance:
         raise FloatingPointError("no inverse")
