@@ -71,7 +71,10 @@ class TeamRoster:
         return f"t = {tick * self._setup.period_ns / 1e9:.2f} s"
 
     def message(self, reason: str, tick: int) -> Roster:
-        """Return the next version of the roster, which holds from a tick on."""
+        """Return the next version of the roster, which holds from a tick on.
+
+        A tick that opens takes the roster's changes along; see `report` for news between ticks.
+        """
         members = sorted(self.members)
         self.version += 1
         return self._out.stamp(
@@ -85,6 +88,13 @@ class TeamRoster:
             reason=reason,
         )
 
+    def report(self, reason: str, upcoming: int) -> Roster:
+        """Return a roster whose members are as before, and which only tells the reason.
+
+        It belongs to the tick that is still open, the one before the upcoming tick.
+        """
+        return self.message(reason, upcoming - 1)
+
     def awaited(self, tick: int) -> set[int]:
         """Return the agents that the script brings back at a tick, and that are not ready yet."""
         return self._returns.get(tick, set()) - self.joining.keys() - self.members
@@ -92,7 +102,7 @@ class TeamRoster:
     def give_up(self, tick: int) -> Roster:
         """Return the roster without the agents that a tick has waited for."""
         absent = names(self._returns.pop(tick))
-        return self.message(f"{absent} did not return at {self.time(tick)}", tick - 1)
+        return self.report(f"{absent} did not return at {self.time(tick)}", tick)
 
     def begin(self, tick: int) -> tuple[set[int], list[Message]]:
         """Return the agents that join at a tick that opens, and the messages of all its changes."""
@@ -136,7 +146,7 @@ class TeamRoster:
             try:
                 messages += self.target(section, tick)
             except RequestError as error:
-                messages.append(self.message(f"target refused: {error}", tick - 1))
+                messages.append(self.report(f"target refused: {error}", tick))
         return messages
 
     def link(self, given: Mapping[str, Any], tick: int) -> list[LinkChange | Roster]:
@@ -185,7 +195,7 @@ class TeamRoster:
             self._links.append(change)
             changes.append(change)
         reason = reason or f"{words_of(changes[0])}, from {self.time(tick)} on"
-        return [*changes, self.message(reason, tick - 1)]
+        return [*changes, self.report(reason, tick)]
 
     def _ends(self, given: Mapping[str, Any]) -> tuple[str, str]:
         """Return sender and receiver in a request of a link, empty for any agent."""
@@ -219,7 +229,8 @@ class TeamRoster:
         target = self._out.stamp(Target, number=number, **planned(self._setup, section, tick))
         self._setup = self._setup.after([target])
         self._targets.append(target)
-        return [target, self.message(f"{target_in_words(target)}, from {self.time(tick)} on", tick)]
+        words = f"{target_in_words(target)}, from {self.time(tick)} on"
+        return [target, self.message(words, tick)]
 
 
 def names(agents: Collection[int]) -> str:

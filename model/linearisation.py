@@ -24,7 +24,9 @@ from transport.model.state import input_indices
 class Linearisation:
     """The first-order expansion about any pair (x0, u0).
 
-    A_c and B_c are kept as factors. Source: docs/equations.md (15), (15b).
+    The Jacobians are kept as factors, most of whose entries are zero:
+        A_c = X + P V_x,   B_c = U + P V_u
+    Source: docs/equations.md (15), (15b).
     """
 
     f: Array  # x' at (x0, u0), (n,), SI

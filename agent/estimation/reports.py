@@ -19,9 +19,8 @@ class UavReport:
     """A UAV at a tick."""
 
     values: Array  # its state, (12,), or the measurements of its sensors, (15,), SI
-    inputs: Array | None = (
-        None  # inputs that its actuators applied until then, (4,); None if not told
-    )
+    # Inputs that its actuators applied until then, (4,); None if not told.
+    inputs: Array | None = None
 
 
 @dataclass(slots=True)

@@ -29,7 +29,7 @@ from scipy.spatial.transform import Rotation
 from transport.model import compiler
 from transport.model.arrays import Array
 from transport.model.parameters import Uav
-from transport.model.state import OMEGA, THETA, StateView
+from transport.model.state import INPUTS, OMEGA, THETA, StateView
 from transport.plant.actuators import Rotors
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.plant_sections import RotorsSection
@@ -284,33 +284,59 @@ class Betaflight:
             raise ScenarioError(setup.scenario.name, "plant.inner_loop", str(error)) from error
 
     def _start(self, setup: Setup, rotors: list[RotorsSection]) -> None:
-        """Start the firmwares and let them arm in hover."""
-        x, command = setup.initial_state(), setup.hover.u.reshape(-1, 4) * [1.0, 0.0, 0.0, 0.0]
-        made: dict[tuple[str, ...], bytes] = {}
+        """Start the firmwares and let them arm in hover.
+
+        Raises: FirmwareError: one refuses its settings, or does not arm.
+        """
+        thrusts_N = setup.hover.u[::INPUTS]
+        hover = np.zeros((len(rotors), INPUTS))  # commands: thrusts, no rates
+        hover[:, 0] = thrusts_N
+
+        # A firmware reads its settings in its folder, before its first exchange.
         with tempfile.TemporaryDirectory() as name:
-            for i, (uav, section) in enumerate(zip(setup.system.uavs, rotors, strict=True)):
-                lines = (*_SETTINGS, *_tuning(setup, uav, section, command[i, 0]))
-                if lines not in made:
-                    made[lines] = settings(lines, self._step_s)
+            images = self._settings_images(setup, rotors, thrusts_N)
+            for i, image in enumerate(images):
                 folder = Path(name) / str(i)
                 folder.mkdir()
-                (folder / "eeprom.bin").write_bytes(made[lines])
+                (folder / "eeprom.bin").write_bytes(image)
                 self._processes.append(Process(folder, self._step_s))
-            sensors, flying = self._sensors(x), self._channels(command)
-            for k in range(math.ceil(_READY_S / self._step_s)):
-                t = k * self._step_s
-                channels = flying.copy()
-                if t < _LIFTS_S:
-                    channels[:, _THROTTLE] = _LOW_US
-                if t < _ARMS_S:
-                    channels[:, _ARM] = _LOW_US
-                outputs = [process.outputs() for process in self._processes]
-                for i, process in enumerate(self._processes):
-                    process.give(sensors[i], channels[i] if t >= _HEARS_S else ())
-        if np.min(outputs) < _IDLE:
-            raise FirmwareError(
-                f"the firmware of UAV{np.argmin(np.min(outputs, axis=1)) + 1} does not arm"
-            )
+            outputs = self._arm(setup.initial_state(), hover)
+
+        idle_or_more = outputs.min(axis=1) >= _IDLE
+        if not idle_or_more.all():
+            raise FirmwareError(f"the firmware of UAV{np.argmin(idle_or_more) + 1} does not arm")
+
+    def _settings_images(
+        self, setup: Setup, rotors: list[RotorsSection], thrusts_N: Array
+    ) -> list[bytes]:
+        """Return `eeprom.bin` of each UAV; equal UAVs share one, which takes a second to make."""
+        made: dict[tuple[str, ...], bytes] = {}
+        images = []
+        for uav, section, thrust_N in zip(setup.system.uavs, rotors, thrusts_N, strict=True):
+            lines = (*_SETTINGS, *_tuning(setup, uav, section, thrust_N))
+            if lines not in made:
+                made[lines] = settings(lines, self._step_s)
+            images.append(made[lines])
+        return images
+
+    def _arm(self, x: Array, hover: Array) -> Array:
+        """Hold the state until all firmwares are ready; return outputs of the motors, (N, 4)."""
+        sensors = self._sensors(x)
+        flying = self._channels(hover)
+        outputs = np.zeros((len(hover), 4))
+        for step in range(math.ceil(_READY_S / self._step_s)):
+            time_s = step * self._step_s
+            channels = flying.copy()
+            if time_s < _LIFTS_S:
+                channels[:, _THROTTLE] = _LOW_US
+            if time_s < _ARMS_S:
+                channels[:, _ARM] = _LOW_US
+
+            outputs = np.array([process.outputs() for process in self._processes])
+            for i, process in enumerate(self._processes):
+                heard = channels[i] if time_s >= _HEARS_S else ()
+                process.give(sensors[i], heard)
+        return outputs
 
     def reset(self, x: Array) -> None:  # noqa: ARG002
         """Forget the velocity: the state may have jumped."""

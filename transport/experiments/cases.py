@@ -62,6 +62,7 @@ _SHARES = {"plans_lost_share": ("lost", "sent"), "plans_shared_share": ("shared"
 NUMBERS = ("lost_s", *_FROM_SUMMARY, *_SHARES)
 
 # Keys, sections and values of a scenario that make a run random, unless they are the defaults.
+# Keys of a scenario that make draws from the seed.
 _RANDOM = {
     "jitter_s",
     "loss",
@@ -204,10 +205,13 @@ def key_of(scenario: Scenario) -> str:
 
 
 def is_random(scenario: Scenario) -> bool:
-    """Return whether runs of the scenario differ with the seed."""
+    """Return whether runs of the scenario differ with the seed.
+
+    They do if a key of `_RANDOM`, at any depth, is not at its default.
+    """
     changed = scenario.model_dump_json(exclude_defaults=True)
-    words = re.findall(r'"(\w+)"', changed)
-    return not _RANDOM.isdisjoint(words)
+    keys_and_texts = set(re.findall(r'"(\w+)"', changed))
+    return bool(keys_and_texts & _RANDOM)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

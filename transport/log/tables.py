@@ -121,7 +121,7 @@ def _measured(message: Measurement, commands: tuple[str, ...]) -> Iterator[Row]:
     uavs = zip(message.uavs, message.uav_states, message.inputs, strict=True)
 
     for uav, states, inputs in uavs:
-        yield {"uav": uav, **payload, **_of_uav(states), **_named("", commands, inputs)}
+        yield {"uav": uav, **payload, **_uav_columns(states), **_named("", commands, inputs)}
 
 
 def _planned(message: Plan, commands: tuple[str, ...]) -> Iterator[Row]:
@@ -131,7 +131,7 @@ def _planned(message: Plan, commands: tuple[str, ...]) -> Iterator[Row]:
         own = slice(INPUTS * i, INPUTS * (i + 1))
         inputs = _over_horizon("", commands, message.inputs[:, own])
         corrections = _over_horizon("correction_", commands, message.corrections[:, own])
-        yield {"uav": uav, **_of_uav(states), **inputs, **corrections, **data}
+        yield {"uav": uav, **_uav_columns(states), **inputs, **corrections, **data}
 
 
 def _reported(message: StepReport) -> Row:
@@ -165,16 +165,18 @@ def _actual(message: ActualInputs) -> Iterator[Row]:
         yield {"uav": uav, **_named("", INPUT_NAMES, inputs), **tension}
 
 
-def _of_uav(values: Array) -> Row:
+def _uav_columns(values: Array) -> Row:
     """Return the states of a UAV, or the newest values of its sensors in a message.
 
-    Nothing without a new value.
+    The length tells which: (PER_UAV,) are states, (SENSED,) measurements; a longer array has the
+    rows of the last ticks that a plan reports (`model.state.REPORTED`), the newest first.
     """
     if len(values) == PER_UAV:
         return _named("", UAV_STATE_NAMES, values)
-    if len(values) != SENSED:
-        values = values[1 : 1 + SENSED] if values[0] > 0.0 else values[:0]
-    return _named("", SENSED_NAMES[: len(values)], values)
+    if len(values) == SENSED:
+        return _named("", SENSED_NAMES, values)
+    is_known = values[0] > 0.0
+    return _named("", SENSED_NAMES, values[1 : 1 + SENSED]) if is_known else {}
 
 
 def _named(prefix: str, names: tuple[str, ...], values: Array) -> Row:

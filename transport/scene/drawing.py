@@ -76,9 +76,9 @@ class Drawing:
 
     def __init__(self, builder: SceneBuilder) -> None:
         self._builder = builder
-        # As at the start, for what no target changes; `builder.setup` has the newest targets, too.
-        self._setup = builder.setup
-        self._N = self._setup.system.N
+        # For what no target changes; `builder.setup` is the setup with the targets so far.
+        self._setup_at_start = builder.setup
+        self._N = self._setup_at_start.system.N
 
         # Start of the payload and of the middle of the UAVs, (3,).
         payload_I, uavs_I = self._reference()
@@ -91,15 +91,15 @@ class Drawing:
         self.low = everything.min(axis=0)
         self.high = everything.max(axis=0)
         self.size = float(np.linalg.norm(self.high - self.low))
-        ground_m = self._setup.scenario.plant.ground_m
+        ground_m = self._setup_at_start.scenario.plant.ground_m
         self.floor = float(self.high[2]) + _BELOW_M if ground_m is None else ground_m
 
         # No drawn UAV touches another, or an obstacle at its margin.
         gap_m = pdist(builder.start_I).min(initial=np.inf)
-        margins_m = [2.0 * obstacle.margin_m for obstacle in self._setup.obstacles]
+        margins_m = [2.0 * obstacle.margin_m for obstacle in self._setup_at_start.obstacles]
         self.span = min([_SPAN_M, _SPAN_OF_GAP * float(gap_m), *margins_m])
 
-        self._targets = len(self._setup.maneuver.targets)  # that are drawn
+        self._targets = len(self._setup_at_start.maneuver.targets)  # that are drawn
         self.fixed: tuple[Part, ...] = tuple(self._fixed())
 
     def poses(self, scene: Scene) -> dict[str, Pose]:
@@ -118,12 +118,14 @@ class Drawing:
 
     def poses_at_start(self) -> dict[str, Pose]:
         """Return the poses of the frames in the initial state, before a run has its first tick."""
-        x = self._setup.initial_state()
+        x = self._setup_at_start.initial_state()
         view = StateView(x)
         R_payload = rotation(view.Theta0)
-        attachments_I = [view.r0_I + R_payload @ uav.rho for uav in self._setup.system.uavs]
+        attachments_I = [
+            view.r0_I + R_payload @ uav.rho for uav in self._setup_at_start.system.uavs
+        ]
 
-        uavs_I = self._setup.model.outputs(x)[: 3 * self._N].reshape(-1, 3)
+        uavs_I = self._setup_at_start.model.outputs(x)[: 3 * self._N].reshape(-1, 3)
         R_uavs = [rotation(Theta) for Theta in view.Theta]
         uavs = list(zip(uavs_I, R_uavs, strict=True))
         return _team_poses((view.r0_I, R_payload), uavs, np.array(attachments_I))
@@ -131,7 +133,7 @@ class Drawing:
     def frames_off(self, scene: Scene) -> frozenset[str]:
         """Return the frames of the UAVs whose agents are not on the roster in a scene."""
         off = []
-        for agent, owned in enumerate(self._setup.owned, start=1):
+        for agent, owned in enumerate(self._setup_at_start.owned, start=1):
             if agent not in scene.members:
                 off += [f"uav{uav + 1}" for uav in owned]
         return frozenset(off)
@@ -187,7 +189,7 @@ class Drawing:
         uavs: list[tuple[Colour, Array]] = []
         payload: list[tuple[Colour, Array]] = []
         for prediction in scene.predictions:
-            owned = self._setup.owned[prediction.agent - 1]
+            owned = self._setup_at_start.owned[prediction.agent - 1]
             for k, uav in enumerate(owned):
                 uavs.append((uav_colour(uav), segments(prediction.uavs_I[:, k] - team_I)))
             path = prediction.payload_I - scene.payload_I
@@ -211,17 +213,19 @@ class Drawing:
 
     def _links(self, scene: Scene) -> Iterator[tuple[Colour, Array]]:
         """Yield the links in the frame of the team: the half next to the receiver."""
-        positions = np.array([scene.uavs_I[list(uavs)].mean(axis=0) for uavs in self._setup.owned])
+        positions = np.array(
+            [scene.uavs_I[list(uavs)].mean(axis=0) for uavs in self._setup_at_start.owned]
+        )
         positions -= scene.uavs_I.mean(axis=0)
         for sender, receiver, age_s in scene.links:
             near = positions[receiver - 1]
             far = positions[sender - 1]
-            colour = age_colour(age_s, self._setup.settings.sampling_period_s)
+            colour = age_colour(age_s, self._setup_at_start.settings.sampling_period_s)
             yield colour, np.array([(near, (near + far) / 2.0)])
 
     def _fixed(self) -> Iterator[Part]:
         """Yield the parts that stay as they are in their frames."""
-        setup = self._setup
+        setup = self._setup_at_start
         yield from self._reference_lines()
         yield solid("reference position", GOAL, ball(_GOAL_M), _REFERENCE, layer="reference")
 

@@ -40,15 +40,15 @@ def events_of(history: RunHistory) -> list[Event]:
 def _merged(events: list[Event]) -> list[Event]:
     """Return events with one for all links that change at one tick in the same way."""
     merged: list[Event] = []
-    for (tick, change), group in groupby(events, key=_change_of):
+    for (tick, settings), group in groupby(events, key=_tick_and_settings):
         texts = [event.text for event in group]
-        if change and len(texts) > 1:
-            texts = [f"{len(texts)} links: {change}"]
+        if settings and len(texts) > 1:
+            texts = [f"{len(texts)} links: {settings}"]
         merged += [Event(tick, text) for text in texts]
     return merged
 
 
-def _change_of(event: Event) -> tuple[int, str]:
+def _tick_and_settings(event: Event) -> tuple[int, str]:
     """Return tick and new settings of an event of single links; other events have no settings."""
     is_link = event.text.startswith(("links from", "links to"))
     return event.tick, event.text.partition(": ")[2] if is_link else ""
