@@ -214,7 +214,7 @@ def arrows(package: str) -> dict[str, set[str]]:
 def test_the_table_shows_the_imports() -> None:
     """The table of the rooms in docs/architecture.md has exactly the imports that do not follow from others."""
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `(protocol|transport)/(\w+)` \| (`.*) \|$", text, re.MULTILINE)
+    rows = re.findall(r"^\| `(protocol|transport)/(\w+)` \| .* \| (`.*`) \|$", text, re.MULTILINE)
     written = {(package, room): set(re.findall(r"\w+", others)) for package, room, others in rows}
     found = {
         (package, room): others
