@@ -97,11 +97,16 @@ def compile_library(path: Path, source: bytes, flags: Sequence[str]) -> bool:
     except subprocess.SubprocessError:
         return False
     except OSError as error:
-        problem = f"the cache {path.parent} cannot be written ({error.strerror})"
-        remedy = "plain ones are used, which are several times slower"
-        warnings.warn(f"no compiled kernels: {problem}; {remedy}", RuntimeWarning, stacklevel=2)
+        _warn_of_plain_kernels(f"the cache {path.parent} cannot be written ({error.strerror})")
         return False
     return True
+
+
+@lru_cache
+def _warn_of_plain_kernels(problem: str) -> None:
+    """Give a warning, once in a process: every library has the same problem."""
+    remedy = "plain ones are used, which are several times slower"
+    warnings.warn(f"no compiled kernels: {problem}; {remedy}", RuntimeWarning, stacklevel=3)
 
 
 def _checksum(library: bytes) -> str:

@@ -81,6 +81,23 @@ def test_a_run_beside_a_reader_that_leaves_in_a_path_beyond_ascii(tmp_path: Path
     assert (folder / "summary.json").exists()
 
 
+def test_a_cache_that_cannot_be_written_is_told_in_a_line(tmp_path: Path) -> None:
+    """Each of the two libraries would be compiled; the warning comes once, without lines of code."""
+    no_folder = tmp_path / "file"
+    no_folder.write_text("", encoding="utf-8")
+    done = subprocess.run(
+        command("validate", "resilient"),
+        env={**os.environ, "PAYLOAD_TRANSPORT_CACHE": str(no_folder / "cache")},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=True,
+    )
+    warned = [line for line in done.stderr.splitlines() if "plain ones are used" in line]
+    assert len(warned) == 1
+    assert warned[0].startswith(f"transport: warning: no compiled kernels: the cache {no_folder}")
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full")
 @pytest.mark.parametrize("words", [("validate", "paper", "--format", "json"), ("--help",)])
 def test_standard_output_on_a_full_disk(words: tuple[str, ...]) -> None:

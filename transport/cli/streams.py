@@ -3,6 +3,7 @@
 import io
 import os
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from errno import EPIPE
@@ -37,10 +38,11 @@ def standard_streams() -> Iterator[None]:
 
     A reader that has left, as `head`, changes nothing. Another failure of standard output, such as
     a full disk, is told in a line, and the exit code is 10 unless the command has another one.
-    Standard error may be lost.
+    Standard error may be lost. A warning is one line, like an error.
     """
     output = _replace("stdout", 1)
     _replace("stderr", 2)
+    warnings.showwarning = _one_line
     try:
         yield
     except SystemExit as end:
@@ -50,6 +52,11 @@ def standard_streams() -> Iterator[None]:
         reason = output.error.strerror
         sys.stderr.write(f"transport: standard output: cannot write the results ({reason})\n")
         sys.exit(end.code or EXIT_UNRECORDED)
+
+
+def _one_line(message: Warning | str, *_: object, **__: object) -> None:
+    """Write a warning; the line of code that gives it says nothing to a user."""
+    sys.stderr.write(f"transport: warning: {message}\n")
 
 
 def _replace(name: str, number: int) -> _Stream:
