@@ -61,7 +61,7 @@ def exceeded(
 
     The path is given by its jets at k instants, (7, k, 3), or (7, k, 5) with a formation. The
     instants must be dense (`path_instants`): nothing is known between them. UAVs, 0-based, were
-    released before it.
+    released before it, and only those left have limits.
     Source: docs/equations.md (69).
     """
     left = [uav for uav in range(system.N) if uav not in released]
@@ -116,7 +116,10 @@ def least_slowing(
 
 
 def _aside(path: Array, system: System) -> float:
-    """Return the largest horizontal offset of a UAV from its attachment, over its rod length."""
+    """Return the largest horizontal offset of a UAV from its attachment, over its rod length.
+
+    Released UAVs count: (66a) has a place for them as well, without a force.
+    """
     rho = np.array([uav.rho for uav in system.uavs])
     lengths_m = np.array([uav.rod_length for uav in system.uavs])
     stretch = path[0, :, None, 3:] - 1.0
@@ -127,10 +130,11 @@ def _aside(path: Array, system: System) -> float:
 def _extremes(
     flown: Flight, system: System, hover: Hover, settings: ControllerSettings, left: list[int]
 ) -> Iterator[Extreme]:
-    """Yield the extremes of the quantities that are limited, always in the same order."""
+    """Yield the extremes of the quantities of the UAVs left, always in the same order."""
     limits = settings.limits
     inputs = flown.u.reshape(len(flown.x), system.N, INPUTS)[:, left]
-    tensions_of_hover = (flown.tensions / hover.tensions)[:, left]
+    tensions_N = flown.tensions[:, left]
+    shares_of_hover = tensions_N / hover.tensions[left]
 
     yield _highest("a thrust of at most", " N", limits.thrust_N[1], inputs[..., 0])
 
@@ -148,9 +152,9 @@ def _extremes(
     yield _lowest("a thrust of at least", " N", limits.thrust_N[0], inputs[..., 0])
 
     share = "a share of the rod tension at hover of at least"
-    yield _lowest(share, "", LEAST_TENSION, tensions_of_hover)
+    yield _lowest(share, "", LEAST_TENSION, shares_of_hover)
     if settings.tension is not None:
-        yield _lowest("a rod tension of at least", " N", settings.tension.minimum_N, flown.tensions)
+        yield _lowest("a rod tension of at least", " N", settings.tension.minimum_N, tensions_N)
 
     if settings.separation is not None and len(left) > 1:
         quantity = "a distance of UAVs of at least"

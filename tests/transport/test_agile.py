@@ -7,7 +7,11 @@ import pytest
 
 import transport
 from transport.analysis.series import series_of
+from transport.model.flight import flight
+from transport.model.hover import failed_hover, with_released
+from transport.mpc.settings import Tension
 from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.feasibility import exceeded
 
 QUICK = [
     {"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]},
@@ -113,6 +117,23 @@ def test_release_that_the_rest_cannot_fly_is_refused() -> None:
         ScenarioError, match="expected all rods of the UAVs left to carry the payload"
     ):
         transport.Scenario("eight", released(1)).setup  # noqa: B018
+
+
+def test_least_tension_is_that_of_the_uavs_left() -> None:
+    """The bob of a released UAV pulls with next to nothing; the rods that carry the payload keep the limit."""
+    given = {**released(4), "controller.tension.minimum_N": 3.2}
+    setup = transport.Scenario("eight", given).setup
+
+    left = with_released(setup.system, {3})
+    at_rest = failed_hover(setup.system, {3}, {3})
+    path = setup.reference.maneuver.jets(setup.reference.times_s)
+    assert exceeded(path, left, at_rest, setup.settings, {3}) is None
+
+    higher = setup.settings.model_copy(update={"tension": Tension(minimum_N=5.0)})
+    problem = exceeded(path, left, at_rest, higher, {3})
+    assert problem is not None
+    least_N = flight(left, at_rest, path, released={3}).tensions[:, :3].min()
+    assert problem.endswith(f"at least 5 N along the reference, got {least_N:.4g} N")
 
 
 @pytest.mark.slow
