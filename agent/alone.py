@@ -1,7 +1,8 @@
-"""The controller "alone": each UAV keeps to its own part of the reference by its own sensors; no message helps it.
+"""The controller "alone": each UAV keeps to its own part of the reference by its own sensors.
 
-It is the baseline that tells what the network is worth. An agent applies docs/equations.md (31a)-(31d) to each of its
-UAVs. It sends plans, which the plant applies, and ignores those of the others.
+No message helps it: it is the baseline that tells what the network is worth. An agent applies
+docs/equations.md (31a)-(31f) to each of its UAVs. It sends plans, which the plant applies, and
+ignores those of the others.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,7 +23,11 @@ from transport.protocol.wire.messages import STAGES, Measurement, Message, Plan
 from transport.protocol.wire.node import Outbox
 
 ALONE = "alone"  # the name of this controller in a scenario
-_HELD_S = 0.2  # time after which a UAV without newer plans continues on its fail-safe, which is the same law
+# Time over which a plan repeats its inputs, s. It covers three lost plans in a row at 20 Hz, and is
+# about the time constant of the attitude loop (6 rad/s): moments held for longer tip the UAV. Without
+# a newer plan the actuators continue on `controller.fail_safe`: "follow" is (31a) along the reference
+# itself, by the state of the plant; "level" keeps level.
+_PLAN_S = 0.2
 
 
 @dataclass(slots=True)
@@ -37,27 +42,32 @@ class AlonePlanner:
     """Planner of an agent, 1-based, whose UAVs follow the reference alone; the stopwatch counts ns."""
 
     def __init__(self, setup: Setup, agent: int, stopwatch: Callable[[], int]) -> None:
-        self._agent, self._stopwatch = agent, stopwatch
+        self._agent = agent
+        self._stopwatch = stopwatch
         self._owned = setup.owned[agent - 1]
         self._peers = tuple(other for other in setup.agents if other != agent)
         self._setup = setup
-        # What the team would do, undisturbed: all UAVs follow their part of it.
+        # Each UAV follows its part of the motion that the undisturbed team takes under its law, (31f).
         regulation = Regulation(setup.model, setup.hover, setup.settings, setup.reference.sampled)
-        self._law = AloneTeam(setup.model, setup.hover, setup.settings, regulation)
         self._regulation = regulation
-        self._law.follow(setup.X_ref, setup.reference.sampled.track)
+        self._team = AloneTeam(setup.model, setup.hover, setup.settings, regulation)
+        self._team.follow(setup.X_ref, setup.reference.sampled.track)
         self.restart()
 
     def restart(self) -> None:
         """Reset for a new start in the run: integral and rods as on the reference."""
         system = self._setup.system
+        ages = self._setup.sensors.ages
+        period_s = self._setup.settings.sampling_period_s
+
         self._measurement: Measurement | None = None  # the newest that is usable
         self._held_I = {uav: np.zeros(3) for uav in self._owned}
-        period_s, ages = self._setup.settings.sampling_period_s, self._setup.sensors.ages
         self._sensors = {uav: OwnSensors(system, uav, ages, period_s) for uav in self._owned}
+        # Inputs of the newest plan, (4 owned,); hover until there is a measurement.
         self._inputs: Array = self._setup.hover.u[state.input_indices(self._owned)]
+        self._has_planned = False
         self._failed: tuple[frozenset[int], frozenset[int]] = frozenset(), frozenset()
-        self._law.fail((), ())
+        self._team.fail((), ())
         self._idle_since_ns = self._stopwatch()
 
     @property
@@ -72,7 +82,7 @@ class AlonePlanner:
         """Follow the reference of the run with a further target, from that target's tick on."""
         self._setup = setup
         self._regulation.follow(setup.reference.sampled)
-        self._law.follow(setup.X_ref, setup.reference.sampled.track)
+        self._team.follow(setup.X_ref, setup.reference.sampled.track)
 
     def warm_up(self) -> None:
         """Do nothing: a step has nothing to compile."""
@@ -83,17 +93,22 @@ class AlonePlanner:
             self._measurement = max(received.measurements, key=lambda measurement: measurement.tick)
         if self._failed != (received.off, received.released):
             self._failed = received.off, received.released
-            self._law.fail(*self._failed)
+            self._team.fail(*self._failed)
         return AloneStep(received)
 
     def plan(self, step: AloneStep, out: Outbox, publish_ns: int) -> list[Message]:
         """Return the tick's plan and report."""
-        begun_ns, step.negotiation = self._stopwatch(), 0
-        setup, k = self._setup, step.received.tick
+        begun_ns = self._stopwatch()
+        step.negotiation = 0
+        setup = self._setup
+        k = step.received.tick
+
+        # Without a measurement of this tick the inputs stay.
         measured = self._measurement
         if measured is not None and measured.tick == k:
             self._inputs = self._controlled(measured)
-        rows = max(1, round(_HELD_S / setup.settings.sampling_period_s))
+        self._has_planned = True
+        rows = max(1, round(_PLAN_S / setup.settings.sampling_period_s))
         inputs = np.tile(self._inputs, (min(rows, setup.settings.horizon), 1))
         plan = out.stamp(
             Plan,
@@ -116,7 +131,7 @@ class AlonePlanner:
             "publish": publish_ns,
             "solve": now_ns - begun_ns,
         }
-        none = (-1,) * len(self._peers)
+        no_ages = (-1,) * len(self._peers)
         report = step_report(
             step.received,
             self._agent,
@@ -128,8 +143,8 @@ class AlonePlanner:
             residual=-1.0,
             force=np.zeros(3),
             peers=self._peers,
-            plan_ages=none,
-            state_ages=none,
+            plan_ages=no_ages,
+            state_ages=no_ages,
             measurement_age=-1 if measured is None else k - measured.tick,
             times_ns={**dict.fromkeys(STAGES, 0), **spent_ns, "total": now_ns - started_ns},
         )
@@ -140,37 +155,51 @@ class AlonePlanner:
         """Return nothing: this controller has nothing to end with the run."""
         return []
 
-    def stop(self) -> str:
-        """Return that there was nothing to stop."""
-        return ""
-
     def _controlled(self, measured: Measurement) -> Array:
-        """Return the inputs of the owned UAVs by their measurements, within rates and limits, (4 owned,)."""
-        settings, wanted = self._setup.settings, []
+        """Return the inputs of the owned UAVs within rates and limits, (4 owned,)."""
+        settings = self._setup.settings
         start = measured.tick + int(self._setup.scenario.clock.next_tick)
+        wanted = []
         for uav, values, until in zip(
             self._owned, measured.uav_states, measured.inputs, strict=True
         ):
-            law, course = self._law.law(uav), self._law.course(uav, start)
+            law = self._team.law(uav)
+            course = self._team.course(uav, start)
             motion = self._motion(uav, values, float(until[0]), measured, start)
             held_I = self._held_I[uav]
 
             wanted.append(law.inputs(motion, course, held_I))
             self._held_I[uav] = law.held(held_I, motion, course, settings.sampling_period_s)
 
+        before = self._inputs_before(measured)
         step = settings.step(len(self._owned))
-        inputs = np.clip(np.concatenate(wanted), self._inputs - step, self._inputs + step)
+        inputs = np.clip(np.concatenate(wanted), before - step, before + step)
         return np.clip(inputs, settings.lower(len(self._owned)), settings.upper(len(self._owned)))
+
+    def _inputs_before(self, measured: Measurement) -> Array:
+        """Return the inputs in force just before the plan starts, (4 owned,).
+
+        The measured ones, or with `next_tick` those that the plan of the tick before is for. An
+        agent that has returned has no such plan: its UAVs keep, as far as it knows, what they apply.
+        """
+        if self._setup.scenario.clock.next_tick and self._has_planned:
+            return self._inputs
+        return measured.inputs.reshape(-1)
 
     def _motion(
         self, uav: int, values: Array, thrust_N: float, measured: Measurement, start: int
     ) -> Motion:
-        """Return the motion of a UAV, 0-based, at tick `start` by its own measurements, with the thrust until them."""
-        system, tick = self._setup.system, measured.tick
+        """Return the motion of a UAV, 0-based, at tick `start` by its own measurements.
+
+        The thrust is the one applied until them.
+        """
+        system = self._setup.system
+        tick = measured.tick
         if self._setup.sensors.vehicle:
             return self._sensors[uav].motion(values, thrust_N, tick, start, self._reference(uav))
         x = np.zeros(system.n)
-        x[: state.PAYLOAD], x[state.uav_slice(uav)] = measured.payload, values
+        x[: state.PAYLOAD] = measured.payload
+        x[state.uav_slice(uav)] = values
         return ahead(
             motion_of(system, uav, x),
             tick,
@@ -180,10 +209,13 @@ class AlonePlanner:
         )
 
     def _reference(self, uav: int) -> Callable[[int], Motion]:
-        return lambda tick: self._law.course(uav, tick).motion
+        return lambda tick: self._team.course(uav, tick).motion
 
     def _said(self, k: int) -> Array:
-        """Return what the plan of tick k says of the own UAVs: what was measured; with vehicle sensors nothing."""
+        """Return the states of the own UAVs for the plan of tick k, as measured.
+
+        Zeros with vehicle sensors: no other agent uses them.
+        """
         owned = list(self._owned)
         if self._setup.sensors.vehicle:
             return np.zeros((len(owned), state.REPORTS * state.REPORTED))

@@ -1,0 +1,67 @@
+"""The controller "alone": its plans begin where the actuators are."""
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from tests.support import runs
+from transport.agent.alone import AlonePlanner
+from transport.agent.received import Received
+from transport.model import state
+from transport.model.arrays import Array
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Plan
+from transport.protocol.wire.node import Outbox
+
+AGENT = 2
+ROUNDING = 1e-12
+
+
+def _planned(run: Setup, planner: AlonePlanner, k: int, x: Array, inputs: Array) -> Array:
+    """Return the first inputs, (4,), of a plan of tick k at a state, with inputs applied until then."""
+    measured = runs.measurement(run, AGENT, k, x=x)
+    measured = structs.replace(measured, inputs=inputs[None])
+    received = Received(
+        measurement=measured,
+        measurements=[measured],
+        plans=[],
+        lost=0,
+        agents=set(runs.ALL),
+        off=frozenset(),
+        released=frozenset(),
+        failed_since=0,
+        ticks_since_start=k,
+        started_ns=0,
+    )
+    plan, _ = planner.plan(planner.begin(received), Outbox("agent2", 1), 0)
+    assert isinstance(plan, Plan)
+    first: Array = plan.inputs[0]
+    return first
+
+
+@pytest.mark.parametrize("actuation", ["immediate", "next_tick"])
+def test_its_first_plan_starts_from_the_measured_inputs(actuation: str) -> None:
+    """After a return the actuators, on their fail-safe until now, move at their rate at most.
+
+    From then on with inputs that act at once from the measured ones, and else from those of the plan
+    before, whose inputs are in force when the next plan starts.
+    """
+    run = runs.ready("alone", "plant.sensors=state", f"clock.actuation={actuation}")
+    planner = AlonePlanner(run, AGENT, lambda: 0)
+    step = run.settings.step(1)
+    at_hover = run.hover.u[state.input_slice(AGENT - 1)]
+
+    # Far below its place the UAV asks for as much thrust as there is.
+    x = run.hover.x.copy()
+    x[state.R0] = [0.0, 0.0, 10.0]
+    for _ in range(2):
+        applied = at_hover + 2.0 * step
+        planned = _planned(run, planner, 5, x, applied)
+        assert np.abs(planned - applied).max() > 0.0
+        assert (np.abs(planned - applied) <= step + ROUNDING).all()
+
+        later = _planned(run, planner, 6, x, applied)
+        before = planned if run.scenario.clock.next_tick else applied
+        assert later[0] == pytest.approx(before[0] + step[0], abs=ROUNDING)
+
+        planner.restart()
