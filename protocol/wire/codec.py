@@ -30,6 +30,11 @@ _AXES = 3
 _FLOAT64 = np.dtype("<f8")
 
 
+*_PLAN_WITHOUT_DATA, _last = Plan.__struct_fields__
+if _last != Plan.optional:
+    raise TypeError(f"the last field of a plan has to be {Plan.optional}, and is {_last}")
+
+
 class _Kind(msgspec.Struct, frozen=True, array_like=True):
     kind: str
 
@@ -46,7 +51,7 @@ class Header(_Kind, frozen=True):
 def encode(message: Message) -> bytes:
     """Return the bytes of a message; a plan without own data leaves out that last field."""
     if isinstance(message, Plan) and not message.data.size:
-        fields = [getattr(message, name) for name in message.__struct_fields__[:-1]]
+        fields = [getattr(message, name) for name in _PLAN_WITHOUT_DATA]
         return _VERSION + _ENCODER.encode([message.kind, *fields])
     return _VERSION + _ENCODER.encode(message)
 

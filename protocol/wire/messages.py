@@ -87,7 +87,12 @@ class Route:
 class Message(
     msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, kw_only=True
 ):
-    """Fields of every message; subclasses give their kind as `tag`."""
+    """Fields of every message; subclasses give their kind as `tag`.
+
+    Fields travel by position, in the order of definition (docs/protocol.md lists them). A new field
+    of a kind comes last and has a default, or `VERSION` in codec.py grows and older logs cannot be
+    read.
+    """
 
     kind: ClassVar[str]
     route: ClassVar[Route]
@@ -155,7 +160,7 @@ FaultOrigin = Literal["script", "person", "unknown"]
 # of the computation.
 STAGES = ("wait", "estimate", "linearise", "discretise", "condense", "solve", "publish", "total")
 
-_ALL = (AGENT, PLANT, RECORDER, WATCHER)
+_ALL_BUT_COORDINATOR = (AGENT, PLANT, RECORDER, WATCHER)
 
 
 def _per_uav(numbers: int) -> ShapeOf:
@@ -185,7 +190,8 @@ class Tick(Message, tag="tick", frozen=True, kw_only=True):
     )
 
     members: Ids  # agents whose plans of this tick the clock will wait for
-    answered: Ids  # agents whose plans of tick k - 1 count: users of plans of k - 1 wait for these
+    # Agents whose plans of tick k - 1 had arrived when tick k opened: users of them wait for these.
+    answered: Ids
     shared: Ids  # those of them that sent the plan to the other agents as well
     roster: Count  # version of the roster in force: a receiver with an older one waits for it
     late_ns: Count  # in real time, how long after its deadline the tick was opened; else 0
@@ -197,7 +203,9 @@ class Tick(Message, tag="tick", frozen=True, kw_only=True):
 class Roster(Message, tag="roster", frozen=True, kw_only=True):
     """Coordinator to all: the agents that take part from this tick on."""
 
-    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL, grows="version")
+    route: ClassVar[Route] = Route(
+        sender=COORDINATOR, receivers=_ALL_BUT_COORDINATOR, grows="version"
+    )
     as_long: ClassVar[tuple[str, ...]] = "agents", "incarnations"
 
     version: Count  # grows with every change
@@ -217,7 +225,7 @@ class LinkChange(Message, tag="link", frozen=True, kw_only=True):
     It has the key of the roster, so that it arrives before the next one.
     """
 
-    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL, key="roster")
+    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL_BUT_COORDINATOR, key="roster")
 
     # Of the change in its run: a process that joins late receives all of them again.
     number: Annotated[int, Meta(ge=1)]
@@ -232,7 +240,7 @@ class Target(Message, tag="target", frozen=True, kw_only=True):
     Further points make a curve that begins at the target.
     """
 
-    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL, key="roster")
+    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL_BUT_COORDINATOR, key="roster")
     shapes: ClassVar[Mapping[str, ShapeOf]] = {
         "points": lambda _: (None, 3),
         "times": lambda one: (len(one.points),),
@@ -260,7 +268,7 @@ class Target(Message, tag="target", frozen=True, kw_only=True):
 class Control(Message, tag="control", frozen=True, kw_only=True):
     """Coordinator to all: the run ends here."""
 
-    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL)
+    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL_BUT_COORDINATOR)
 
     outcome: Outcome
     reason: Text  # why, for people; empty when completed
@@ -311,9 +319,9 @@ class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
     }
 
     agent: Agent  # the agent it is for
-    answered: Ids  # forwarded from the tick: agents that planned at tick k - 1
-    shared: Ids  # forwarded from the tick: agents whose plans of tick k - 1 to wait for
-    roster: Count  # forwarded from the tick: the version of the roster in force
+    answered: Ids  # these three as in the tick
+    shared: Ids
+    roster: Count
     payload: Array  # states r0, v0, Theta0, omega0, (12,), SI; (0,) with `plant.sensors` vehicle
     uavs: Ids  # owned UAVs, 1-based ids, ascending
     # Their states e, Omega, Theta, omega, (owned, 12), SI; with `plant.sensors` vehicle the
@@ -325,7 +333,8 @@ class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
 class Plan(Message, tag="plan", frozen=True, kw_only=True):
     """Agent to plant and coordinator: states of its UAVs and inputs to apply.
 
-    To the other agents too, if it is shared.
+    To the other agents too, if it is shared. The last field, `optional`, does not travel where it is
+    empty. A new one goes in front of it, with a default, and `VERSION` grows.
     """
 
     route: ClassVar[Route] = Route(
@@ -342,6 +351,7 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
         "corrections": _steps,
         "data": lambda _: (None,),
     }
+    optional: ClassVar[str] = "data"
 
     agent: Agent  # the agent that planned
     start_tick: Count  # first sampling instant the inputs are for
@@ -379,7 +389,7 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
             raise MessageError("out_of_range", text)
 
 
-# For the record; only the coordinator acts on them: it ends a diverged run
+# For the record. The coordinator reads one of them, `PlantState`: it ends a diverged run
 
 
 class StepReport(Message, tag="report", frozen=True, kw_only=True):
@@ -540,7 +550,8 @@ class Record(Bundle, tag="record", frozen=True, kw_only=True):
     carries: ClassVar[tuple[type[Message], ...]] = (PlantState, ActualInputs, Measurement)
 
 
-def _by_kind(base: type[Message]) -> dict[str, type[Message]]:
+def _register(base: type[Message]) -> dict[str, type[Message]]:
+    """Set the kind of every subclass from its tag, and return the subclasses by kind."""
     for cls in base.__subclasses__():
         cls.kind = str(cls.__struct_config__.tag)
     return {cls.kind: cls for cls in base.__subclasses__() if cls is not Bundle}
@@ -548,7 +559,8 @@ def _by_kind(base: type[Message]) -> dict[str, type[Message]]:
 
 # Message classes by kind, in the order of their definition: codec, keys, log and exports are built
 # from them. Nodes and logs never see bundles.
-KINDS, BUNDLES = _by_kind(Message), _by_kind(Bundle)
+KINDS = _register(Message)
+BUNDLES = _register(Bundle)
 
 
 @dataclass(frozen=True, slots=True)
