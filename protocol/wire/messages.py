@@ -151,6 +151,7 @@ def _fits(shape: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
 
 
 NO_NEWS = -9.0  # in `Airtime.arrivals`
+CONTINUED = "continued"  # in `FaultNote.what`, by which a replay knows the process
 
 Outcome = Literal["completed", "failed", "diverged", "aborted"]
 PlanStatus = Literal["solved", "infeasible", "limit", "numerical"]
@@ -480,7 +481,7 @@ class FaultNote(Message, tag="fault", frozen=True, kw_only=True):
     route: ClassVar[Route] = Route(sender=RECORDER, receivers=())
 
     target: Text  # name of the process
-    what: Text  # "killed", "stopped", "continued", "started" or how it ended
+    what: Text  # "killed", "stopped", CONTINUED, "restarted" or how it ended
     origin: FaultOrigin  # the scenario's script, a person, or unknown to the recorder
 
 

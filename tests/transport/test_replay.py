@@ -61,8 +61,16 @@ def plans(log: RunLog, agent: int) -> list[Plan]:
         (),
         (*CLOSED_LOOP, *POOR_LINKS, *TROUBLE),
         (*CLOSED_LOOP, "controller.negotiation_iterations=2", "links.loss=0.3"),
+        (*CLOSED_LOOP, "controller.negotiation_iterations=2", "radio={offsets='none'}"),
+        (*CLOSED_LOOP, *TROUBLE, "radio={offsets='none'}"),
     ],
-    ids=["as published", "poor links, killed, stopped", "negotiation_iterations"],
+    ids=[
+        "as published",
+        "poor links, killed, stopped",
+        "negotiation_iterations",
+        "radio, negotiation_iterations",
+        "radio, killed, stopped",
+    ],
 )
 def test_a_lockstep_run_is_reproduced(settings: tuple[str, ...]) -> None:
     """In lockstep an agent that gets the recorded messages sends the recorded plans and reports, bit for bit."""

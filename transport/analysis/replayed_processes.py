@@ -2,10 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from transport.log.run_log import RunLog
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import (
+    CONTINUED,
+    Airtime,
     FaultNote,
     LinkChange,
     Measurement,
@@ -17,7 +20,7 @@ from transport.protocol.wire.messages import (
 )
 
 # Order of the messages that a tick needs.
-_CHANGES = 0
+_BEFORE = 0
 _MEASUREMENT = 1
 
 
@@ -29,9 +32,8 @@ class AgentProcess:
     incarnation: int  # its first one; a process that is stopped and continued gets higher ones
     admitted: Roster  # that admits it
     replaced: Roster | None  # that admits the next process of the agent; None for the last process
-    ticks: (
-        range  # from that of `admitted` to the one before that of `replaced`, or to the run's end
-    )
+    # From that of `admitted` to the one before that of `replaced`, or to the end of the run.
+    ticks: range
 
     def measurements(self, log: RunLog) -> list[Measurement]:
         """Return the measurements of the process in the order of their ticks."""
@@ -48,17 +50,17 @@ class AgentProcess:
 
     def _receives(self, message: Message) -> bool:
         """Return whether a message, other than a measurement, could reach the process."""
+        replaced = self.replaced
         match message:
             case Roster():
-                is_early = self.replaced is None or message.version < self.replaced.version
-                return self.admitted.version <= message.version and is_early
+                if message.version < self.admitted.version:
+                    return False
+                return replaced is None or message.version < replaced.version
             case LinkChange() | Target():
                 # Earlier changes are sent again ahead of the roster that admits the process.
-                return (
-                    self.replaced is None
-                    or message.sequence <= self.admitted.sequence
-                    or message.tick <= self.replaced.tick
-                )
+                return replaced is None or message.tick <= replaced.tick
+            case Airtime():
+                return message.tick in self.ticks
             case Plan():
                 is_others = message.agent != self.agent and message.shared
                 return is_others and message.tick in self.ticks
@@ -68,11 +70,10 @@ class AgentProcess:
 def processes_of(setup: Setup, log: RunLog, agent: int) -> list[AgentProcess]:
     """Return the processes of an agent, one for each roster that admits a new one."""
     starts = _starts(setup, log, agent)
-    successors: list[Roster | None] = [roster for _, roster in starts[1:]]
-    successors.append(None)
 
     processes = []
-    for (incarnation, roster), replaced in zip(starts, successors, strict=False):
+    for number, (incarnation, roster) in enumerate(starts, start=1):
+        replaced = starts[number][1] if number < len(starts) else None
         end = setup.ticks if replaced is None else replaced.tick
         processes.append(
             AgentProcess(
@@ -122,17 +123,28 @@ def _continued(setup: Setup, log: RunLog, name: str, since: int, until: int) -> 
 
     Such a process noticed that it was off the roster.
     """
+    # The process may be stopped or killed in the tick that admits it; its own return is noted
+    # before that tick is open.
     notes = [
         note.what
         for note in log.of(FaultNote)
         if note.target == name and since <= note.tick <= until
     ]
     if notes:
-        return notes[-1] == "continued"
+        return notes[-1] == CONTINUED
 
     # An in-memory run records no notes, and has a new node for every agent that rejoins after a
-    # fault.
+    # fault. The fault at the tick that admits the process is its own return.
     return not any(fault.target == name and since < fault.tick <= until for fault in setup.faults)
+
+
+class _Need(NamedTuple):
+    """Place of a message in the order of need."""
+
+    tick: int  # that needs it
+    rank: int  # _BEFORE or _MEASUREMENT
+    number: int  # place among the messages of the log
+    message: Message
 
 
 def in_order_of_need(
@@ -143,22 +155,38 @@ def in_order_of_need(
     Within a tick they have the order of the log, with the measurement last.
     """
     last = measurements[-1].tick if measurements else -1
-    order: list[tuple[int, int, int, Message]] = []
-    pending: list[int] = []  # changes of links and targets, which belong to the next roster
+    # Needed after the last measurement: proposals of its tick, without which the step does not end.
+    end = last + 1
+
+    needs: list[_Need] = []
+    pending: list[int] = []  # places of changes of links and targets: they need the next roster
     for number, message in enumerate(received):
         if isinstance(message, LinkChange | Target):
             pending.append(number)
             continue
-        tick = message.tick + 1
+        tick = _tick_of_need(message)
         if isinstance(message, Roster):
-            tick = min(tick, _first_need(message, measurements, last + 1))
-            order += [(tick, _CHANGES, change, received[change]) for change in pending]
+            tick = min(tick, _first_need(message, measurements, end))
+            needs += [_Need(tick, _BEFORE, place, received[place]) for place in pending]
             pending.clear()
-        order.append((tick, _CHANGES, number, message))
+        needs.append(_Need(tick, _BEFORE, number, message))
 
-    order += [(measurement.tick, _MEASUREMENT, 0, measurement) for measurement in measurements]
-    order.sort(key=lambda entry: entry[:3])
-    return [message for tick, _, _, message in order if tick <= last + 1]
+    for measurement in measurements:
+        needs.append(_Need(measurement.tick, _MEASUREMENT, 0, measurement))
+    needs.sort(key=lambda need: need[:3])  # messages have no order
+    return [need.message for need in needs if need.tick <= end]
+
+
+def _tick_of_need(message: Message) -> int:
+    """Return the tick whose measurement comes after a message.
+
+    A plan of tick k is needed at k + 1, and a proposal of k after the measurement of k, as are the
+    news of the radio about it: all lie between the measurements of k and k + 1. The news of the
+    radio until k are needed at k.
+    """
+    if isinstance(message, Airtime) and message.negotiation == 0:
+        return message.tick
+    return message.tick + 1
 
 
 def _first_need(roster: Roster, measurements: Sequence[Measurement], otherwise: int) -> int:

@@ -15,7 +15,7 @@ from transport.flight.harness import Child, Harness
 from transport.flight.recorder import Recorder
 from transport.protocol.scenario.faults import OF_UAVS, Fault
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.wire.messages import FaultOrigin, Request
+from transport.protocol.wire.messages import CONTINUED, FaultOrigin, Request
 from transport.protocol.wire.names import COORDINATOR, PLANT
 
 _SIGNALS = {
@@ -24,7 +24,7 @@ _SIGNALS = {
     "continue": signal.SIGCONT,
     "restart": signal.SIGKILL,
 }
-_NOTES = {"kill": "killed", "stop": "stopped", "continue": "continued", "restart": "restarted"}
+_NOTES = {"kill": "killed", "stop": "stopped", "continue": CONTINUED, "restart": "restarted"}
 
 # Longest wait for a process to end by itself, or after SIGKILL, wall time, s.
 _LEAVE_S = 3.0
