@@ -15,7 +15,11 @@ from transport.model.parameters import System
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mismatch:
-    """Differences between the plant and the controllers' model."""
+    """Differences between the plant and the controllers' model.
+
+    Fields whose names end in `_s` are times, which begin at 0, the others factors of known values:
+    margins are searched accordingly.
+    """
 
     lag_s: float = 0.0  # time constant of the plant's motors, s
     delay_s: float = 0.0  # between command and motors, s

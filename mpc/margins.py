@@ -101,7 +101,7 @@ class Loop(SampledLoop):
             linear = lagged(linear, hovering.u, hovering.u, self.known_lag_s, system.commands_rates)
         discrete = zero_order_hold(linear, self.period_s)
         self._T = T
-        self._r = system.n - 2 * system.N  # coordinates of the motion alone
+        self._motions = system.n - 2 * system.N  # number of coordinates of the motion alone
         self._A = T.T @ discrete.A @ T
         self._B = T.T @ discrete.B
         self._law = first.regulation.gain(0) @ T
@@ -133,92 +133,110 @@ class Loop(SampledLoop):
         """Return the step from one sampling instant to the next.
 
         The state is [motion of the plant, actual inputs that the controllers expect, past states,
-        past commands, guesses of unmeasured coordinates].
+        past commands, estimates of unmeasured coordinates].
         Raises: ParameterError: the bodies have no hover.
         """
-        T = self._T[: self._system.n, : self._r]
-        plant_step = delayed_step(self._system, T, plant, self.period_s)
+        T_motion = self._T[: self._system.n, : self._motions]
+        plant_step = delayed_step(self._system, T_motion, plant, self.period_s)
         late = plant_step.late
 
         whole = self._blocks(plant_step.size, late)
-        now = np.vstack([whole.motion[: self._r], whole.expected])
-        issued, guesses = self._issued(whole, now)
+        now = np.vstack([whole.motion[: self._motions], whole.expected])
+        issued, unmeasured = self._issued(whole, now)
 
         # Commands in force, now and before; the fail-safe needs no time for computing.
         commands = [issued, *whole.commands]  # newest first
         acting = []
-        for newest, delayed in zip(commands, commands[self._delay :], strict=False):
+        in_time = commands[: len(commands) - self._delay]
+        for newest, delayed in zip(in_time, commands[self._delay :], strict=True):
             acting.append(np.where(self._gone, newest, delayed))
 
         moved = plant_step.moved(whole.motion, acting)
-        expected = self._A[self._r :] @ now + self._B[self._r :] @ acting[0]
-        return np.vstack([moved, expected, now, *whole.past[:-1], *commands[:-1], *guesses])
+        expected = self._A[self._motions :] @ now + self._B[self._motions :] @ acting[0]
+        return np.vstack([moved, expected, now, *whole.past[:-1], *commands[:-1], *unmeasured])
 
     def _issued(self, whole: "_Blocks", now: Array) -> tuple[Array, list[Array]]:
-        """Return the new commands, (m, size), and the agents' guesses of unmeasured coordinates."""
+        """Return the new commands, (m, size), and the agents' estimates of unmeasured coordinates."""
         issued = np.empty((self._system.m, now.shape[1]))
         gone = self._gone[:, 0]
         issued[gone] = self._fail_safe[gone] @ now
 
-        guesses = []
-        past = [now, *whole.past]
+        unmeasured = []
+        states = [now, *whole.past]
         for agent, controller in enumerate(self._controllers):
-            x, guess = self._estimate(agent, past, whole.commands, whole.guesses[agent])
+            x, next_unmeasured = self._estimate(
+                agent, states, whole.commands, whole.unmeasured[agent]
+            )
             issued[controller.own] = self._law[controller.own] @ x
-            guesses.append(guess)
-        return issued, guesses
+            unmeasured.append(next_unmeasured)
+        return issued, unmeasured
 
     def _blocks(self, motion: int, late: int) -> "_Blocks":
         """Return the parts of the whole state, as rows of the identity."""
         size = len(self._A)
+        # Estimates reach back age + delay commands, the plant late + 1 periods before those in
+        # force.
         kept = self._delay + max(self._age, late + 1)
-        sizes = [motion, size - self._r, *[size] * self._age, *[self._system.m] * kept]
-        sizes += [len(self._lost)] * len(self._controllers)
+
+        past = [size] * self._age
+        commands = [self._system.m] * kept
+        unmeasured = [len(self._lost)] * len(self._controllers)
+        sizes = [motion, size - self._motions, *past, *commands, *unmeasured]
         parts = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
-        first_command = 2 + self._age
-        first_guess = first_command + kept
+
+        first_command = 2 + len(past)
+        first_unmeasured = first_command + len(commands)
         return _Blocks(
             motion=parts[0],
             expected=parts[1],
             past=parts[2:first_command],
-            commands=parts[first_command:first_guess],
-            guesses=parts[first_guess:],
+            commands=parts[first_command:first_unmeasured],
+            unmeasured=parts[first_unmeasured:],
         )
 
     def _estimate(
-        self, agent: int, known: Sequence[Array], commands: Sequence[Array], guess: Array
+        self,
+        agent: int,
+        states: Sequence[Array],
+        commands: Sequence[Array],
+        unmeasured: Array,
     ) -> tuple[Array, Array]:
-        """Return an agent's estimate of the state of its plan, and of UAVs without agents.
+        """Return an agent's estimate of the state of its plan, and its next unmeasured coordinates.
 
-        From states of all UAVs `age` periods old, its own measurements since, and the commands.
+        Args:
+            agent: Index of its controller.
+            states: Now and one, two, .. periods ago, (size, whole); of all UAVs up to `age`
+                periods ago, payload and own UAVs since then.
+            commands: One, two, .. periods ago, (m, whole).
+            unmeasured: Its estimate of the unmeasured coordinates `age` periods ago, (lost, whole).
+        Source: docs/equations.md (60a).
         """
         own = self._controllers[agent].own
         is_own = np.isin(np.arange(self._system.m), own)[:, None]
-        x = known[self._age].copy()
-        x[self._lost] = guess
-        offset = np.zeros(0)
+        x = states[self._age].copy()
+        x[self._lost] = unmeasured
+        held = np.zeros(0)
 
         # From the newest state known of all, x(k - age), to that of the plan, x(k + delay).
         for step in range(self._age + self._delay):
-            # In force in this period: issued `delay` periods before it; commands[0] is of k - 1.
-            issued = self._age + self._delay - 1 - step
-            u = commands[issued]
+            # In force in this period: issued at k - age - delay + step; commands[0] is of k - 1.
+            u = commands[self._age + self._delay - 1 - step]
             if step == self._delay:
-                # The newest plans received; their difference from the shared law holds on.
-                offset = u - self._law @ x
+                # The newest plans received; their difference from the shared law is held.
+                held = u - self._law @ x
             elif step > self._delay:
                 # Later plans of the others are not received: the shared law replaces them.
-                u = np.where(is_own, u, self._law @ x + offset)
+                u = np.where(is_own, u, self._law @ x + held)
             u = np.where(self._gone, self._fail_safe @ x, u)
             x = self._A @ x + self._B @ u
 
             if step < self._age:
                 # Up to k the agent has its own measurements of x(k - age + step + 1).
-                measured = known[self._age - 1 - step]
+                measured = states[self._age - 1 - step]
                 x = x + self._measured[agent] @ (measured - x)
             if step == 0:
-                guess = x[self._lost]  # where the next tick begins
-        return x, guess
+                unmeasured = x[self._lost]  # of x(k - age + 1), from which the next tick predicts
+        return x, unmeasured
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,7 +247,7 @@ class _Blocks:
     expected: Array  # actual inputs that the controllers expect
     past: Sequence[Array]  # states one, two, .. periods ago
     commands: Sequence[Array]  # newest first
-    guesses: Sequence[Array]  # of unmeasured coordinates, by agent
+    unmeasured: Sequence[Array]  # estimates of unmeasured coordinates `age` periods ago, by agent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -262,25 +280,29 @@ def _margin(loop: SampledLoop, nominal: Mismatch, name: str) -> Margin:
     def is_stable(changed: float) -> bool:
         return loop.growth(replace(nominal, **{name: changed})) <= GROWTH
 
-    if not name.endswith("_s"):
+    if not name.endswith("_s"):  # a factor
         lower = _limit(is_stable, value, 1.0 / FARTHEST)
         upper = _limit(is_stable, value, FARTHEST)
         return Margin(nominal=value, lower=lower, upper=upper)
 
-    # Lags and delays begin at zero, from which no factor leads on.
+    # Lags and delays begin at zero, from which no factor leads on: below the shortest one tried
+    # only the known value is looked at, which is stable.
     begin = max(value, _FIRST_S)
-    upper_s = _limit(is_stable, begin, FARTHEST_S) if is_stable(begin) else begin
-    lower_s = _limit(is_stable, value, _FIRST_S) if value > 0.0 else None
+    upper_s = _limit(is_stable, begin, FARTHEST_S) if is_stable(begin) else value
+    lower_s = _limit(is_stable, value, _FIRST_S) if value > _FIRST_S else None
     return Margin(nominal=value, lower=lower_s, upper=upper_s)
 
 
 def _limit(is_stable: Callable[[float], bool], inside: float, farthest: float) -> float | None:
-    """Return the last stable value from `inside` towards `farthest`; None if all are stable."""
+    """Return the last stable value from `inside` towards `farthest`; None if all are stable.
+
+    `inside` is stable.
+    """
     grows = farthest > inside
+    factor = _COARSE if grows else 1.0 / _COARSE
     while True:
-        outside = (
-            min(inside * _COARSE, farthest) if grows else max(inside * (1.0 / _COARSE), farthest)
-        )
+        outside = inside * factor
+        outside = min(outside, farthest) if grows else max(outside, farthest)
         if not is_stable(outside):
             break
         if outside == farthest:

@@ -17,7 +17,7 @@ from transport.protocol.scenario.errors import (
     option,
     validated,
 )
-from transport.protocol.scenario.files import anchored
+from transport.protocol.scenario.named_files import anchored
 from transport.protocol.scenario.relations import check_relations
 from transport.protocol.scenario.schema import Scenario
 

@@ -15,7 +15,7 @@ from pydantic import (
 )
 
 from transport.mpc.settings import Key, NotNegative, Positive, Section
-from transport.protocol.scenario.files import delays_of, trace_of
+from transport.protocol.scenario.named_files import delays_of, trace_of
 from transport.protocol.wire.names import PLANT
 
 Probability = Annotated[float, Interval(ge=0.0, le=1.0)]

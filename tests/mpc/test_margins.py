@@ -1,15 +1,16 @@
-"""The linear analysis of the sampled loop about hover (docs/equations.md (58))."""
+"""The linear analysis of the sampled loop about hover (docs/equations.md (60))."""
 
 import numpy as np
 import pytest
 
+from transport.model.arrays import Array
 from transport.model.hover import hover
 from transport.model.linearisation import Model
 from transport.model.parameters import System, table_1
 from transport.mpc.actual_plant import Mismatch
 from transport.mpc.controller import Controller
 from transport.mpc.fail_safe import FailSafe
-from transport.mpc.margins import FARTHEST, GROWTH, Loop, margins
+from transport.mpc.margins import FARTHEST, GROWTH, Loop, Margin, SampledLoop, margins
 from transport.mpc.settings import ControllerSettings, Limits, Weights
 
 SYSTEM = table_1()
@@ -142,3 +143,25 @@ def test_the_team_that_is_left_is_its_regulator(gone: tuple[int, ...], follows: 
         settling_s = loop.settling_s(Mismatch())
         assert (settling_s is not None) == (follows or len(gone) == 1)
         assert settling_s is None or not follows or settling_s < SETTLING_S
+
+
+class _ShortDelayLoop(SampledLoop):
+    """A loop that only delays and lags up to a limit leave stable."""
+
+    period_s = 0.05
+
+    def __init__(self, limit_s: float, known_lag_s: float) -> None:
+        self.known_lag_s = known_lag_s
+        self._limit_s = limit_s
+
+    def matrix(self, plant: Mismatch) -> Array:
+        is_stable = plant.delay_s <= self._limit_s and plant.lag_s <= self._limit_s
+        return np.array([[0.9 if is_stable else 1.1]])
+
+
+def test_ends_below_the_shortest_time_tried_are_stable() -> None:
+    """A loop that 1 ms makes unstable has the known value as its end, which is stable, and no lower one."""
+    found = margins(_ShortDelayLoop(limit_s=7e-4, known_lag_s=5e-4))
+    assert found["delay_s"] == Margin(nominal=0.0, lower=None, upper=0.0)
+    assert found["lag_s"] == Margin(nominal=5e-4, lower=None, upper=5e-4)
+    assert found["gain"] == Margin(nominal=1.0, lower=None, upper=None)

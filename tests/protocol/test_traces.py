@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 
 from tests.support.runs import setup
+from transport.protocol.scenario.bounded_files import MOST_TEXT
 from transport.protocol.scenario.file import ScenarioError, validate
 from transport.protocol.scenario.links import traced_delay_s
+from transport.protocol.scenario.named_files import LOST_S, TableError, trace_of
 from transport.protocol.scenario.setup import Setup
 
 TRACE = "links.trace=[[0.0,0.01],[0.05,0.3],[0.1,-1.0],[0.15,0.02]]"
@@ -55,6 +57,22 @@ def test_a_trace_comes_from_a_file(tmp_path: Path) -> None:
         (tmp_path / "roof.csv").write_text(content)
         with pytest.raises(ScenarioError, match="trace"):
             Setup.of(validate(tree, source), source)
+
+
+def test_a_table_of_a_trace_is_read_as_all_tables(tmp_path: Path) -> None:
+    """A byte order mark and blanks are ignored; a bad cell is named, and a large file is not read."""
+    path = tmp_path / "roof.csv"
+    path.write_text("\ufefft_s, delay_s\n0.0, 0.02\n\n0.05, lost \n", encoding="utf-8")
+    assert trace_of(path) == [[0.0, 0.02], [0.05, LOST_S]]
+    for content, problem in (
+        ("t_s,delay_s\n0.0,0.1\n0.1,soon\n", "row 3, column delay_s: expected a finite number"),
+        ("t_s,delay_s\n0.0,nan\n", "row 2, column delay_s: expected a finite number"),
+        ("t_s,delay_s\n0.0\n", "row 2: expected 2 numbers t_s,delay_s, got 1 cells"),
+        ("t_s,delay_s\n" + "0" * MOST_TEXT, "expected at most 10 MB, got more"),
+    ):
+        path.write_text(content)
+        with pytest.raises(TableError, match=problem):
+            trace_of(path)
 
 
 def test_the_example_records_a_trace(tmp_path: Path) -> None:

@@ -147,6 +147,14 @@ def test_tables_hold_the_bits(flight: tuple[Path, list[Message]], tmp_path: Path
             ("export", "nowhere", "--out", "tables", "--kind", "poem"),
             f"expected one of {', '.join(KINDS)}, got 'poem'",
         ),
+        (
+            ("export", "nowhere", "--foxglove", "scene.mcap", "--kind", "plan"),
+            "--kind: expected --out for the tables, got none",
+        ),
+        (
+            ("export", "nowhere", "--ros2", "bag.mcap", "--parquet"),
+            "--parquet: expected --out for the tables, got none",
+        ),
     ],
 )
 def test_refusals(arguments: tuple[str, ...], text: str) -> None:

@@ -110,10 +110,13 @@ class TableOptions:
     ] = None
 
     def check(self) -> None:
-        """End the command if a kind of message does not exist.
+        """End the command for options without tables, and for a kind of message that does not exist.
 
         Loads the package that writes Parquet.
         """
+        for option, is_given in (("--kind", bool(self.kinds)), ("--parquet", self.parquet)):
+            if is_given and self.out is None:
+                fail(f"{option}: expected --out for the tables, got none")
         unknown = sorted(set(self.kinds or []) - set(KINDS))
         if unknown:
             fail(f"--kind: expected one of {', '.join(KINDS)}, got {unknown[0]!r}")

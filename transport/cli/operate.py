@@ -18,11 +18,11 @@ from transport.flight.signals import take_interrupt
 from transport.protocol.network.endpoints import Endpoints, default_mesh, process_names, security_of
 from transport.protocol.network.session import BusError, Reach, ask
 from transport.protocol.scenario.errors import requested
-from transport.protocol.scenario.files import points_of
 from transport.protocol.scenario.keys import key_of, meanings
 from transport.protocol.scenario.link_changes import PERFECT, link_change
 from transport.protocol.scenario.link_sections import LinkSection
 from transport.protocol.scenario.maneuver_sections import TargetSection
+from transport.protocol.scenario.named_files import points_of
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER
 

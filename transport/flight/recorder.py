@@ -279,4 +279,4 @@ class Recorder:
         """Append the bytes of a message to the log, on any thread."""
         with self._writing:
             self.writer.add(topic, data, header, self._clock.now_ns() if at_ns is None else at_ns)
-        self.received += 1
+            self.received += 1

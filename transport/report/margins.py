@@ -56,7 +56,7 @@ def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
 
     Agents know each other's state one sampling period late, or as late as `links.delay_s`. Limits,
     constraints, packet
-    loss and the disturbance estimate are not part of the analysis. Source: docs/equations.md (58).
+    loss and the disturbance estimate are not part of the analysis. Source: docs/equations.md (60).
 
     Raises: ScenarioError: plans are not the shared control law, or the agents that are gone not
         some of several.
@@ -143,7 +143,9 @@ def _ends(name: str, margin: Margin) -> tuple[float, float]:
     unit, least, most = (
         (1e3, 0.0, FARTHEST_S) if name.endswith("_s") else (1.0, 1.0 / FARTHEST, FARTHEST)
     )
-    return unit * (margin.lower or least), unit * (margin.upper or most)
+    lower = least if margin.lower is None else margin.lower
+    upper = most if margin.upper is None else margin.upper
+    return unit * lower, unit * upper
 
 
 def _range(name: str, margin: Margin | None) -> str:

@@ -1,4 +1,4 @@
-"""Files that a scenario names: tables of paths and of measured delays.
+"""Files that a scenario names: tables of paths, of measured delays and of recorded links.
 
 Their content becomes part of the scenario when it is read.
 """
@@ -65,15 +65,14 @@ def trace_of(path: Path) -> list[list[float]]:
 
     Raises: TableError: it cannot be read.
     """
-    heading = "t_s,delay_s"
-    try:
-        columns, *lines = path.read_text(encoding="utf-8").replace(" ", "").splitlines() or [""]
-        if columns != heading:
-            raise ValueError(f"expected the heading {heading}, got {columns[:60]!r}")
-        rows = [line.split(",") for line in lines if line]
-        return [[float(t), LOST_S if delay == "lost" else float(delay)] for t, delay in rows]
-    except (OSError, ValueError) as error:
-        raise TableError(f"{path}: expected a trace of a link ({error})") from error
+    columns, lines = _heading_and_lines(path, "t_s,delay_s")
+    rows: list[list[float]] = []
+    for number, line in lines:
+        cells = _cells(line, columns, path, number)
+        if cells[1].strip() == "lost":
+            cells[1] = str(LOST_S)
+        rows.append(_numbers(cells, columns, path, number))
+    return rows
 
 
 def way_of(path: Path) -> list[list[float]]:
@@ -98,30 +97,40 @@ def points_of(path: Path) -> tuple[list[list[float]], list[float] | None]:
 
 def _table(path: Path, *headings: str) -> tuple[list[str], list[list[float]]]:
     """Return the columns of a CSV file, one of the headings, and its rows, at least one."""
+    columns, lines = _heading_and_lines(path, *headings)
+    rows: list[list[float]] = []
+    for number, line in lines:
+        cells = _cells(line, columns, path, number)
+        rows.append(_numbers(cells, columns, path, number))
+    if not rows:
+        expected = f"expected rows of numbers {','.join(columns)}"
+        raise TableError(f"cannot read {path} ({expected}, got none)")
+    return columns, rows
+
+
+def _heading_and_lines(path: Path, *headings: str) -> tuple[list[str], list[tuple[int, str]]]:
+    """Return the columns of a CSV file, one of the headings, and its other lines with numbers."""
     first, *lines = _lines(path) or [""]
     heading = first.replace(" ", "")
     if heading not in headings:
         expected = f"expected the heading {' or '.join(headings)}"
         raise TableError(f"cannot read {path} ({expected}, got {_shown(heading)})")
 
-    columns = heading.split(",")
-    rows = [
-        _row(line, columns, path, number)
-        for number, line in enumerate(lines, start=2)  # the heading is row 1, as in a spreadsheet
-        if line.strip()
-    ]
-    if not rows:
-        raise TableError(f"cannot read {path} (expected rows of numbers {heading}, got none)")
-    return columns, rows
+    numbered = enumerate(lines, start=2)  # the heading is row 1, as in a spreadsheet
+    return heading.split(","), [(number, line) for number, line in numbered if line.strip()]
 
 
-def _row(line: str, columns: list[str], path: Path, number: int) -> list[float]:
-    """Return the numbers of one row of a table."""
+def _cells(line: str, columns: list[str], path: Path, number: int) -> list[str]:
+    """Return the texts in one row of a table, one for each column."""
     cells = line.split(",")
     if len(cells) != len(columns):
         expected = f"row {number}: expected {len(columns)} numbers {','.join(columns)}"
         raise TableError(f"{path}: {expected}, got {len(cells)} cells {_shown(line)}")
+    return cells
 
+
+def _numbers(cells: list[str], columns: list[str], path: Path, number: int) -> list[float]:
+    """Return the numbers in the cells of one row of a table."""
     return [
         _number(cell, path, f"row {number}, column {column}")
         for cell, column in zip(cells, columns, strict=True)
