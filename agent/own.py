@@ -69,7 +69,7 @@ class OwnStep:
     """An open tick of a controller of the user."""
 
     received: Received
-    start: int  # first tick that the plan is for
+    start_tick: int  # first tick that the plan is for
     negotiation: int  # exchanges of plans still to come
     plans: Sequence[Plan]  # of the others, for the next call
     iteration: int = 0  # exchanges so far
@@ -173,7 +173,7 @@ class OwnPlanner:
         self._run.begin(received, must_send=received.measurement.roster != self._told_roster)
         step = OwnStep(
             received=received,
-            start=received.tick + self._run.delay,
+            start_tick=received.tick + self._run.delay,
             negotiation=self._iterations,
             plans=(),
         )
@@ -232,7 +232,7 @@ class OwnPlanner:
 
     def _outcome(self, step: OwnStep) -> Outcome:
         """Return the result of the class; the shifted previous plan if it has none."""
-        shifted = self._previous.from_tick(step.start)
+        shifted = self._previous.from_tick(step.start_tick)
         without = Outcome(inputs=shifted, data=_NO_DATA, numbers={}, status="solved", send=True)
         if self._measurement is None:
             return without
@@ -265,7 +265,7 @@ class OwnPlanner:
 
     def _conclude(self, step: OwnStep, plan: Plan) -> None:
         """Remember the plan of a tick."""
-        self._previous = Previous(start=step.start, inputs=plan.inputs)
+        self._previous = Previous(start=step.start_tick, inputs=plan.inputs)
         self._run.announce(plan)
         if plan.shared:
             self._told_roster = step.received.measurement.roster
@@ -276,7 +276,7 @@ class OwnPlanner:
             Plan,
             tick=step.received.tick,
             agent=self._agent,
-            start_tick=step.start,
+            start_tick=step.start_tick,
             uavs=tuple(uav + 1 for uav in self._owned),
             uav_states=self._uav_states(step.received.tick),
             inputs=outcome.inputs,

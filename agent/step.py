@@ -30,7 +30,7 @@ NOTES_EVERY_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Start:
+class HorizonStart:
     """Begin of the horizon."""
 
     tick: int  # first tick that the plan is for
@@ -56,7 +56,7 @@ class Step:
 
     received: Received
     uav_states: Array  # states or measurements of the owned UAVs for the plan, (owned, 12 or 80)
-    start: int  # first tick that the plan is for
+    start_tick: int  # first tick that the plan is for
     problem: Problem
     negotiation: int  # exchanges of plans still to come
     result: StepResult | None = None
@@ -127,23 +127,25 @@ class Planner:
         self._times.begin(received.started_ns)
         k = received.tick
         x = self._team.update(received)
-        start = self._start(k, x)
+        start = self._horizon_start(k, x)
         problem = self._problem(k, start)
         return Step(
             received=received,
             uav_states=self._team.estimator.reported(k, x),
-            start=start.tick,
+            start_tick=start.tick,
             problem=problem,
             negotiation=self._setup.scenario.controller.negotiation_iterations,
         )
 
-    def _start(self, k: int, x: Array) -> Start:
+    def _horizon_start(self, k: int, x: Array) -> HorizonStart:
         """Return the begin of the horizon: the tick of the estimate, or one later by prediction."""
         announced = self._team.announced
         if not self._setup.scenario.clock.next_tick:
-            return Start(tick=k, x0=x, u0=self._team.estimator.inputs_until(k, announced))
+            u0 = self._team.estimator.inputs_until(k, announced)
+            return HorizonStart(tick=k, x0=x, u0=u0)
         u0 = announced.in_force(k, before=k, x=x)
-        return Start(tick=k + 1, x0=self._integrated(x, u0, self._team.forces), u0=u0)
+        x0 = self._integrated(x, u0, self._team.forces)
+        return HorizonStart(tick=k + 1, x0=x0, u0=u0)
 
     def _integrated(self, x: Array, u: Array, forces: Array | None) -> Array:
         """Return the state one sampling period later under constant inputs."""
@@ -154,7 +156,7 @@ class Planner:
         x_end, _ = motors.integrate(self._controller.model, x, u, period, forces)
         return x_end
 
-    def _problem(self, k: int, start: Start) -> Problem:
+    def _problem(self, k: int, start: HorizonStart) -> Problem:
         """Return the problem of tick k, about the begin of its horizon."""
         controller = self._controller
         setup = self._setup
@@ -163,15 +165,22 @@ class Planner:
         steps = setup.settings.horizon
         first = start.tick
 
+        # U(j) = U_a(s + j - s_a), the newest plan of each agent shifted by its age: (32).
         U = announced.sequence(first, steps, before=k)
+
+        # u(j) = u_hov + K (x(j) - x_ref(j)) + c_ff(j) + c(j): (35), along a flat reference (71).
         c = announced.corrections(first, steps, before=k)
         law = controller.law(start.x0, setup.X_ref[first : first + steps], c, forces, first)
+
+        # The cost of all later steps under that law: (36d).
         end = controller.end(start.x0, setup.X_ref[first + steps], forces, first + steps)
         self._times.lap("estimate")
 
+        # dx' = A_c dx + B_c du + f(x0, u0): (15).
         linear = controller.linearise(start.x0, start.u0, forces)
         self._times.lap("linearise")
 
+        # dx(j + 1) = A dx(j) + B du(j) + f_d: (16), (17).
         discrete = self._discrete(linear)
         if law is not None and discrete is not None:
             law = self._adapted(law, linear, discrete, U, k)
@@ -223,34 +232,45 @@ class Planner:
         received = step.received
         corrections = Corrections(
             tick=received.tick,
-            start=step.start,
+            start=step.start_tick,
             c=result.c,
             roster=received.measurement.roster,
         )
+        # `decide` is asked once a tick: the others assume a shared plan from then on.
+        is_last = step.negotiation == 0
+        is_shared = not is_last or self._sharing.decide(corrections)
         return out.stamp(
             Plan,
             tick=received.tick,
             agent=self._agent,
-            start_tick=step.start,
+            start_tick=step.start_tick,
             uavs=tuple(uav + 1 for uav in self._owned),
             uav_states=step.uav_states,
             inputs=result.U,
             corrections=result.c,
             status=result.solution.status,
             negotiation=step.negotiation,
-            shared=step.negotiation > 0 or self._sharing.decide(corrections),
+            shared=is_shared,
             alone=self._handover.share,
         )
 
     def _handed_over(self, step: Step, result: StepResult) -> StepResult:
-        """Return the result with inputs between the team's and those of the UAVs alone, (32d)."""
+        """Return the result with inputs between the team's and those of the UAVs alone, (32d).
+
+        The corrections stay those to the team's law: receivers mix that law with the one alone, by
+        the share in the plan (32c).
+        """
         k = step.received.tick
-        return replace(
-            result, U=self._handover.inputs(k, step.start, step.problem.linear, result.U)
-        )
+        linear = step.problem.linear
+        return replace(result, U=self._handover.inputs(k, step.start_tick, linear, result.U))
 
     def adopt(self, step: Step, proposals: Sequence[Plan]) -> None:
-        """Take the others' proposals and the own one into the next iteration of the negotiation."""
+        """Take the others' proposals and the own one into the next iteration of the negotiation.
+
+        U = [u_1, ..., u_M] of iteration r - 1, and with a shared control law c likewise: (47). What
+        an agent has announced before stays where its plan is over another number of steps, as that of
+        an agent in another language may be, or has no corrections.
+        """
         problem = step.problem
         U = problem.U.copy()
         law = None if problem.law is None else replace(problem.law, c=problem.law.c.copy())
@@ -281,22 +301,28 @@ class Planner:
             return result
 
         with np.errstate(over="ignore", invalid="ignore"):  # the solver refuses such numbers
+            # Free response of the state, and its response to the decision: (22)-(24), (35), (36).
             prediction = controller.predict(
                 problem.linear, problem.discrete, problem.U, problem.law
             )
+            # min 1/2 z' H z + g' z, row_lower <= A z <= row_upper: (25)-(30).
             qp = controller.condense(
                 problem.linear, prediction, problem.y_ref, problem.law, problem.end
             )
             self._times.lap("condense")
 
             solution = controller.solve(qp)
+            # U = w U* + (1 - w) U_shift: (30a), with a shared control law of the corrections: (36a).
             result = controller.conclude(
                 solution, prediction, problem.U, problem.law, step.received.ticks_since_start
             )
             self._times.lap("solve")
 
+        # (32b) foresees the others under the team's law: with the inputs before a hand-over.
         if problem.law is not None:
-            self._team.expected = Expected(start=step.start, prediction=prediction, inputs=result.U)
+            self._team.expected = Expected(
+                start=step.start_tick, prediction=prediction, inputs=result.U
+            )
         return result
 
     def _notes(self, tick: int, out: Outbox) -> list[Message]:
