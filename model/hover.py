@@ -35,16 +35,16 @@ def hover(
 ) -> Hover:
     """Return the equilibrium with rod directions, (N, 3), payload frame, straight down by default.
 
-    Rod tensions are of least norm; given thrusts, N, by 0-based numbers, fix those of vertical
-    rods.
+    Rod tensions are of least norm: (18). `thrusts` has thrusts, N, by 0-based UAV: the rods of these
+    must be vertical, and their tensions follow, T = (f - m g) (e . k), (51) for f = 0.
     Raises: ParameterError: no rod tensions balance the payload, or a UAV would have to push down.
     Source: docs/equations.md (18)-(19), (51).
     """
     down = np.array([0.0, 0.0, 1.0])
     e = np.tile(down, (system.N, 1)) if rods_P is None else np.array(rods_P, dtype=np.float64)
     weight = system.payload.mass * system.gravity
-    rounding = _BALANCE_TOLERANCE * max(weight, 1.0)
-    tensions = _balancing(system, e, dict(thrusts or {}), rounding)
+    rounding_N = _BALANCE_TOLERANCE * max(weight, 1.0)
+    tensions = _balancing_tensions(system, e, dict(thrusts or {}), rounding_N)
 
     x = np.zeros(system.n)
     u = np.zeros(system.m)
@@ -52,7 +52,7 @@ def hover(
         # The UAV carries its weight and pulls the rod: f b3 = -(m g + t e).
         force_I = -(uav.mass * system.gravity * down + tensions[i] * e[i])
         thrust = float(np.linalg.norm(force_I))
-        if thrust <= rounding:
+        if thrust <= rounding_N:
             thrust = 0.0
         if thrust > 0.0 and force_I[2] >= 0.0:
             problem = f"UAV{i + 1} would have to push down or sideways ({force_I[2]:.3g} N)"
@@ -67,7 +67,9 @@ def hover(
     return Hover(x=x, u=u, tensions=tensions)
 
 
-def _balancing(system: System, e: Array, thrusts: Mapping[int, float], rounding: float) -> Array:
+def _balancing_tensions(
+    system: System, e: Array, thrusts: Mapping[int, float], rounding_N: float
+) -> Array:
     """Return the rod tensions that hold the payload level, (N,), N: sum [e, rho x e] t = [m0 g, 0].
 
     Raises: ParameterError: none do, up to rounding, N and N m.
@@ -80,14 +82,16 @@ def _balancing(system: System, e: Array, thrusts: Mapping[int, float], rounding:
     tensions = np.zeros(system.N)
     given = sorted(thrusts)
     free = np.setdiff1d(np.arange(system.N), given)
+    # T = (f - m g) (e . k) on a vertical rod; (51) for f = 0.
     for i in given:
         own_weight = system.uavs[i].mass * system.gravity
         tensions[i] = (thrusts[i] - own_weight) * e[i, 2]
+    # The others have the least norm: (18).
     carried = load - wrenches[:, given] @ tensions[given]
     tensions[free] = np.linalg.lstsq(wrenches[:, free], carried, rcond=None)[0]
 
     unbalanced = np.abs(wrenches @ tensions - load).max()
-    if unbalanced > rounding:
+    if unbalanced > rounding_N:
         raise ParameterError(
             f"no hover equilibrium: rods at {rho.tolist()} m with directions {e.tolist()} leave "
             f"{unbalanced:.3g} N or N m on the payload; its centre of mass must hang between the "
@@ -119,18 +123,20 @@ def with_released(system: System, released: Collection[int]) -> System:
     return replace(system, uavs=tuple(uavs))
 
 
-def failed_hover(
+def hover_after_failures(
     system: System,
     off: Collection[int],
     released: Collection[int],
     thrusts: Mapping[int, float] | None = None,
 ) -> Hover:
-    """Return the hover with UAVs off, upright, and given thrusts of others, N.
+    """Return the hover with UAVs off, 0-based, and given thrusts of others, N.
 
-    Raises: ParameterError: none.
+    `released` are some of those off: a bob hangs in place of each, (50). The rest stand upright on
+    their rods, and load the payload with their weight, (51).
+    Raises: ParameterError: there is no such hover.
     """
     rods = np.tile([0.0, 0.0, 1.0], (system.N, 1))
-    rods[sorted(released)] *= -1.0
+    rods[sorted(released)] *= -1.0  # from the bob up to the payload: e = -k
     given = {**(thrusts or {}), **dict.fromkeys(off, 0.0)}
     return hover(with_released(system, released), rods, given)
 

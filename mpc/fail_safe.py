@@ -10,7 +10,7 @@ import numpy as np
 from transport.model import flat, state
 from transport.model.arrays import Array, rows
 from transport.model.flat import Track
-from transport.model.hover import failed_hover, with_released
+from transport.model.hover import hover_after_failures, with_released
 from transport.model.identity import digest
 from transport.model.parameters import ParameterError, System
 from transport.mpc.alone import AloneLaw, Course, course_of, motion_of
@@ -63,7 +63,7 @@ class FailSafe:
         if not off:
             return self
         try:
-            hover = failed_hover(self._system, off, released)
+            hover = hover_after_failures(self._system, off, released)
         except ParameterError:
             return self
 

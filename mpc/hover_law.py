@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from transport.model.arrays import Array, padded
-from transport.model.hover import Hover, failed_hover
+from transport.model.hover import Hover, hover_after_failures
 from transport.model.identity import digest
 from transport.model.linearisation import Model
 from transport.model.state import input_slice
@@ -116,6 +116,6 @@ def _hovering(crew: Crew, fail_safe: FailSafe, team: Team) -> HoveringTeam:
         for uav in uncontrolled:
             thrusts[uav] = float(fail_safe.u_hover[input_slice(uav)][0])
         model = Model(system, team.off, team.released)
-        hover = failed_hover(system, team.off, team.released, thrusts)
+        hover = hover_after_failures(system, team.off, team.released, thrusts)
     cost = Cost(crew.settings.weights, system, hover, team.off, team.released)
     return HoveringTeam(model=model, hover=hover, cost=cost, team=team, uncontrolled=uncontrolled)

@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.hover import Hover, failed_hover, with_released
+from transport.model.hover import Hover, hover_after_failures, with_released
 from transport.model.linearisation import Model
 from transport.model.maneuver import Maneuver
 from transport.model.obstacles import Obstacle
@@ -110,7 +110,7 @@ def off_limits(
                 field = "faults.event"
             gone = frozenset(fault.uav for fault in released[:count])
             left = with_released(system, gone)
-            at_rest = failed_hover(system, gone, gone) if gone else hover
+            at_rest = hover_after_failures(system, gone, gone) if gone else hover
 
             after = instants_s >= since_s
             problem = exceeded(path[:, after], left, at_rest, settings, gone)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from transport.model.arrays import Array
-from transport.model.hover import failed_hover
+from transport.model.hover import hover_after_failures
 from transport.model.parameters import ParameterError
 from transport.model.state import input_indices
 from transport.mpc.cost import Cost
@@ -56,7 +56,7 @@ def _team_cost(setup: Setup, failed: list[Fault]) -> TeamCost:
     if off:
         # If the rest cannot hover, the control law keeps the hover of all as well.
         with suppress(ParameterError):
-            equilibrium = failed_hover(setup.system, off, released)
+            equilibrium = hover_after_failures(setup.system, off, released)
 
     cost = Cost(setup.settings.weights, setup.system, equilibrium, off, released)
     return TeamCost(cost, input_indices(sorted(released)))

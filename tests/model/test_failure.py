@@ -8,8 +8,8 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.model.hover import (
     RELEASED_MASS_KG,
-    failed_hover,
     hover,
+    hover_after_failures,
     motor_off_state,
     no_inputs,
     released_state,
@@ -52,7 +52,7 @@ def test_three_hold_a_payload_without_the_fourth() -> None:
 
     Docs/equations.md (51).
     """
-    at = failed_hover(table_1(), {DEAD}, {DEAD})
+    at = hover_after_failures(table_1(), {DEAD}, {DEAD})
     np.testing.assert_allclose(
         thrusts(at.u)[list(NEIGHBOURS)], 2.0 * WEIGHT_N, atol=BOB_TOLERANCE_N
     )
@@ -67,7 +67,7 @@ def test_with_the_fourth_on_its_rod_the_opposite_one_has_no_thrust() -> None:
 
     The opposite one rests on its rod, its neighbours are 0.9 N from their bound.
     """
-    at = failed_hover(table_1(), {DEAD}, set())
+    at = hover_after_failures(table_1(), {DEAD}, set())
     assert thrusts(at.u)[OPPOSITE] == 0.0
     np.testing.assert_allclose(
         thrusts(at.u)[list(NEIGHBOURS)], 3.0 * WEIGHT_N, atol=FORCE_TOLERANCE_N
@@ -83,7 +83,7 @@ def test_with_the_fourth_on_its_rod_the_opposite_one_has_no_thrust() -> None:
 def test_five_and_more_hold_a_dead_uav(uavs: int, least: float, most: float) -> None:
     """With five or more a level hover exists in which every other UAV has thrust to spare in both directions."""
     system = larger(uavs)
-    at = failed_hover(system, {DEAD}, set())
+    at = hover_after_failures(system, {DEAD}, set())
     others = np.delete(thrusts(at.u), DEAD)
     assert least < others.min()
     assert others.max() < most
@@ -93,7 +93,7 @@ def test_five_and_more_hold_a_dead_uav(uavs: int, least: float, most: float) -> 
 def test_two_neighbours_gone_is_too_much() -> None:
     """Two UAVs that are left on one side of the payload have no hover, and the text says so."""
     with pytest.raises(ParameterError, match="no hover equilibrium"):
-        failed_hover(table_1(), {0, 1}, {0, 1})
+        hover_after_failures(table_1(), {0, 1}, {0, 1})
 
 
 def moving(system: System) -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ from transport.model.arrays import Array
 from transport.model.curves import Curve
 from transport.model.flat import FlatReference
 from transport.model.flight import flight
-from transport.model.hover import failed_hover, hover, with_released
+from transport.model.hover import hover, hover_after_failures, with_released
 from transport.model.linearisation import Model
 from transport.model.maneuver import Maneuver
 from transport.model.parameters import ParameterError, Payload, System, Uav, table_1
@@ -212,7 +212,7 @@ def test_reference_of_the_uavs_left_after_a_release(gains: list[float] | None) -
     team, bob = unequal(gains), 2
     uavs = [replace(uav, rho=rho) for uav, rho in zip(team.uavs, LEFT, strict=True)]
     team, released = replace(team, uavs=tuple(uavs)), {bob}
-    at_rest, model = failed_hover(team, released, released), Model(team, released, released)
+    at_rest, model = hover_after_failures(team, released, released), Model(team, released, released)
     system = with_released(team, released)
     maneuver, times = along(CURVES["eight"]), np.random.default_rng(4).uniform(0.0, 18.0, 40)
 

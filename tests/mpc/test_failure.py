@@ -10,7 +10,7 @@ from tests.support.systems import paper_setup
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.discretisation import zero_order_hold
-from transport.model.hover import failed_hover, hover
+from transport.model.hover import hover, hover_after_failures
 from transport.model.linearisation import Model
 from transport.model.parameters import System, table_1
 from transport.model.state import input_indices
@@ -35,7 +35,7 @@ GAIN_TOLERANCE = 1e-3
 
 def found(system: System, off: AbstractSet[int], released: AbstractSet[int]) -> Regulator:
     """Return the regulator of the remaining team."""
-    at = failed_hover(system, off, released)
+    at = hover_after_failures(system, off, released)
     cost = Cost(Weights(), system, at, off, released)
     team = Team(off=frozenset(off), released=frozenset(released))
     model = Model(system, off, released)
@@ -64,7 +64,7 @@ def test_three_stabilise_the_payload_without_the_fourth() -> None:
     three = System(
         payload=system.payload, uavs=[system.uavs[i] for i in live], gravity=system.gravity
     )
-    at = failed_hover(three, set(), set())
+    at = hover_after_failures(three, set(), set())
     cost = Cost(Weights(), three, at)
     uncontrolled = regulator(HoveringTeam(model=Model(three), hover=at, cost=cost), PERIOD_S)
     K = found(system, {DEAD}, {DEAD}).K
@@ -90,7 +90,7 @@ def test_four_with_the_dead_one_cannot_be_stabilised() -> None:
     """The dead UAV falls over: with the opposite one at zero thrust no input reaches that mode."""
     with pytest.raises(FeedbackError, match="expected a team that linear feedback can stabilise"):
         found(table_1(), {DEAD}, set())
-    at = failed_hover(table_1(), {DEAD}, set())
+    at = hover_after_failures(table_1(), {DEAD}, set())
     growth, margin = control_margin(table_1(), at.x, at.u)
     assert margin < UNCONTROLLABLE
     assert growth == pytest.approx(np.exp(2.255 * PERIOD_S), rel=1e-3)  # doubles every 0.31 s
@@ -125,7 +125,7 @@ def test_uavs_on_the_fail_safe_keep_their_thrust() -> None:
     regulation = Regulation(Model(system), whole, CLOSED)
     regulation.form([1], [DEAD], [DEAD])
     lift_N, at = regulation.hover.u[::4], regulation.hover
-    assert lift_N[1] == pytest.approx(failed_hover(system, [DEAD], [DEAD]).u[4], abs=1e-9)
+    assert lift_N[1] == pytest.approx(hover_after_failures(system, [DEAD], [DEAD]).u[4], abs=1e-9)
     assert lift_N[DEAD] == 0.0
     left_kg = system.total_mass - system.uavs[DEAD].mass
     assert lift_N.sum() == pytest.approx(left_kg * system.gravity, rel=1e-6)
@@ -139,7 +139,7 @@ def test_at_hover_nothing_is_to_be_corrected() -> None:
     setup = paper_setup()
     controller = Controller(setup.model, setup.hover, CLOSED, [3])
     controller.fail({DEAD}, {DEAD})
-    at = failed_hover(setup.system, {DEAD}, {DEAD})
+    at = hover_after_failures(setup.system, {DEAD}, {DEAD})
     steps = CLOSED.horizon
     x_ref, U = np.tile(setup.hover.x, (steps, 1)), np.tile(at.u, (steps, 1))
     law = controller.law(at.x, x_ref, np.zeros_like(U))

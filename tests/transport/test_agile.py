@@ -8,7 +8,7 @@ import pytest
 import transport
 from transport.analysis.series import series_of
 from transport.model.flight import flight
-from transport.model.hover import failed_hover, with_released
+from transport.model.hover import hover_after_failures, with_released
 from transport.mpc.settings import Tension
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.feasibility import exceeded
@@ -125,7 +125,7 @@ def test_least_tension_is_that_of_the_uavs_left() -> None:
     setup = transport.Scenario("eight", given).setup
 
     left = with_released(setup.system, {3})
-    at_rest = failed_hover(setup.system, {3}, {3})
+    at_rest = hover_after_failures(setup.system, {3}, {3})
     path = setup.reference.maneuver.jets(setup.reference.times_s)
     assert exceeded(path, left, at_rest, setup.settings, {3}) is None
 
