@@ -23,10 +23,15 @@ from transport.protocol.scenario.planned_run import PlannedRun
 
 SPEED_MPS = 1.0  # largest speed where none is given
 
-# Time of speeding up that is tried first, the factor from one to the next, and the longest one.
-_RAMP_S = 2.0
+# Time of speeding up of an approach that is tried first, the factor from one to the next, and the
+# longest one.
+_SHORTEST_RAMP_S = 2.0
 _LONGER = 1.25
-_LONGEST_RAMP_S = 64.0 * _RAMP_S
+_LONGEST_RAMP_S = 64.0 * _SHORTEST_RAMP_S
+
+# That of the curve through further points: as quick as the quickest approach, until the curve is
+# slowed as a whole.
+_WAY_RAMP_S = _SHORTEST_RAMP_S
 
 ON_GROUND_M = 1e-3  # how far a payload that takes off or lands may be from the ground
 _ROUNDING_M = 1e-9
@@ -48,7 +53,7 @@ class Window:
 
 
 def planned(setup: PlannedRun, section: TargetSection, tick: int) -> dict[str, Any]:
-    """Return the numbers of the message for a target from a tick on.
+    """Return the fields of the message for a target from a tick on.
 
     The least duration is compared with the rest of the run before anything is sampled, and the work
     depends on the number of way points alone, whatever the distances, speeds and times.
@@ -59,30 +64,40 @@ def planned(setup: PlannedRun, section: TargetSection, tick: int) -> dict[str, A
     period_s = setup.settings.sampling_period_s
     window = Window(since_s=tick * period_s, last_s=(setup.ticks - 1) * period_s)
 
-    _check_places(setup, points_I, window.since_s)
+    # What needs no sampling of the path.
+    _check_above_ground(setup, points_I, window.since_s)
+    _check_in_flight(setup, window.since_s)
     window.check(_least_approach_s(setup, section, window) + _least_way_s(section))
 
+    # The fastest motion that keeps the limits of the team, within the time left.
     approach = _approach(setup, section, window)
     way = _way(setup, section) if len(points_I) > 1 else None
-    way_s = 0.0 if way is None else way.duration_s
-    window.check(approach.duration_s + way_s)
+    window.check(approach.duration_s + (0.0 if way is None else way.duration_s))
+
+    # Between its points a curve may be deeper than they are.
     if way is not None:
         way_I = points_I[0] + way.path(curve_instants(way), 1)[0]
-        _check_places(setup, way_I, window.since_s)
+        _check_above_ground(setup, way_I, window.since_s)
 
     target = Target(since_s=window.since_s, point_I=points_I[0], approach=approach, way=way)
     _check_obstacles(setup, target)
+    return _message_fields(tick, points_I, approach, way)
 
-    times = np.zeros(len(points_I))
+
+def _message_fields(
+    tick: int, points_I: Array, approach: Curve, way: Curve | None
+) -> dict[str, Any]:
+    """Return the fields of `messages.Target` but its number and header."""
+    times_s = np.zeros(len(points_I))
     if way is not None and way.times_s is not None:
-        times[1:] = way.times_s
+        times_s[1:] = way.times_s
     return {
         "tick": tick,
         "points": points_I,
-        "times": times,
+        "times": times_s,
         "approach_s": approach.duration_s,
         "approach_ramp_s": approach.ramp_s,
-        "way_s": way_s,
+        "way_s": 0.0 if way is None else way.duration_s,
         "way_ramp_s": 0.0 if way is None else way.ramp_s,
     }
 
@@ -118,7 +133,7 @@ def _speed_of(section: TargetSection) -> float:
 def _least_approach_s(setup: PlannedRun, section: TargetSection, window: Window) -> float:
     """Return the duration of the approach with the shortest ramps that are tried, s."""
     distance_m = _approach_m(setup, np.array(section.points_m[0]), window)
-    return _ramped_s(distance_m, _speed_of(section), _RAMP_S)
+    return _ramped_s(distance_m, _speed_of(section), _SHORTEST_RAMP_S)
 
 
 def _least_way_s(section: TargetSection) -> float:
@@ -133,14 +148,16 @@ def _least_way_s(section: TargetSection) -> float:
 
     steps_I = np.diff(np.array(section.points_m), axis=0)
     length_m = float(np.linalg.norm(steps_I, axis=1).sum())
-    return _ramped_s(length_m, _speed_of(section), _RAMP_S)
+    return _ramped_s(length_m, _speed_of(section), _WAY_RAMP_S)
 
 
 def _approach_m(setup: PlannedRun, point_I: Array, window: Window) -> float:
     """Return the larger distance of a target from the path now and from its end, m."""
-    ends_s = np.array([window.since_s, setup.maneuver.duration_s])
-    ends_I = setup.maneuver.path(ends_s)[0]
-    return max(float(np.linalg.norm(point_I - end_I)) for end_I in ends_I)
+    # r' = r + s (p - r), (75), adds the speed s' |p - r|. On a straight rest of the path |p - r| is
+    # largest at one of its ends; on a curve the larger one stands for it.
+    now_and_end_s = np.array([window.since_s, setup.maneuver.duration_s])
+    r_I = setup.maneuver.path(now_and_end_s)[0]
+    return max(float(np.linalg.norm(point_I - one_I)) for one_I in r_I)
 
 
 def _approach(setup: PlannedRun, section: TargetSection, window: Window) -> Curve:
@@ -148,11 +165,12 @@ def _approach(setup: PlannedRun, section: TargetSection, window: Window) -> Curv
     point_I = np.array(section.points_m[0])
     distance_m = _approach_m(setup, point_I, window)
 
-    ramp_s = _RAMP_S
+    ramp_s = _SHORTEST_RAMP_S
     problem: str | None = None
     while ramp_s <= _LONGEST_RAMP_S:
         approach = straight(_ramped_s(distance_m, _speed_of(section), ramp_s), ramp_s)
-        if problem is not None:  # slower ones are longer
+        # The first one has been checked in `planned`; each later one is longer.
+        if problem is not None:
             window.check(approach.duration_s)
 
         path = _approach_path(setup, approach, point_I, window)
@@ -201,40 +219,52 @@ def _way_as_given(section: TargetSection) -> Curve:
     try:
         if section.times_s is not None:
             times_s = [time_s - section.times_s[0] for time_s in section.times_s[1:]]
-            way = spline(further_I, times_s[-1], min(_RAMP_S, times_s[-1] / 2.0), times_s)
+            ramp_s = min(_WAY_RAMP_S, times_s[-1] / 2.0)
+            way = spline(further_I, times_s[-1], ramp_s, times_s)
             check_way_points(way)
             return way
 
-        slowest = spline(further_I, 2.0 * _RAMP_S, _RAMP_S, None)
-        check_way_points(slowest)
-        duration_s = _ramped_s(slowest.fastest(), _speed_of(section), _RAMP_S)
-        return replace(slowest, duration_s=duration_s)
+        # Largest speed = max |p'| s', with s' = 1 / (T - t_r) in cruise: T = max |p'| / v + t_r, (65).
+        shape = spline(further_I, 2.0 * _WAY_RAMP_S, _WAY_RAMP_S, None)  # with any timing
+        check_way_points(shape)
+        duration_s = _ramped_s(shape.fastest(), _speed_of(section), _WAY_RAMP_S)
+        return replace(shape, duration_s=duration_s)
     except WayPointError as error:
         raise RequestError(str(error)) from error
 
 
-def _check_places(setup: PlannedRun, points_I: Array, since_s: float) -> None:
-    """Check that points are above the ground, and that the payload flies.
-
-    Without a ground the lowest place is z = 0, or as low as the payload has been.
-    """
-    ground_m = setup.scenario.plant.ground_m
-    start_I, here_I = setup.maneuver.path(np.array([0.0, since_s]))[0]
-    lowest_m = max(0.0, start_I[2], here_I[2])
-    if ground_m is not None:
-        lowest_m = resting_height(setup.system, ground_m)
-
+def _check_above_ground(setup: PlannedRun, points_I: Array, since_s: float) -> None:
+    """Check that points are above the lowest place of the payload."""
+    lowest_m = _lowest_m(setup, since_s)
     deepest_m = points_I[:, 2].max()
     if deepest_m > lowest_m + _ROUNDING_M:
         expected = f"expected z (down) of at most {lowest_m:g} m"
         raise RequestError(f"points_m: {expected}, got {deepest_m:g}")
 
+
+def _check_in_flight(setup: PlannedRun, since_s: float) -> None:
+    """Check that the payload is not on the ground, and neither takes off nor lands."""
+    if setup.scenario.plant.ground_m is None:
+        return
+    here_I = setup.maneuver.path(np.array([since_s]))[0][0]
     phase = setup.maneuver.phase_at(since_s)
     is_vertical = phase.kind in ("take_off", "land")
-    if ground_m is not None and (is_vertical or here_I[2] > lowest_m - ON_GROUND_M):
+    if is_vertical or here_I[2] > _lowest_m(setup, since_s) - ON_GROUND_M:
         raise RequestError(
             f"expected a payload in flight, got phase {phase.name!r} at t = {since_s:.2f} s"
         )
+
+
+def _lowest_m(setup: PlannedRun, since_s: float) -> float:
+    """Return the largest z (down) of the payload, m.
+
+    At rest on the ground; without one z = 0, or as low as the path was at its start or is now.
+    """
+    ground_m = setup.scenario.plant.ground_m
+    if ground_m is not None:
+        return resting_height(setup.system, ground_m)
+    start_I, here_I = setup.maneuver.path(np.array([0.0, since_s]))[0]
+    return max(0.0, float(start_I[2]), float(here_I[2]))
 
 
 def _check_obstacles(setup: PlannedRun, target: Target) -> None:
