@@ -28,7 +28,7 @@ from tests.support.logs import Growing
 from tests.system.test_ros2 import DOMAIN, Publisher
 from tests.system.test_viewer import page_of
 from transport.analysis.comparison import Comparison
-from transport.analysis.flight import SETTLED_S
+from transport.analysis.flight_numbers import SETTLED_S
 from transport.analysis.replay import Replay
 from transport.flight import live
 from transport.log.run_log import open_run

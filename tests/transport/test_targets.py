@@ -12,7 +12,7 @@ from tests.support.coordinator_clock import CONTINUE, answers, gone, ready, star
 from tests.support.nodes import CoordinatorNode
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.comparison import Comparison
-from transport.analysis.flight import SETTLED_S
+from transport.analysis.flight_numbers import SETTLED_S
 from transport.analysis.metrics import summarise
 from transport.analysis.replay import Replay
 from transport.log.run_log import RunLog

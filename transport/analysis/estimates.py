@@ -25,8 +25,8 @@ class Estimates:
     pose: Array  # estimated, (k, 6)
     true: Array  # (k, 6)
     P: Array  # covariance of the error, (k, 6, 6)
-    # Squared innovation of the newest measurements over its covariance, and their number, (k, 2).
-    surprise: Array
+    squared_innovation: Array  # of the newest measurements, nu^T S^-1 nu, (k,)
+    measurements: Array  # their number, (k,)
 
 
 def estimates_of(series: Series, log: RunLog) -> Estimates | None:
@@ -46,5 +46,6 @@ def estimates_of(series: Series, log: RunLog) -> Estimates | None:
         pose=pose,
         true=true,
         P=P,
-        surprise=values[:, -2:],
+        squared_innovation=values[:, NAMES.index("surprise")],
+        measurements=values[:, NAMES.index("measurements")],
     )

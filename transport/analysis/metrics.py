@@ -15,7 +15,7 @@ from transport.analysis.communication import (
     rest_of_tick_ms,
 )
 from transport.analysis.events import events
-from transport.analysis.flight import cables, consistency, flight, targets
+from transport.analysis.flight_numbers import cables, consistency, cost_and_tracking, targets
 from transport.analysis.own_constraints import own_constraints
 from transport.analysis.series import Series
 from transport.analysis.spread import percentiles
@@ -44,7 +44,7 @@ def summarise(run: AnalysedRun) -> dict[str, Any]:
         "processes": _processes(log),
         "controller": _controller(setup, log),
         **_durations(setup, log, series),
-        **flight(setup, series),
+        **cost_and_tracking(setup, series),
         "own_constraints": own_constraints(setup, series),
         "cables": cables(setup, log),
         "estimate": consistency(series, log),

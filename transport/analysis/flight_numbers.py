@@ -21,15 +21,17 @@ from transport.protocol.wire import messages
 SETTLED_S = 2.0
 # Tolerance of times, s: a tick times the sampling period has rounding errors.
 _ROUNDING_S = 1e-9
-# Probabilities at the ends of the band in which the mean NEES of a consistent filter lies.
+# Probabilities at the ends of the band in which a single NEES of a consistent filter lies. There is
+# none for the mean: values of successive ticks and of several agents are correlated.
 _BAND = (0.025, 0.975)
 
 
-def flight(setup: Setup, series: Series) -> dict[str, Any]:
+def cost_and_tracking(setup: Setup, series: Series) -> dict[str, Any]:
     """Return cost, attitude, tracking errors, distances and violations, as JSON data."""
-    # The first phase lets the formation settle about its hover, as in the paper's section V.
-    hover_ends_s = setup.maneuver.stages()[0][2]
-    settled = series.times_s >= hover_ends_s
+    # The first phase, or what a target in it leaves of it, lets the formation settle about its hover,
+    # as in the paper's section V.
+    _, _, first_ends_s = setup.maneuver.stages()[0]
+    settled = series.times_s >= first_ends_s
     swing_m = swing_of(setup, series)
 
     return {
@@ -120,7 +122,9 @@ def consistency(series: Series, log: RunLog) -> dict[str, Any] | None:
     nees = np.einsum("ki,ki->k", error, weighted)
     low, high = chi2.ppf(_BAND, error.shape[1])
 
-    nis, measurements = estimates.surprise.sum(axis=0)
+    # NIS = sum nu^T S^-1 nu / number of measurements, with the innovations nu of (64).
+    measurements = estimates.measurements.sum()
+    nis = estimates.squared_innovation.sum() / measurements if measurements else None
     squares = (error**2).reshape(-1, 2, 3).sum(axis=2)
     position_m, attitude_rad = np.sqrt(squares.mean(axis=0))
     return {
@@ -128,36 +132,36 @@ def consistency(series: Series, log: RunLog) -> dict[str, Any] | None:
         "attitude_rms_deg": float(np.degrees(attitude_rad)),
         "nees": float(nees.mean()),
         "nees_band": [float(low), float(high)],
-        "nis": float(nis / measurements) if measurements else None,
+        "nis": None if nis is None else float(nis),
     }
 
 
 def targets(setup: Setup, series: Series) -> list[dict[str, Any]]:
     """Return the targets and how close the payload came to them, as JSON data.
 
-    The distance counts `SETTLED_S` after the reference had reached the last point. A target that is
-    followed sooner, by the next one or the end, counts at that moment.
+    The distance is judged `SETTLED_S` after the reference had reached the last point, or sooner where
+    the next target or the end of the run comes before.
     """
     paths = setup.maneuver.targets
     last_s = series.times_s.max(initial=-np.inf)
     rows = []
     for path, following in zip_longest(paths, paths[1:]):
         next_s = np.inf if following is None else following.since_s
-        counts_s = min(path.ends_s + SETTLED_S, last_s, next_s)
+        judged_s = min(path.ends_s + SETTLED_S, last_s, next_s)
         rows.append(
             {
                 "t_s": round(path.since_s, TIME_DIGITS),
                 "arrives_s": round(path.ends_s, TIME_DIGITS),
                 "position_m": path.end_I.tolist(),
-                "error_m": _distance_m(series, path, counts_s),
+                "error_m": _distance_m(series, path, judged_s),
             }
         )
     return rows
 
 
-def _distance_m(series: Series, path: Target, counts_s: float) -> float | None:
+def _distance_m(series: Series, path: Target, judged_s: float) -> float | None:
     """Return the payload's distance from the end of a path at a time, m; None before it ends."""
-    if counts_s < path.ends_s - _ROUNDING_S:
+    if judged_s < path.ends_s - _ROUNDING_S:
         return None
-    row = np.searchsorted(series.times_s, counts_s - _ROUNDING_S)
+    row = np.searchsorted(series.times_s, judged_s - _ROUNDING_S)
     return float(np.linalg.norm(series.x[row, R0] - path.end_I))
