@@ -1,11 +1,13 @@
 """Endpoints: where the processes of a run listen, and which others they connect to."""
 
+import ipaddress
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from transport.protocol.network.security import Security, SecurityError, exposed
+from transport.protocol.network.security import Security, SecurityError
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.wire.keys import RECORDER
 from transport.protocol.wire.messages import agent_name
@@ -30,7 +32,7 @@ class Endpoints:
         """
         if self.security is not None:
             self._check_scheme(self.security, name)
-        open_to_all = exposed(self.listen)
+        open_to_all = first_exposed(self.listen)
         if open_to_all and not scenario.network.insecure:
             expected = (
                 "expected a loopback address, or network.keys, or network.insecure = true to be "
@@ -47,6 +49,19 @@ class Endpoints:
             if not endpoint.startswith(scheme):
                 expected = f"expected {scheme}... with these keys"
                 raise SecurityError(f"network.keys: {expected}, got {endpoint}")
+
+
+def first_exposed(endpoints: Sequence[str]) -> str | None:
+    """Return the first endpoint that is not encrypted and that other hosts can reach, or None."""
+    for endpoint in endpoints:
+        protocol, _, address = endpoint.partition("/")
+        host = address.rpartition(":")[0].strip("[]")
+        is_local = host == "localhost"
+        with suppress(ValueError):  # a name
+            is_local = ipaddress.ip_address(host).is_loopback
+        if protocol in ("tcp", "udp", "ws") and not is_local:
+            return endpoint
+    return None
 
 
 def process_names(scenario: Scenario) -> list[str]:

@@ -15,9 +15,9 @@ import threadpoolctl
 
 from transport.protocol.admission.gate import Gate, Sample
 from transport.protocol.network.bus import Bus, BusOptions, Interrupted, Left, Place
+from transport.protocol.network.endpoints import first_exposed
 from transport.protocol.network.exchange import Exchange, exchange_of
 from transport.protocol.network.parent import PARENT_PIPE, ending_signals
-from transport.protocol.network.security import exposed
 from transport.protocol.scenario.faults import Fault, due
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire import messages as wire
@@ -116,7 +116,7 @@ def _log_opening(journal: Journal, place: Place) -> None:
     """Log where this process listens, and whether others than the run can send messages."""
     endpoints = place.endpoints
     if endpoints.security is None and endpoints.listen:
-        who = "host with access" if exposed(endpoints.listen) else "process on this host"
+        who = "host with access" if first_exposed(endpoints.listen) else "process on this host"
         journal.log("open", means=f"any {who} can read and send all messages (docs/deploy.md)")
     journal.log("listening", cpu_s=time.process_time(), at=", ".join(endpoints.listen))
 

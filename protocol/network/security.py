@@ -1,6 +1,9 @@
-"""Authentication and access control: the folder of keys, Zenoh's rules from the key expressions."""
+"""Authentication and access control: the folder of keys, Zenoh's rules from the key expressions.
 
-import ipaddress
+Keys are the files of certificates and secrets; the names under which Zenoh sends messages are called
+key expressions, and the class `Keys` makes them.
+"""
+
 import os
 import ssl
 from collections.abc import Iterator, Sequence
@@ -52,6 +55,7 @@ class Security:
     def check(self, name: str) -> None:
         """Refuse keys that a process cannot use.
 
+        It configures them as if the process joined; the configuration is thrown away.
         Raises: SecurityError: naming the file, expected and got.
         """
         self.configure({"transport": {"link": {}}}, name, "transport/*")
@@ -59,7 +63,8 @@ class Security:
     def configure(self, configuration: dict[str, Any], name: str, prefix: str) -> None:
         """Add security to Zenoh's configuration of a process.
 
-        `prefix` is that of its keys. Raises: SecurityError: as `check`.
+        `prefix` is the beginning of the run's key expressions, or transport/* for all runs.
+        Raises: SecurityError: as `check`.
         """
         transport = configuration["transport"]
         if self.scheme == "tcp":
@@ -124,8 +129,8 @@ def access_control(names: Sequence[str], prefix: str) -> dict[str, Any]:
     subjects = dict.fromkeys([*names, WATCHER, OPERATOR, ROUTER])
     for name in subjects:
         own = [
-            _rule(f"{name}.{number}", "ingress", kinds, keys)
-            for number, (kinds, keys) in enumerate(_rights(Keys.below(prefix), name))
+            _rule(f"{name}.{number}", "ingress", kinds, expressions)
+            for number, (kinds, expressions) in enumerate(_rights(Keys.below(prefix), name))
         ]
         rules += own
         policies.append({"rules": ["out", *(rule["id"] for rule in own)], "subjects": [name]})
@@ -136,19 +141,6 @@ def access_control(names: Sequence[str], prefix: str) -> dict[str, Any]:
         "subjects": [{"id": name, "cert_common_names": [name]} for name in subjects],
         "policies": policies,
     }
-
-
-def exposed(endpoints: Sequence[str]) -> str | None:
-    """Return the first endpoint that is not encrypted and that other hosts can reach, or None."""
-    for endpoint in endpoints:
-        protocol, _, address = endpoint.partition("/")
-        host = address.rpartition(":")[0].strip("[]")
-        is_local = host == "localhost"
-        with suppress(ValueError):  # a name
-            is_local = ipaddress.ip_address(host).is_loopback
-        if protocol in ("tcp", "udp", "ws") and not is_local:
-            return endpoint
-    return None
 
 
 def _shake_hands(authority: Path, certificate: Path, key: Path) -> str:
@@ -172,7 +164,8 @@ def _shake_hands(authority: Path, certificate: Path, key: Path) -> str:
         ends.append(
             context.wrap_bio(incoming, outgoing, server_side=protocol == ssl.PROTOCOL_TLS_SERVER)
         )
-    for end in ends * 4:  # messages in either direction, at most
+    # Each end takes a turn for each of its messages: TLS 1.2 needs three, 1.3 with a retry four.
+    for end in ends * 4:
         with suppress(ssl.SSLWantReadError):
             end.do_handshake()
 
@@ -182,33 +175,38 @@ def _shake_hands(authority: Path, certificate: Path, key: Path) -> str:
     return names[0] if names else ""
 
 
-def _rights(keys: Keys, name: str) -> Iterator[tuple[Sequence[str], list[str]]]:
+def _rights(expressions: Keys, name: str) -> Iterator[tuple[Sequence[str], list[str]]]:
     """Yield the rights of a name: kinds of messages of Zenoh's access control, key expressions."""
     if name == ROUTER:
-        yield _ALL, [f"{keys.prefix}/**"]
+        yield _ALL, [f"{expressions.prefix}/**"]
         return
 
     observes = name in (WATCHER, OPERATOR)
-    yield _OBSERVING, [f"{keys.prefix}/{kind}/**" for kind in ("alive", "ready")]
-    yield ("declare_subscriber",), [f"{keys.prefix}/**"] if observes else keys.subscriptions(name)
+    yield _OBSERVING, [f"{expressions.prefix}/{kind}/**" for kind in ("alive", "ready")]
+    yield (
+        ("declare_subscriber",),
+        [f"{expressions.prefix}/**"] if observes else expressions.subscriptions(name),
+    )
     questions = READING if name != OPERATOR else (*READING, *ACTING)
-    yield ("query",), [keys.request("*", what) for what in questions]
+    yield ("query",), [expressions.request("*", what) for what in questions]
     if observes:
         return
 
-    published = keys.publications(name)
+    published = expressions.publications(name)
     if published:
         yield _PUBLISHING, published
-    yield _JOINING, [f"{keys.prefix}/{kind}/{name}/**" for kind in ("alive", "ready")]
-    yield _ANSWERING, [keys.request(name, "*")]
+    yield _JOINING, [f"{expressions.prefix}/{kind}/{name}/**" for kind in ("alive", "ready")]
+    yield _ANSWERING, [expressions.request(name, "*")]
 
 
-def _rule(name: str, flow: str, messages: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:
+def _rule(
+    name: str, flow: str, messages: Sequence[str], expressions: Sequence[str]
+) -> dict[str, Any]:
     """Return a rule of Zenoh's access control."""
     return {
         "id": name,
         "permission": "allow",
         "flows": [flow],
         "messages": list(messages),
-        "key_exprs": list(keys),
+        "key_exprs": list(expressions),
     }

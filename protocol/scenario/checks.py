@@ -49,10 +49,8 @@ def off_ground(system: System, maneuver: Maneuver, ground_m: float | None) -> Pr
             yield field, f"expected a path above {ground}, got {height_m:g}"
 
 
-def off_hover(
-    model: Model, hover: Hover, settings: ControllerSettings, plant: PlantSection
-) -> Problems:
-    """Yield limits on thrust, tension or the distance of UAVs that hover exceeds."""
+def off_hover(hover: Hover, settings: ControllerSettings, plant: PlantSection) -> Problems:
+    """Yield limits on thrust and tension that hover exceeds, by the masses of the bodies."""
     rotors = plant.motors.rotors
     for uav, thrust_N in enumerate(hover.u[::4], start=1):
         limits = settings.limits.thrust_N
@@ -69,6 +67,9 @@ def off_hover(
         expected = f"expected less than {least_N:.2f} N (hover)"
         yield "controller.tension.minimum_N", f"{expected}, got {tension.minimum_N}"
 
+
+def too_close_at_hover(model: Model, hover: Hover, settings: ControllerSettings) -> Problems:
+    """Yield the least distance of UAVs if they are closer at hover."""
     if settings.separation is not None:
         minimum_m = settings.separation.minimum_m
         r = model.outputs(hover.x)[: 3 * model.system.N].reshape(-1, 3)

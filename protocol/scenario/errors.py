@@ -43,7 +43,7 @@ class ScenarioError(TransportError, ValueError):
 
     def traced(self, origins: Sequence[Origin]) -> "ScenarioError":
         """Return the same error with the source that gave the field, of a merged scenario."""
-        return ScenarioError(source_of(self.field, self.source, origins), self.field, self.problem)
+        return type(self)(source_of(self.field, self.source, origins), self.field, self.problem)
 
     def blaming(self, settings: Sequence[str]) -> "ScenarioError":
         """Return the same error with settings as source if they gave the field or part of it."""
@@ -53,7 +53,11 @@ class ScenarioError(TransportError, ValueError):
 
         is_named = [key_of(setting) for setting in given] == [self.field]
         source = " ".join(option(setting) for setting in given)
-        return ScenarioError(source, "" if is_named else self.field, self.problem)
+        return type(self)(source, "" if is_named else self.field, self.problem)
+
+
+class HoverError(ScenarioError):
+    """A limit that hover exceeds, as masses and limits do not fit."""
 
 
 class RequestError(TransportError, MessageError):
@@ -69,15 +73,20 @@ class PythonSetting(str):
     value: Any
 
 
-def building(source: str, field: str, build: Callable[[], T]) -> T:
+def building(
+    source: str,
+    field: str,
+    build: Callable[[], T],
+    error_class: type[ScenarioError] = ScenarioError,
+) -> T:
     """Return a model object built from a scenario's values.
 
-    Raises: ScenarioError: of that field, for the errors of the model.
+    Raises: ScenarioError: of that field and class, for the errors of the model.
     """
     try:
         return build()
     except (FeedbackError, ParameterError, RequestError, SettingsError, ShapeError) as error:
-        raise ScenarioError(source, field, str(error)) from error
+        raise error_class(source, field, str(error)) from error
 
 
 def key_of(setting: str) -> str:

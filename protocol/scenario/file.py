@@ -23,6 +23,7 @@ from transport.protocol.scenario.schema import Scenario
 
 __all__ = [
     "ScenarioError",
+    "find_ready",
     "find_scenario",
     "read_scenario",
     "read_tree",
@@ -31,22 +32,30 @@ __all__ = [
 ]
 
 
-def find_scenario(name: str, package: str = "scenarios") -> Path:
-    """Return the file of a scenario, or of another package, by its path or its ready-made name.
+def find_scenario(name: str) -> Path:
+    """Return the file of a scenario, by its path or the name of a ready one.
 
     Raises: ScenarioError: neither.
+    """
+    return find_ready(name, "scenarios", "scenario")
+
+
+def find_ready(name: str, folder: str, kind: str) -> Path:
+    """Return a file by its path, or by its name among the ready ones of a folder.
+
+    `kind` is the kind of file, as errors call it. Raises: ScenarioError: neither.
     """
     path = Path(name)
     is_there = os.path.exists(name)  # noqa: PTH110 - false for impossible names
     if is_there or path.suffix == ".toml" or "/" in name:
         return path
 
-    folder = Path(str(importlib.resources.files(f"transport.{package}"))).resolve()
-    ready = sorted(file.stem for file in folder.glob("*.toml"))
+    place = Path(str(importlib.resources.files(f"transport.{folder}"))).resolve()
+    ready = sorted(file.stem for file in place.glob("*.toml"))
     if name not in ready:
-        expected = f"expected a {package[:-1]} file or the name of a ready one"
+        expected = f"expected a {kind} file or the name of a ready one"
         raise ScenarioError(name, "", f"{expected}; {hint(name, ready)}")
-    return folder / f"{name}.toml"
+    return place / f"{name}.toml"
 
 
 def read_scenario(
@@ -86,7 +95,7 @@ def with_settings(
     """
     for setting in settings:
         _apply(tree, setting)
-    _pace(tree, [key_of(setting) for setting in settings])
+    _run_realtime_at_speed_1(tree, [key_of(setting) for setting in settings])
 
     try:
         scenario = validate(tree, source)
@@ -100,14 +109,14 @@ def with_settings(
 def validate(tree: dict[str, Any], source: str) -> Scenario:
     """Check a tree against the schema and the relations of its fields.
 
-    Files are relative to the folder of `source`.
+    Files are relative to the folder of `source`. Raises: ScenarioError: as `read_scenario`.
     """
     scenario = validated(Scenario, tree, source, Path(source).parent)
     check_relations(scenario, source)
     return scenario
 
 
-def _pace(tree: dict[str, Any], changed: Collection[str]) -> None:
+def _run_realtime_at_speed_1(tree: dict[str, Any], changed: Collection[str]) -> None:
     """Set speed 1 where a change asks for real time alone: the tree's 0 is that of lockstep."""
     clock = tree.get("clock")
     if "clock.mode" not in changed or "clock.speed" in changed or not isinstance(clock, dict):
@@ -125,6 +134,7 @@ def _apply(tree: dict[str, Any], setting: str) -> None:
         section = _child(section, part, setting)
 
     place = _index(section, last, setting) if isinstance(section, list) else last
+    # Its files are relative to the current folder, unlike those of the scenario's file.
     section[place] = anchored(_value(setting), last)
 
 

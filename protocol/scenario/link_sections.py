@@ -1,6 +1,6 @@
 """Sections of the links: impairments, exceptions, partitions, changes during a run."""
 
-from itertools import pairwise
+import math
 from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Interval
@@ -26,28 +26,34 @@ LONGEST_SAMPLE_S = 10.0
 _PROCESS = "agent1, agent2, ..., plant"
 
 
-def _read(value: Any, info: ValidationInfo) -> Any:
-    """Return the content of a scenario's file; a change during a run has no folder and no file."""
+def _read_samples(value: Any, info: ValidationInfo) -> Any:
+    """Return the delays in a scenario's file; a change during a run has no folder and no file."""
     if isinstance(value, str) and info.context is not None:
         return delays_of(info.context / value)
     return value
 
 
 def _read_trace(value: Any, info: ValidationInfo) -> Any:
-    """Return the content of a trace, as `_read` does of samples."""
-    return (
-        trace_of(info.context / value)
-        if isinstance(value, str) and info.context is not None
-        else value
-    )
+    """Return the rows in a file of a trace, as `_read_samples` does of delays."""
+    if isinstance(value, str) and info.context is not None:
+        return trace_of(info.context / value)
+    return value
 
 
-def _is_trace(rows: list[list[float]]) -> list[list[float]]:
-    times_s = [row[0] for row in rows if len(row) == 2]
-    if len(times_s) < max(2, len(rows)):
-        raise ValueError("expected at least two rows of a time and a delay")
-    if times_s[0] < 0.0 or any(b <= a for a, b in pairwise(times_s)):
-        raise ValueError("expected rising times from 0 on")
+def _checked_trace(rows: list[list[float]] | None) -> list[list[float]] | None:
+    """Return the rows of a trace. Raises: ValueError: too few, bad, or not in the order of times."""
+    if rows is None:
+        return None
+    if len(rows) < 2:
+        raise ValueError(f"expected at least two rows of a time and a delay, got {len(rows)}")
+
+    before_s = -math.inf
+    for number, row in enumerate(rows, start=1):
+        if len(row) != 2:
+            raise ValueError(f"row {number}: expected a time and a delay, got {row}")
+        if not (row[0] >= 0.0 and row[0] > before_s):
+            raise ValueError(f"row {number}: expected rising times from 0 on, got {row[0]:g} s")
+        before_s = row[0]
     return rows
 
 
@@ -81,7 +87,9 @@ class LinkSection(Section):
     """distribution of the random part of the delay; empirical draws whole delays from
     `samples_s`"""
     samples_s: Annotated[
-        list[NotNegative] | None, BeforeValidator(_read), Key(type="file, or list of numbers >= 0")
+        list[NotNegative] | None,
+        BeforeValidator(_read_samples),
+        Key(type="file, or list of numbers >= 0"),
     ] = None
     """measured delays for empirical, or a file of them, separated by blanks or commas, relative to
     the scenario's folder (in `--set`: to the current one), which becomes part of the scenario when
@@ -92,7 +100,7 @@ class LinkSection(Section):
     trace: Annotated[
         list[list[float]] | None,
         BeforeValidator(_read_trace),
-        AfterValidator(lambda rows: rows if rows is None else _is_trace(rows)),
+        AfterValidator(_checked_trace),
         Key(type="file, or rows of 2 numbers", unit="s"),
     ] = None
     """recorded delays in the place of `delay_s` and `distribution`: rows of a time and the delay of a message sent from
@@ -187,7 +195,7 @@ class LinkChangeSection(LinkOverrideSection):
         """Return only the keys given: a default written out would be a change."""
         given = set(self.model_fields_set)
         if "from_" in given:
-            given.add("from")
+            given.add("from")  # dumped under its alias
         return {key: value for key, value in dump(self).items() if key in given}
 
 
@@ -207,7 +215,12 @@ class LinksSection(LinkSection):
     """The links between agents, and, ideal by default, those from and to the plant."""
 
     measurement: LinkSection = LinkSection()
+    """links from the plant to the agents"""
     actuation: LinkSection = LinkSection()
+    """links from the agents to the plant"""
     override: list[LinkOverrideSection] = []
+    """exceptions: the last one that covers a link is all of its impairments"""
     partition: list[PartitionSection] = []
+    """intervals in which processes are cut off"""
     change: list[LinkChangeSection] = []
+    """changes during the run, in any order"""

@@ -29,8 +29,9 @@ from transport.protocol.scenario.checks import (
     off_ground,
     off_hover,
     off_limits,
+    too_close_at_hover,
 )
-from transport.protocol.scenario.errors import ScenarioError, building
+from transport.protocol.scenario.errors import HoverError, ScenarioError, building
 from transport.protocol.scenario.faults import Fault, scripted
 from transport.protocol.scenario.links import Link
 from transport.protocol.scenario.schema import Scenario
@@ -76,7 +77,7 @@ class Setup:
         Raises: ScenarioError: the scenario is impossible; the text names the source.
         """
         system = system_of(scenario, source)
-        equilibrium = building(source, "system.uav", lambda: hover(system))
+        equilibrium = building(source, "system.uav", lambda: hover(system), HoverError)
         maneuver = building(source, "maneuver", lambda: maneuver_of(scenario))
 
         # 1/M of M agents: the descent guarantee of cooperative distributed MPC (docs/decisions.md).
@@ -117,9 +118,12 @@ class Setup:
         building(source, "controller.prediction", lambda: Regulation(self.model, at_rest, settings))
 
         plant = self.scenario.plant
+        for field, problem in off_ground(system, self.maneuver, plant.ground_m):
+            raise ScenarioError(source, field, problem)
+        for field, problem in off_hover(at_rest, settings, plant):
+            raise HoverError(source, field, problem)
         for field, problem in chain(
-            off_ground(system, self.maneuver, plant.ground_m),
-            off_hover(self.model, at_rest, settings, plant),
+            too_close_at_hover(self.model, at_rest, settings),
             off_limits(self.reference, system, at_rest, settings, self.faults),
             self._off_obstacles(),
         ):

@@ -6,12 +6,13 @@ All other values are those of a scenario.
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 from transport.model.parameters import table_1
 from transport.mpc.settings import Key, Positive, Section
-from transport.protocol.scenario.errors import ScenarioError, validated
-from transport.protocol.scenario.file import find_scenario, read_tree, validate
+from transport.protocol.scenario.errors import HoverError, ScenarioError, validated
+from transport.protocol.scenario.file import find_ready, read_tree, validate
 from transport.protocol.scenario.origins import Origin, origins_in
 from transport.protocol.scenario.schema import Inertia, Scenario
 from transport.protocol.wire.names import MAX_UAVS
@@ -21,14 +22,6 @@ MOST = MAX_UAVS
 
 # Decimals of lengths and inertias, m and kg m^2: readable, and fine enough not to affect a run.
 _DECIMALS = 6
-
-# Limits that a hover may exceed with a payload of another mass.
-_LIMITS_OF_HOVER = (
-    "controller.limits.thrust_N",
-    "controller.tension.minimum_N",
-    "plant.motors.rotors.thrust_N",
-    "system.uav",
-)
 
 
 class AirframeSection(Section):
@@ -82,7 +75,7 @@ class Team:
         """Return the sources of the values that are not those of the template."""
         origins: list[Origin] = []
         if self.vehicle is not None:
-            file = str(find_scenario(self.vehicle, "vehicles"))
+            file = str(find_vehicle(self.vehicle))
             origins += origins_in(read_vehicle(self.vehicle).keys, file)
             origins.append(Origin(key="system.uav", source=file))
         if self.load_kg is not None:
@@ -91,12 +84,19 @@ class Team:
             origins.append(Origin(key="name", source=self.name_in_words))
         return tuple(origins)
 
-    def blamed(self, error: ScenarioError) -> ScenarioError:
+    def with_source(self, error: ScenarioError) -> ScenarioError:
         """Return an error of this team's scenario with the source of the refused value."""
-        is_of_hover = error.field in _LIMITS_OF_HOVER and "hover" in error.problem
-        if is_of_hover and self.load_kg is not None:
+        if isinstance(error, HoverError) and self.load_kg is not None:
             return ScenarioError(self.load_in_words, error.field, error.problem)
         return error.traced(self.origins())
+
+
+def find_vehicle(name: str) -> Path:
+    """Return the file of a vehicle, by its path or the name of a ready one.
+
+    Raises: ScenarioError: neither.
+    """
+    return find_ready(name, "vehicles", "vehicle")
 
 
 def read_vehicle(name: str) -> Vehicle:
@@ -104,7 +104,7 @@ def read_vehicle(name: str) -> Vehicle:
 
     Raises: ScenarioError: as `read_scenario`.
     """
-    path = find_scenario(name, "vehicles")
+    path = find_vehicle(name)
     return validated(Vehicle, read_tree(path), str(path))
 
 
@@ -129,28 +129,29 @@ def ring(
 ) -> dict[str, Any]:
     """Return the section `system` of N UAVs, 2 or more, in a ring.
 
-    By default UAVs, their distance and the load of each, half its mass, are the paper's: four are
-    Table I. Source: docs/scenario.md.
+    By default UAVs and their distance are the paper's, and the payload is the paper's per UAV, in
+    proportion to the UAV's mass: half of it. Four UAVs are Table I. Source: docs/scenario.md.
     """
     paper = table_1()
-    uav = paper.uavs[0]
+    papers_uav = paper.uavs[0]
     own = airframe or papers_airframe()
 
     # Neighbours on a circle of radius r are 2 r sin(pi / N) apart.
-    x_m, y_m, z_m = uav.rho.tolist()
+    x_m, y_m, z_m = papers_uav.rho.tolist()
     radius_m = own.spacing_m / (2.0 * math.sin(math.pi / N))
     scale = radius_m / math.hypot(x_m, y_m)
 
-    mass_kg = load_kg
-    if mass_kg is None:
-        mass_kg = paper.payload.mass * N / paper.N * (own.mass_kg / uav.mass)
+    payload_kg = load_kg
+    if payload_kg is None:
+        # The paper's payload per UAV, in proportion to the UAV's mass.
+        payload_kg = paper.payload.mass * N / paper.N * (own.mass_kg / papers_uav.mass)
 
     # The payload keeps its shape: J ~ m r^2.
-    inertia_kgm2 = paper.payload.inertia.diagonal() * (mass_kg / paper.payload.mass * scale**2)
+    inertia_kgm2 = paper.payload.inertia.diagonal() * (payload_kg / paper.payload.mass * scale**2)
 
     return {
         "gravity_mps2": gravity_mps2,
-        "payload": {"mass_kg": mass_kg, "inertia_kgm2": _rounded(inertia_kgm2)},
+        "payload": {"mass_kg": payload_kg, "inertia_kgm2": _rounded(inertia_kgm2)},
         "uav": [
             {
                 "id": number,
@@ -187,7 +188,7 @@ def resized(template: Scenario, team: Team, source: str) -> Scenario:
     try:
         return validate(tree, source)
     except ScenarioError as error:
-        raise team.blamed(error) from error.__cause__
+        raise team.with_source(error) from error.__cause__
 
 
 def given(scenario: Scenario) -> dict[str, Any]:
@@ -208,7 +209,8 @@ def _owned(template: Scenario, team: Team) -> list[list[int]]:
 def _on_circle(number: int, N: int, radius_m: float, z_m: float) -> list[float]:
     """Return the attachment point of a UAV, from 1.
 
-    The first is to the right of the x axis, the others follow counter-clockwise.
+    Seen from above, the first is to the right of the x axis, and the others follow
+    counter-clockwise. There y is to the right, as z points down, so the angle falls.
     """
     angle_rad = math.pi / N * (3 - 2 * number)
     return [radius_m * math.cos(angle_rad), radius_m * math.sin(angle_rad), z_m]

@@ -11,7 +11,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from transport.deploy.hosts import DeployError
 from transport.deploy.keys import AUTHORITY_KEY, LOOPBACK, make_certificates
-from transport.protocol.network.security import AUTHORITY, Security, SecurityError, exposed
+from transport.protocol.network.endpoints import first_exposed
+from transport.protocol.network.security import AUTHORITY, Security, SecurityError
 
 
 def certificate(file: Path) -> x509.Certificate:
@@ -133,4 +134,4 @@ def test_a_key_of_another_certificate_is_refused(tmp_path: Path) -> None:
 )
 def test_exposed_endpoints(endpoint: str, is_exposed: bool) -> None:
     """An endpoint without TLS is exposed unless it is this host's own address or name."""
-    assert exposed([endpoint]) == (endpoint if is_exposed else None)
+    assert first_exposed([endpoint]) == (endpoint if is_exposed else None)

@@ -30,8 +30,8 @@ from transport.protocol.wire.node import Outbox, lost
 _READ = (wire.Roster, wire.LinkChange, wire.Target, wire.Control, wire.Rejected)
 _UNREAD = {kind for kind, cls in {**wire.KINDS, **wire.BUNDLES}.items() if cls not in _READ}
 # Kinds among the unread ones that tell of the newest tick, and of the plant's state.
-_OF_TICKS = (wire.Tick.kind, wire.Relay.kind)
-_OF_PLANT = (wire.PlantState.kind, wire.Record.kind)
+_TELL_TICK = (wire.Tick.kind, wire.Relay.kind)
+_TELL_STATE = (wire.PlantState.kind, wire.Record.kind)
 
 # Messages of the plant kept to find its newest state in: not every record has one, and one may be
 # garbled.
@@ -61,6 +61,7 @@ class Recorder:
         error: Why recording ended early, None if it did not.
         received: Number of messages in the log.
         tick: The newest open tick, -1 before the first.
+        members: Names of the agents on the newest roster.
         requests: Requests to the parent of the run's processes.
         gate: Checks of the messages that the recorder reads; readers of the log check the others.
     """
@@ -90,14 +91,14 @@ class Recorder:
         self.error: str | None = None
         self.received = 0
         self.tick = -1
-        self.members: Set[str] = frozenset()  # agents on the newest roster
+        self.members: Set[str] = frozenset()
         self.requests: queue.SimpleQueue[wire.Request] = queue.SimpleQueue()
         self._keys = Keys(place.run)
         self.gate = Gate(RECORDER, self._keys, setup.shape, self._check_moment, _UNREAD)
 
         self._say = say
         self._writing = threading.Lock()  # notes come from another thread
-        self._newest = deque[bytes](maxlen=_KEPT)
+        self._plant_messages = deque[bytes](maxlen=_KEPT)
         gather_s = _GATHER_PACED_S if setup.scenario.clock.speed > 0.0 else _GATHER_S
         options = BusOptions(serves=True, gather_s=gather_s)
         self._bus = bus_of(RECORDER, place, setup.scenario.digest(), self.gate, options)
@@ -112,7 +113,7 @@ class Recorder:
 
         Decoded when it is asked for, also on another thread.
         """
-        for data in reversed(self._newest.copy()):
+        for data in reversed(self._plant_messages.copy()):
             with suppress(MessageError):  # garbled or forged
                 message = decode(data)
                 parts = [message]
@@ -157,7 +158,7 @@ class Recorder:
     def _run(self) -> None:
         """Join the run and record it; an error ends the recording and is kept."""
         try:
-            if self._bus.join(self._expected, self._say) is None:
+            if self._bus.join(self._expected, self._say) is None:  # not interrupted
                 self._record()
                 for notice in self.gate.notices(self._out.incarnation):
                     self._take(notice)
@@ -223,31 +224,32 @@ class Recorder:
         return self._bus.next(timeout_s)
 
     def receive(self, message: wire.Message | Sample, at_ns: int | None = None) -> None:
-        """Record a message from the network unless it is refused.
+        """Record a message that the gate has let pass.
 
-        It arrived at a time, ns since 1970, now by default.
+        It arrived at a time, ns since 1970; without one it arrived now.
         """
         if isinstance(message, wire.Message):
             self._take(message, at_ns)
             return
 
-        # Recorded as it came; progress is that of messages which are in order.
+        # The gate has read the header alone, so the message is recorded as it came.
         header = message.header
         key = self._keys.end(message.key)
         self._write(f"/{key}", message.data, header, at_ns)
 
-        # Kinds of progress have keys of their own.
-        is_of_the_run = header.tick < self.setup.ticks and key == header.kind
-        if is_of_the_run:
+        # Kinds that tell the progress have keys of their own. A message whose key belongs to another
+        # kind is recorded too, but is no progress: it may be forged.
+        is_progress = header.tick < self.setup.ticks and key == header.kind
+        if is_progress:
             self._show_progress(message.data, header)
 
     def _show_progress(self, data: bytes, header: Header) -> None:
         """Take note of the newest tick and of the messages of the plant."""
-        if header.kind in _OF_TICKS:
+        if header.kind in _TELL_TICK:
             self.tick = max(header.tick, self.tick)
 
-        if header.kind in _OF_PLANT:
-            self._newest.append(data)
+        if header.kind in _TELL_STATE:
+            self._plant_messages.append(data)
             # A record of tick 0 may come before the first state.
             has_state = header.tick > 0 or header.kind == wire.PlantState.kind
             if self.started_s is None and has_state:

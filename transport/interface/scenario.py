@@ -200,7 +200,7 @@ equal to 1, got 1.5
         try:
             made._change(tree, [])
         except ScenarioError as error:
-            raise team.blamed(error) from error.__cause__
+            raise team.with_source(error) from error.__cause__
         made._origins = (*self._origins, *team.origins())
         return made
 
