@@ -75,6 +75,21 @@ def test_a_table_of_a_trace_is_read_as_all_tables(tmp_path: Path) -> None:
             trace_of(path)
 
 
+@pytest.mark.parametrize(
+    ("rows", "problem"),
+    [
+        ("[[0.0,0.1]]", "at least two rows of a time and a delay, got 1"),
+        ("[[0.0,0.1],[0.1,0.2],[0.2]]", r"row 3: expected a time and a delay, got \[0.2\]"),
+        ("[[0.1,0.1],[0.0,0.2]]", "row 2: expected rising times from 0 on, got 0 s"),
+        ("[[-0.1,0.1],[0.0,0.2]]", "row 1: expected rising times from 0 on, got -0.1 s"),
+    ],
+)
+def test_the_first_bad_row_is_named(rows: str, problem: str) -> None:
+    """Rows of a trace that are refused are told with their number."""
+    with pytest.raises(ScenarioError, match=problem):
+        setup(f"links.trace={rows}")
+
+
 def test_the_example_records_a_trace(tmp_path: Path) -> None:
     """The example's recorder and answerer write a trace of the loopback that a scenario accepts."""
     spec = importlib.util.spec_from_file_location("record_link", EXAMPLE)
