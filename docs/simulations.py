@@ -1,28 +1,18 @@
-"""Simulations behind the measured tables of documents.
+"""Simulations behind the measured tables of documents, in memory."""
 
-In memory, on all cores, kept for each commit.
-"""
-
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.console import Console
-from tables import ROOT, commit, place, put, table
+from measured import Measured
+from tables import ROOT, table
 
 from transport.analysis.series import series_of
-from transport.experiments.cases import Point, Result, cases_of_point
-from transport.experiments.declaration import Experiment
-from transport.experiments.sweep import Results, sweep
-from transport.experiments.workers import on_cores
-from transport.flight.run_files import machine, versions
+from transport.experiments.cases import Case, Point, Result, cases_of_point
 from transport.log.run_log import RunLog
 from transport.protocol.scenario.file import find_scenario
 from transport.protocol.scenario.setup import Setup
-
-RESULTS = ROOT / "runs" / "figures" / "simulations"
 
 
 class Run(NamedTuple):
@@ -145,43 +135,32 @@ def events(*given: tuple[float, str, str]) -> tuple[str, ...]:
     return ("clock.on_agent_loss=continue", f"faults.event=[{text}]")
 
 
-def renew(pages: Mapping[str, Sequence[Table]], version: str = "") -> None:
-    """Simulate, and renew the tables of documents, or only those named as arguments.
+def measured(page: str, shown: Table) -> Measured:
+    """Return a table of a page with its runs."""
+    runs = list(dict.fromkeys(run for row in shown.rows.values() for run in row if run))
+    cases = [case for i, run in enumerate(runs) for case in cases_of_run(i, run)]
+    texts = [" ".join(runs[case.point].settings) or "as it is" for case in cases]
+    names = [runs[case.point].scenario for case in cases]
 
-    A line of each document says where all its numbers come from. The version is that of another
-    package.
+    def text(results: Sequence[Result]) -> str:
+        flown: dict[Run, list[Result]] = {run: [] for run in runs}
+        for case, result in zip(cases, results, strict=True):
+            flown[runs[case.point]].append(result)
+        return _text(shown, flown)
 
-    Raises: SystemExit: a document lacks markers.
-    """
-    chosen = [(ROOT / "docs" / page, one) for page, tables in pages.items() for one in tables]
-    chosen = [
-        (document, one) for document, one in chosen if not sys.argv[1:] or one.name in sys.argv[1:]
-    ]
-    for document, one in chosen:
-        for name in ("origin", one.name):
-            place(document, name)  # refused before minutes are spent
-    runs = dict.fromkeys(
-        run for _, one in chosen for row in one.rows.values() for run in row if run
+    return Measured(
+        name=shown.name,
+        document=ROOT / "docs" / page,
+        cases=cases,
+        texts=[f"{name}: {words}" for name, words in zip(names, texts, strict=True)],
+        text=text,
     )
-    points, now = tuple(run.point() for run in runs), commit()
-    cases = [
-        case
-        for i, (run, point) in enumerate(zip(runs, points, strict=True))
-        for case in cases_of_point(
-            i, point.read(), find_scenario(run.scenario), run.seeds, more=more
-        )
-    ]
-    experiment = Experiment(name="pages", points=points)
-    with Results(
-        "pages", None if "changes" in now or now == "unknown" else RESULTS / now
-    ) as results:
-        swept = sweep(experiment, cases, on_cores, results, Console(stderr=True))
-    swept.check()
-    found = dict(zip(runs, swept.by_point, strict=True))
-    for document, one in chosen:
-        put(document, one.name, _text(one, found))
-        if not sys.argv[1:]:
-            put(document, "origin", f"*Commit {now}; {versions()}{version}; {machine()}.*")
+
+
+def cases_of_run(index: int, run: Run) -> list[Case]:
+    """Return the cases of a run, one for each seed."""
+    path = find_scenario(run.scenario)
+    return cases_of_point(index, run.point().read(), path, run.seeds, more=more)
 
 
 def _text(shown: Table, found: Mapping[Run, Flown]) -> str:

@@ -121,6 +121,21 @@ class ExperimentOptions:
             for name in names
         }
 
+    def plan(self, given: Mapping[str, Any]) -> tuple[Experiment, list[Case]]:
+        """Return the experiment with its points for some of its own options, and all its runs.
+
+        Raises: ExperimentError: options are refused. ScenarioError: a scenario is refused.
+        """
+        experiment = self.declared.experiment(self.read(), given, quick=self.quick)
+        cases = cases_of(
+            experiment.points,
+            self.changes(),
+            self.repetitions,
+            timed=experiment.drawn_as == _TIMED,
+            allow_large=self.allow_large,
+        )
+        return experiment, cases
+
     def folder(self, name: str) -> Path:
         """Return the folder of an experiment; say that `--quick` gives no measurement."""
         if self.quick:
@@ -162,7 +177,7 @@ def __getattr__(name: str) -> Callable[..., None]:
     declared = EXPERIMENTS[name]
 
     def command(options: ExperimentOptions, **given: Any) -> None:
-        _conduct(name, declared, options, given)
+        _conduct(name, options, given)
 
     command.__name__ = name
     command.__doc__ = declared.build.__doc__
@@ -207,22 +222,12 @@ def _help_of(values: Values) -> str:
     return f"{values.help.rstrip('.')}; by default {', '.join(texts)}.{repeatable}"
 
 
-def _conduct(
-    name: str, declared: Experiment, options: ExperimentOptions, given: Mapping[str, Any]
-) -> None:
+def _conduct(name: str, options: ExperimentOptions, given: Mapping[str, Any]) -> None:
     """Simulate the cases of an experiment that have no result yet, and report all of them.
 
     Raises: ExperimentError: a case raised an error, a worker was lost, or the options are refused.
     """
-    experiment = declared.experiment(options.read(), given, quick=options.quick)
-    cases = cases_of(
-        experiment.points,
-        options.changes(),
-        options.repetitions,
-        timed=experiment.drawn_as == _TIMED,
-        allow_large=options.allow_large,
-    )
-
+    experiment, cases = options.plan(given)
     folder = options.folder(name)
     with Results(name, folder) as results:
         done = sum(results.done(case.key) for case in cases)

@@ -307,6 +307,8 @@ def _by_point(swept: Swept, name: str) -> dict[tuple[Any, ...], Array]:
     """Return a number of the runs of each point, by its labels; NaN where a run has none."""
     points = zip(swept.experiment.points, swept.by_point, strict=True)
     return {
-        tuple(point.labels.values()): np.array([one.numbers[name] for one in results], dtype=float)
+        tuple(point.labels.values()): np.array(
+            [one.numbers.get(name) for one in results], dtype=float
+        )
         for point, results in points
     }

@@ -1,6 +1,6 @@
 """Report of the comparison: measures processor time, simulates, and writes tables and verdicts."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.table import Table
 
 from transport.experiments import comparison
-from transport.experiments.cases import Point, cases_of
+from transport.experiments.cases import Case, cases_of
 from transport.experiments.cases import simulate as simulate_here
-from transport.experiments.comparison import CENTRALIZED, Cell
+from transport.experiments.comparison import CENTRALIZED, Cell, Curve
 from transport.experiments.comparison_figures import draw_costs, draw_maneuver
 from transport.experiments.declaration import Experiment
 from transport.experiments.statistics import COST_RATIO, Column, console_table
@@ -72,6 +72,90 @@ class ComparisonOptions:
         return Cell(CENTRALIZED, controller.sampling_period_s, controller.horizon)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComparisonPlan:
+    """Runs of the comparison.
+
+    Attributes:
+        reference: The centralized controller at the period of its scenario.
+        cells: Cells by controller and kept horizon.
+        measurement: Sweep whose runs are timed, one at a time.
+        timed: Its runs.
+        experiment: Sweep whose runs give the costs.
+        cases: Its runs.
+    """
+
+    reference: Cell
+    cells: Mapping[tuple[str, str], Sequence[Cell]]
+    measurement: Experiment
+    timed: Sequence[Case]
+    experiment: Experiment
+    cases: Sequence[Case]
+
+
+def plan(options: ComparisonOptions) -> ComparisonPlan:
+    """Return the runs of the comparison.
+
+    Raises: ScenarioError: wrong settings.
+    """
+    reference = options.reference()
+    cells = comparison.cells_of(reference, quick=options.quick)
+    distinct = _distinct(cells.values())
+    experiment = comparison.experiment(distinct, options.gust_mps)
+
+    measurement = Experiment(name="processor time", points=experiment.points[: len(distinct)])
+    maneuver = comparison.QUICK_MEASUREMENT if options.quick else comparison.MANEUVER
+    repeats = comparison.QUICK_REPEATS if options.quick else comparison.REPEATS
+    return ComparisonPlan(
+        reference=reference,
+        cells=cells,
+        measurement=measurement,
+        timed=cases_of(measurement.points, [*options.settings, maneuver], repeats, timed=True),
+        experiment=experiment,
+        cases=cases_of(experiment.points, options.settings, options.seeds),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Compared:
+    """Results of the comparison: its curves, and the rows of its tables."""
+
+    curves: Sequence[Curve]
+    curve_rows: Sequence[comparison.Row]
+    verdict_rows: Sequence[comparison.Row]
+
+    @property
+    def sentences(self) -> list[str]:
+        """Verdicts, one sentence each."""
+        return list(map(sentence, self.verdict_rows))
+
+    @property
+    def table(self) -> Table:
+        """Table for the console."""
+        return console_table(TITLE, _LABELS, _COLUMNS, self.curve_rows)
+
+
+def compared(planned: ComparisonPlan, timed: Swept, swept: Swept) -> Compared:
+    """Return curves and verdicts of the measured runs and of those that give the costs.
+
+    Raises: ExperimentError: a run raised an error, or the reference diverged.
+    """
+    curves = comparison.curves_of(planned.cells, timed, swept, planned.reference)
+    return Compared(
+        curves=curves,
+        curve_rows=[row for curve in curves for row in curve.rows()],
+        verdict_rows=list(verdicts(curves, planned.reference)),
+    )
+
+
+def draw(result: Compared, planned: ComparisonPlan, swept: Swept, folder: Path) -> list[Path]:
+    """Draw costs over processor time, and the maneuvers over one another; return the files."""
+    return [
+        *draw_costs(result.curves, planned.reference, folder),
+        *draw_maneuver(result.curves, planned.reference, swept, folder),
+    ]
+
+
 def compare(
     options: ComparisonOptions, folder: Path, simulate: Simulate, console: Console
 ) -> tuple[list[str], Table]:
@@ -81,54 +165,29 @@ def compare(
     Raises: ScenarioError: wrong settings. ExperimentError: unusable folder, or a run that raised an
         error.
     """
-    reference = options.reference()
-    cells = comparison.cells_of(reference, quick=options.quick)
-    distinct = _distinct(cells.values())
-    experiment = comparison.experiment(distinct, options.gust_mps)
-    cases = cases_of(experiment.points, options.settings, options.seeds)
-
+    planned = plan(options)
+    # The timed runs one at a time, all controllers in turns: a slow period of the machine affects
+    # all alike.
+    alone = partial(map, simulate_here)
     with Results(comparison.NAME, folder) as results:
-        timed = _measured(experiment.points[: len(distinct)], options, results, console)
-        swept = sweep(experiment, cases, simulate, results, console)
+        timed = sweep(planned.measurement, planned.timed, alone, results, console)
+        timed.check()
+        swept = sweep(planned.experiment, planned.cases, simulate, results, console)
 
-    curves = comparison.curves_of(cells, timed, swept, reference)
-    curve_rows = [row for curve in curves for row in curve.rows()]
-    verdict_rows = list(verdicts(curves, reference))
+    result = compared(planned, timed, swept)
     files = [
         timed.write_cases(folder / "computation.csv"),
         swept.write_cases(folder / "cases.csv"),
-        _written(folder / "curves.csv", curve_rows),
-        _written(folder / "verdict.csv", verdict_rows),
-        *draw_costs(curves, reference, folder),
-        *draw_maneuver(curves, reference, swept, folder),
+        _written(folder / "curves.csv", result.curve_rows),
+        _written(folder / "verdict.csv", result.verdict_rows),
+        *draw(result, planned, swept, folder),
     ]
-
-    table = console_table(TITLE, _LABELS, _COLUMNS, curve_rows)
-    return write_markdown(folder, list(map(sentence, verdict_rows)), table, files), table
+    return write_markdown(folder, result.sentences, result.table, files), result.table
 
 
 def _distinct(cells: Iterable[Sequence[Cell]]) -> list[Cell]:
     """Return the cells of all curves once, as curves meet at the reference."""
     return list(dict.fromkeys(cell for own in cells for cell in own))
-
-
-def _measured(
-    points: Sequence[Point], options: ComparisonOptions, results: Results, console: Console
-) -> Swept:
-    """Measure the processor time of every controller at every period.
-
-    One run at a time, all controllers in turns: a slow period of the machine affects all alike.
-
-    Raises: ExperimentError: a run raised an error.
-    """
-    measurement = Experiment(name="processor time", points=tuple(points))
-    maneuver = comparison.QUICK_MEASUREMENT if options.quick else comparison.MANEUVER
-    repeats = comparison.QUICK_REPEATS if options.quick else comparison.REPEATS
-    cases = cases_of(measurement.points, [*options.settings, maneuver], repeats, timed=True)
-
-    timed = sweep(measurement, cases, partial(map, simulate_here), results, console)
-    timed.check()
-    return timed
 
 
 def _written(path: Path, rows: Sequence[comparison.Row]) -> Path:

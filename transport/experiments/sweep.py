@@ -227,16 +227,20 @@ def write_markdown(
 
     Returns: Lines for the console, with the files.
     """
+    file = folder / "report.md"
+    origin = f"machine: {machine()}"
+    text = f"{markdown(sentences, table)}\n*{origin}*\n"
+    write_whole(file, text.encode())
+    return ["", *sentences, "", origin, *(f" {path}" for path in (*files, file))]
+
+
+def markdown(sentences: Sequence[str], table: Table) -> str:
+    """Return sentences and table as Markdown, which ends with a line end."""
     headings = [" ".join(str(column.header).split()) for column in table.columns]
     rows = zip(*(column.cells for column in table.columns), strict=True)
     cells = [headings, ["---"] * len(headings), *rows]
     lines = [f"| {' | '.join(map(str, row))} |" for row in cells]
-
-    file = folder / "report.md"
-    origin = f"machine: {machine()}"
-    text = [*(f"- {sentence}" for sentence in sentences), "", *lines, "", f"*{origin}*", ""]
-    write_whole(file, "\n".join(text).encode())
-    return ["", *sentences, "", origin, *(f" {path}" for path in (*files, file))]
+    return "\n".join([*(f"- {sentence}" for sentence in sentences), "", *lines, ""])
 
 
 class _Progress(ConsoleProgress):

@@ -1,0 +1,287 @@
+"""Renew tables and figures of README and docs from kept results, or check them.
+
+`make figures` simulates only runs without a result. A table whose code has changed since is renewed
+if one of its runs, drawn by the seed, has other numbers now. `make figures-check` compares every
+table with its results, and repeats a drawn run of each. With TABLES=... those are renewed, whether
+they have kept results or not.
+"""
+
+import argparse
+import random
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import kept
+import scipy.linalg  # noqa: F401 - only libraries that are loaded can be limited
+from fingerprint import code_id, run_id
+from kept import Runs
+from measured import Derived, Measured
+from measured_pages import PAGES
+from results_page import DERIVED, EXPERIMENTS, figures_of_runs
+from results_page import measured as experiment
+from simulations import Table
+from simulations import measured as page_table
+from tables import ROOT, place, put
+
+from transport.experiments.cases import ERROR, Case, Result, simulate
+from transport.experiments.workers import map_on_cores
+from transport.protocol.scenario.budget import most_workers
+
+# Declarations by name: a table is planned only when it is needed, as that reads its scenarios.
+TABLES: Mapping[str, Callable[[], Measured]] = {
+    **{name: (lambda name=name: experiment(name)) for name in EXPERIMENTS},
+    **{
+        one.name: (lambda page=page, one=one: page_table(page, one))
+        for page, tables in PAGES.items()
+        for one in tables
+    },
+}
+
+
+class Task(NamedTuple):
+    """A run to be simulated."""
+
+    table: str
+    case: Case
+    text: str  # in words
+
+
+def registered(folder: Path = kept.FOLDER) -> list[str]:
+    """Return the names of tables with kept results."""
+    return [name for name in TABLES if kept.file_of(name, folder).exists()]
+
+
+def say(text: str) -> None:
+    """Print a line on standard error."""
+    sys.stderr.write(f"{text}\n")
+
+
+# Simulation
+
+
+def fly(tasks: Sequence[Task], *, one_at_a_time: bool = False) -> Iterator[tuple[Task, Result]]:
+    """Simulate runs, in any order.
+
+    Raises: SystemExit: a run raised an error.
+    """
+    jobs = 1 if one_at_a_time else most_workers(task.case.scenario for task in tasks)
+    simulated = map_on_cores(_simulated, list(enumerate(tasks)), jobs)
+    for count, (index, result) in enumerate(simulated, start=1):
+        task = tasks[index]
+        if result.outcome == ERROR:
+            raise SystemExit(f"{task.table}: {task.text}: {result.reason}")
+        say(f"{count} of {len(tasks)} runs: {task.table}, {task.text}: {result.outcome}")
+        yield task, result
+
+
+def _simulated(numbered: tuple[int, Task]) -> tuple[int, Result]:
+    index, task = numbered
+    return index, simulate(task.case)
+
+
+def missing(one: Measured, runs: Runs, *, of_this_code: bool = False) -> list[Task]:
+    """Return the runs of a table without a kept result, or without one of this code, once each."""
+    tasks = {}
+    for case, text in zip(one.cases, one.texts, strict=True):
+        run = run_id(case.scenario)
+        is_kept = run in runs and not (
+            of_this_code and runs[run].origin.code != code_id(case.scenario)
+        )
+        if not is_kept:
+            tasks[run] = Task(one.name, case, text)
+    return list(tasks.values())
+
+
+def is_of_other_code(one: Measured, runs: Runs) -> bool:
+    """Return whether some results of a table come from other code than today's."""
+    codes = {run_id(case.scenario): code_id(case.scenario) for case in one.cases}
+    return any(kept_run.origin.code != codes.get(run) for run, kept_run in runs.items())
+
+
+def drawn(one: Measured, seed: int) -> Task:
+    """Return a run of a table, drawn by the seed."""
+    number = random.Random(f"{one.name} {seed}").randrange(len(one.cases))  # noqa: S311
+    return Task(one.name, one.cases[number], one.texts[number])
+
+
+def complete(one: Measured, tasks: Sequence[Task], folder: Path = kept.FOLDER) -> Runs:
+    """Simulate some runs of a table and keep each result at once; return all of its runs."""
+    file = kept.file_of(one.name, folder)
+    runs = kept.read(file)
+    order = list(dict.fromkeys(run_id(case.scenario) for case in one.cases))
+    for task, result in fly(tasks, one_at_a_time=one.is_timed):
+        runs[run_id(task.case.scenario)] = kept.kept_run(task.case, task.text, result)
+        kept.write(file, [runs[run] for run in order if run in runs])
+    whole = {run: runs[run] for run in order}
+    kept.write(file, whole.values())
+    return whole
+
+
+# Pages
+
+
+def results_of(one: Measured, runs: Runs) -> list[Result]:
+    """Return the results of a table in the order of its runs."""
+    return [runs[run_id(case.scenario)].result for case in one.cases]
+
+
+def text_of(one: Measured, runs: Runs) -> str:
+    """Return what stands between the markers of a table."""
+    text = one.text(results_of(one, runs))
+    return f"{text}\n{kept.origin_lines(list(runs.values()))}" if one.draw else text
+
+
+def origins_of_page(tables: Sequence[Table]) -> str:
+    """Return where the numbers of a page's tables come from; empty if none is renewed."""
+    names: dict[str, list[str]] = {}
+    for one in tables:
+        runs = kept.read(kept.file_of(one.name))
+        names.setdefault(kept.origin_lines(list(runs.values())), []).append(f"`{one.name}`")
+    if len(names) == 1:
+        return next(iter(names))
+    lines = [
+        f"{', '.join(own)}: {origin or '*an earlier version, not yet renewed.*'}"
+        for origin, own in names.items()
+    ]
+    return "\n\n".join(lines)
+
+
+def derived(
+    results: Mapping[str, Sequence[Result]],
+) -> Iterator[tuple[Derived, str]]:
+    """Yield the tables that are made from others, as far as those have results."""
+    for one in DERIVED:
+        if set(one.sources) <= results.keys():
+            yield one, one.text({name: results[name] for name in one.sources})
+
+
+# Commands
+
+
+def renew(names: Sequence[str], *, of_this_code: bool, seed: int, pictures: bool) -> None:
+    """Simulate what is missing, and write pages and figures."""
+    results = {}
+    for name in names:
+        one = TABLES[name]()
+        place(one.document, name)  # refused before minutes are spent
+        runs = kept.read(kept.file_of(name))
+        tasks = missing(one, runs, of_this_code=of_this_code)
+        if not tasks and is_of_other_code(one, runs) and problems_of_drawn([one], seed):
+            say(f"{name}: a drawn run has changed; all are simulated")
+            tasks = missing(one, {})
+        runs = complete(one, tasks)
+        results[name] = results_of(one, runs)
+        put(one.document, name, text_of(one, runs))
+        if one.draw and pictures:
+            one.draw(results[name])
+
+    for page, tables in PAGES.items():
+        origins = origins_of_page(tables)
+        if origins:
+            put(ROOT / "docs" / page, "origin", origins)
+    known = {
+        name: results[name] if name in results else _kept_results(name) for name in registered()
+    }
+    for made, text in derived(known):
+        put(made.document, made.name, text)
+    if pictures:
+        figures_of_runs()
+
+
+def _kept_results(name: str) -> list[Result]:
+    one = TABLES[name]()
+    return results_of(one, kept.read(kept.file_of(name)))
+
+
+def problems_of_drawn(tables: Sequence[Measured], seed: int) -> list[str]:
+    """Repeat a drawn run of each table; return a line for each that has other numbers."""
+    problems = []
+    for task, result in fly([drawn(one, seed) for one in tables]):
+        runs = kept.read(kept.file_of(task.table))
+        difference = kept.difference(runs[run_id(task.case.scenario)], result)
+        if difference:
+            problems.append(
+                f"{task.table}: {task.text}, seed {task.case.scenario.seed}: {difference}"
+            )
+    return problems
+
+
+def problems_of_pages(tables: Sequence[Measured]) -> list[str]:
+    """Compare pages with kept results, and those with the runs of today's scenarios.
+
+    Returns: A line for each table that differs.
+    """
+    problems = []
+    results = {}
+    for one in tables:
+        runs = kept.read(kept.file_of(one.name))
+        planned = {run_id(case.scenario) for case in one.cases}
+        if planned != runs.keys():
+            changed = len(planned - runs.keys())
+            problems.append(f"{one.name}: {changed} of {len(planned)} runs are of other scenarios")
+            continue
+        results[one.name] = results_of(one, runs)
+        if place(one.document, one.name).group() != text_of(one, runs):
+            problems.append(f"{one.name}: {one.document.name} differs from the kept results")
+    for made, text in derived(results):
+        if place(made.document, made.name).group() != text:
+            problems.append(f"{made.name}: {made.document.name} differs from the kept results")
+    return problems
+
+
+def check(names: Sequence[str], seed: int) -> list[str]:
+    """Return a line for each table that is not the one of today's program."""
+    tables = [TABLES[name]() for name in names]
+    problems = problems_of_pages(tables)
+    wrong = {problem.partition(":")[0] for problem in problems}
+    return [*problems, *problems_of_drawn([one for one in tables if one.name not in wrong], seed)]
+
+
+def default_seed() -> int:
+    """Return the number of commits so far, so that each commit draws other runs; 0 without git."""
+    command = ["git", "rev-list", "--count", "HEAD"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    return int(done.stdout) if done.returncode == 0 else 0
+
+
+def main() -> None:
+    """Renew or check."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("tables", nargs="*", metavar="TABLE", help=f"of {', '.join(TABLES)}")
+    parser.add_argument("--check", action="store_true", help="compare, change nothing")
+    parser.add_argument("--all-runs", action="store_true", help="repeat all runs of other code")
+    parser.add_argument("--no-pictures", action="store_true", help="tables only")
+    parser.add_argument("--seed", type=int, default=default_seed(), help="of the drawn runs")
+    given = parser.parse_args()
+    unknown = sorted(set(given.tables) - TABLES.keys())
+    if unknown:
+        parser.error(f"expected tables of {', '.join(TABLES)}; got {', '.join(unknown)}")
+
+    began_s = time.monotonic()
+    names = given.tables or registered()
+    if given.check:
+        problems = check(names, given.seed)
+        for problem in problems:
+            say(problem)
+        say(f"{len(names)} tables, drawn runs of seed {given.seed}: {len(problems)} problems")
+    else:
+        problems = []
+        renew(
+            names,
+            of_this_code=given.all_runs,
+            seed=given.seed,
+            pictures=not given.no_pictures,
+        )
+    others = [name for name in TABLES if name not in registered()]
+    if others:
+        say(f"not yet renewed, without kept results: {', '.join(others)} (make figures TABLES=...)")
+    say(f"{time.monotonic() - began_s:.0f} s")
+    raise SystemExit(bool(problems))
+
+
+if __name__ == "__main__":
+    main()
