@@ -8,7 +8,7 @@ WORKERS := --numprocesses 3 --dist loadfile --no-loadscope-reorder
 # Empty means unset: each process of a run would otherwise compile all sources again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: run test test-slow test-pages test-firmware test-all campaigns bench figures docs reference lint format lock audit licences clean help
+.PHONY: run test test-slow test-pages test-firmware test-all campaigns bench figures figures-check docs reference lint format lock audit licences clean help
 
 help: ## show this
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1 \t/'
@@ -57,9 +57,11 @@ radio-reference: $(VENV)/.installed | $(BIN)/python
 		fi; \
 	fi
 
-figures: $(VENV)/.installed-test $(VENV)/.installed-firmware ## run every experiment and renew figures and tables of README and docs (an hour and a half)
-	@$(BIN)/python docs/measured_pages.py
-	@$(BIN)/python docs/results_page.py
+figures: $(VENV)/.installed-test ## renew tables and figures of README and docs from kept results: 3 minutes (TABLES="claims gap": those)
+	@$(BIN)/python docs/figures.py $(TABLES)
+
+figures-check: $(VENV)/.installed-test ## compare all tables with kept results, and a run of each, drawn by the commit, with today's numbers
+	@$(BIN)/python docs/figures.py --check $(TABLES)
 
 docs: $(VENV)/.installed-docs ## build the site into build/site; open build/site/index.html (no server, no network)
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

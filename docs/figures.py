@@ -12,7 +12,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import kept
@@ -50,9 +49,9 @@ class Task(NamedTuple):
     text: str  # in words
 
 
-def registered(folder: Path = kept.FOLDER) -> list[str]:
+def registered() -> list[str]:
     """Return the names of tables with kept results."""
-    return [name for name in TABLES if kept.file_of(name, folder).exists()]
+    return [name for name in TABLES if kept.file_of(name).exists()]
 
 
 def say(text: str) -> None:
@@ -108,9 +107,9 @@ def drawn(one: Measured, seed: int) -> Task:
     return Task(one.name, one.cases[number], one.texts[number])
 
 
-def complete(one: Measured, tasks: Sequence[Task], folder: Path = kept.FOLDER) -> Runs:
+def complete(one: Measured, tasks: Sequence[Task]) -> Runs:
     """Simulate some runs of a table and keep each result at once; return all of its runs."""
-    file = kept.file_of(one.name, folder)
+    file = kept.file_of(one.name)
     runs = kept.read(file)
     order = list(dict.fromkeys(run_id(case.scenario) for case in one.cases))
     for task, result in fly(tasks, one_at_a_time=one.is_timed):
@@ -164,6 +163,8 @@ def derived(
 
 def renew(names: Sequence[str], *, of_this_code: bool, seed: int, pictures: bool) -> None:
     """Simulate what is missing, and write pages and figures."""
+    if pictures:
+        figures_of_runs()
     results = {}
     for name in names:
         one = TABLES[name]()
@@ -188,8 +189,6 @@ def renew(names: Sequence[str], *, of_this_code: bool, seed: int, pictures: bool
     }
     for made, text in derived(known):
         put(made.document, made.name, text)
-    if pictures:
-        figures_of_runs()
 
 
 def _kept_results(name: str) -> list[Result]:

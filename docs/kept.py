@@ -135,9 +135,9 @@ def _equal(before: float | None, now: float | None, relative: float) -> bool:
     return math.isclose(before, now, rel_tol=relative, abs_tol=2 * LEAST)
 
 
-def file_of(table: str, folder: Path = FOLDER) -> Path:
+def file_of(table: str) -> Path:
     """Return the file of a table."""
-    return folder / f"{table}.csv"
+    return FOLDER / f"{table}.csv"
 
 
 def read(file: Path) -> Runs:

@@ -63,7 +63,7 @@ def measured(name: str) -> Measured:
         return _compared()
     asked = EXPERIMENTS[name]
     options = ExperimentOptions(declared=DECLARED[name], seeds=asked.seeds)
-    experiment, cases = options.plan(asked.own)
+    experiment, cases = options.plan(asked.own, simulated_before=True)
 
     def text(results: Sequence[Result]) -> str:
         found = swept(experiment, cases, results).measured
@@ -93,7 +93,7 @@ def _texts(experiment: Experiment, cases: Sequence[Case]) -> list[str]:
 
 def _comparison() -> ComparisonPlan:
     options = ComparisonOptions(settings=(), seeds=COMPARISON.seeds, gust_mps=GUST_MPS)
-    return comparison_report.plan(options)
+    return comparison_report.plan(options, simulated_before=True)
 
 
 def _halves(planned: ComparisonPlan, results: Sequence[Result]) -> tuple[Swept, Swept]:
@@ -139,7 +139,7 @@ def _rows(name: str, results: Sequence[Result]) -> list[dict[str, str]]:
     """Return the rows of points.csv of an experiment as texts."""
     asked = EXPERIMENTS[name]
     options = ExperimentOptions(declared=DECLARED[name], seeds=asked.seeds)
-    rows = swept(*options.plan(asked.own), results).rows("points")
+    rows = swept(*options.plan(asked.own, simulated_before=True), results).rows("points")
     return [_as_text(row) for row in rows]
 
 

@@ -121,7 +121,9 @@ class ExperimentOptions:
             for name in names
         }
 
-    def plan(self, given: Mapping[str, Any]) -> tuple[Experiment, list[Case]]:
+    def plan(
+        self, given: Mapping[str, Any], *, simulated_before: bool = False
+    ) -> tuple[Experiment, list[Case]]:
         """Return the experiment with its points for some of its own options, and all its runs.
 
         Raises: ExperimentError: options are refused. ScenarioError: a scenario is refused.
@@ -133,6 +135,7 @@ class ExperimentOptions:
             self.repetitions,
             timed=experiment.drawn_as == _TIMED,
             allow_large=self.allow_large,
+            simulated_before=simulated_before,
         )
         return experiment, cases
 

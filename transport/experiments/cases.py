@@ -147,12 +147,14 @@ def cases_of(
     *,
     timed: bool = False,
     allow_large: bool = False,
+    simulated_before: bool = False,
 ) -> list[Case]:
     """Return every run of a sweep: each point with the seeds 0, 1, ...
 
     A deterministic point has one seed. The settings are applied before those of the points. Timed
     points have the numbers of `resource_use` and are all repeated. With `allow_large` runs may
-    exceed the limits of `protocol.scenario.budget`.
+    exceed the limits of `protocol.scenario.budget`. Points that have been simulated before are not
+    set up, which takes a second for a large team.
 
     Raises: ScenarioError: a point that cannot be simulated, naming file, field, expected, got.
     """
@@ -163,8 +165,18 @@ def cases_of(
         scenario = point.read(settings)
         if not allow_large:
             check_budget(scenario, str(path))
+        if not simulated_before:
+            check(scenario, path)
         cases += cases_of_point(index, scenario, path, seeds, more=more)
     return cases
+
+
+def check(scenario: Scenario, path: Path) -> None:
+    """Refuse an impossible setup before the first run.
+
+    Raises: ScenarioError: the scenario cannot be simulated.
+    """
+    checked(Setup.of(scenario, str(path)))
 
 
 def cases_of_point(
@@ -172,13 +184,12 @@ def cases_of_point(
 ) -> list[Case]:
     """Return the runs of the point with an index, whose scenario comes from a file; as `cases_of`.
 
-    Raises: ScenarioError: the scenario cannot be simulated.
+    Raises: ScenarioError: the scenario is in real time.
     """
     if scenario.clock.mode != "lockstep":
         # In real time the result would depend on the machine and its load.
         problem = f"expected lockstep, got {scenario.clock.mode}"
         raise ScenarioError(str(path), "clock.mode", problem)
-    checked(Setup.of(scenario, str(path)))  # refuses an impossible setup before the first run
 
     is_repeated = more is resource_use or is_random(scenario)
     cases = []

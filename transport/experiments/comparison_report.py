@@ -93,8 +93,8 @@ class ComparisonPlan:
     cases: Sequence[Case]
 
 
-def plan(options: ComparisonOptions) -> ComparisonPlan:
-    """Return the runs of the comparison.
+def plan(options: ComparisonOptions, *, simulated_before: bool = False) -> ComparisonPlan:
+    """Return the runs of the comparison, as `cases_of`.
 
     Raises: ScenarioError: wrong settings.
     """
@@ -106,13 +106,14 @@ def plan(options: ComparisonOptions) -> ComparisonPlan:
     measurement = Experiment(name="processor time", points=experiment.points[: len(distinct)])
     maneuver = comparison.QUICK_MEASUREMENT if options.quick else comparison.MANEUVER
     repeats = comparison.QUICK_REPEATS if options.quick else comparison.REPEATS
+    cases = partial(cases_of, simulated_before=simulated_before)
     return ComparisonPlan(
         reference=reference,
         cells=cells,
         measurement=measurement,
-        timed=cases_of(measurement.points, [*options.settings, maneuver], repeats, timed=True),
+        timed=cases(measurement.points, [*options.settings, maneuver], repeats, timed=True),
         experiment=experiment,
-        cases=cases_of(experiment.points, options.settings, options.seeds),
+        cases=cases(experiment.points, options.settings, options.seeds),
     )
 
 

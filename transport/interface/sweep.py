@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from transport.experiments import sweep as experiment_sweep
-from transport.experiments.cases import Case, Point, cases_of_point
+from transport.experiments.cases import Case, Point, cases_of_point, check
 from transport.experiments.declaration import Experiment, axis
 from transport.experiments.figures import fill
 from transport.experiments.statistics import TITLE, WIDTH, PointStatistics, table_of
@@ -105,6 +105,7 @@ def _plan(
             labels = {name: _label(value) for name, value in settings.items()}
             text = ", ".join(f"{name} {value}" for name, value in labels.items())
             changed = scenario.copy(settings)
+            check(changed.validated, changed.file)
             plan.cases += cases_of_point(len(plan.points), changed.validated, changed.file, seeds)
             plan.points.append(
                 Point(scenario=label, labels=labels, text=text, baseline=number == 0)
