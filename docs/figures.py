@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+import joblib
 import kept
 import scipy.linalg  # noqa: F401 - only libraries that are loaded can be limited
 from fingerprint import code_id, run_id
@@ -67,7 +68,8 @@ def fly(tasks: Sequence[Task], *, one_at_a_time: bool = False) -> Iterator[tuple
 
     Raises: SystemExit: a run raised an error.
     """
-    jobs = 1 if one_at_a_time else most_workers(task.case.scenario for task in tasks)
+    most = min(joblib.cpu_count(), most_workers(task.case.scenario for task in tasks))
+    jobs = 1 if one_at_a_time else most
     simulated = map_on_cores(_simulated, list(enumerate(tasks)), jobs)
     for count, (index, result) in enumerate(simulated, start=1):
         task = tasks[index]
