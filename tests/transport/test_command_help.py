@@ -2,10 +2,12 @@
 
 import json
 import os
+import re
 from pathlib import Path
 
 import pytest
-from typer.core import TyperGroup
+import typer
+from typer.core import TyperCommand, TyperGroup
 from typer.testing import CliRunner
 
 from tests.support import runs
@@ -14,7 +16,9 @@ from tests.support.logs import record_run
 from transport.cli.lazy import LazyGroup
 from transport.cli.main import app
 from transport.cli.options import newest_runs
+from transport.cli.setting_words import complete_setting
 from transport.log.run_log import point_latest
+from transport.protocol.scenario.keys import fields, section_in
 
 ONE_LINE = {
     "valdate paper": "no such command 'valdate'. Did you mean 'validate'? (transport --help)",
@@ -79,6 +83,8 @@ def test_errors_are_one_line(words: str, tmp_path: Path, monkeypatch: pytest.Mon
         ("transport run resi", "resilient"),
         ("transport fault st", "stop"),
         ("transport plot ru", "runs/b"),
+        ("transport run resilient --set contr", "controller.sampling_period_s"),
+        ("transport experiment loss --set links.measurement.de", "links.measurement.delay_s="),
     ],
 )
 def test_the_shell_completes(
@@ -91,6 +97,38 @@ def test_the_shell_completes(
     }  # fmt: skip
     done = CliRunner().invoke(app, [], prog_name="transport", env=asked)
     assert done.stdout.splitlines()[:1] == [expected], done.stderr
+
+
+@pytest.mark.parametrize(
+    ("word", "expected"),
+    [
+        ("controller.hor", ["controller.horizon=", "controller.horizon=20"]),
+        ("clock.m", ["clock.mode=lockstep", "clock.mode=realtime"]),
+        ("controller.preview=", ["controller.preview=true", "controller.preview=false"]),
+        ("controller.preview=t", ["controller.preview=true"]),
+        ("maneuver.phase.2.dur", ["maneuver.phase.2.duration_s=", "maneuver.phase.2.duration_s=5.0"]),
+        ("links.change.3.at", ["links.change.3.at_s="]),
+        ("controller.terminal", ["controller.terminal=multiple", "controller.terminal=riccati"]),
+        ("no.such", []),
+    ],
+)  # fmt: skip
+def test_the_shell_completes_settings(word: str, expected: list[str]) -> None:
+    """A key is followed by its choices, or by nothing and the value that the scenario has.
+
+    bash splits `--set links.loss=0.1` at the sign, which changes nothing.
+    """
+    line = f"transport run resilient --set links.loss = 0.1 --set {word}"
+    asked = {"_TRANSPORT_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": "8"}
+    done = CliRunner().invoke(app, [], prog_name="transport", env=asked)
+    assert done.stdout.split() == expected, done.stderr
+
+
+def test_every_key_is_completed() -> None:
+    """Each value of a scenario is a key that the shell completes to, lists with the number 1."""
+    context = typer.Context(TyperCommand("run"), info_name="run")
+    words = {re.sub(r"\.1\b", "", word) for word in complete_setting(context, "")}
+    known = fields()
+    assert words == {key for key, field in known.items() if section_in(field.annotation) is None}
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,7 @@ from typer import Option
 from transport.cli.lazy import with_options
 from transport.cli.options import RUNS, FormatOption, LargeOption
 from transport.cli.output import Format, show
+from transport.cli.setting_words import complete_setting
 from transport.experiments import (
     comparison,
     comparison_report,
@@ -65,7 +66,12 @@ class ExperimentOptions:
 
     settings: Annotated[
         list[str] | None,
-        Option("--set", metavar="KEY=VALUE", help="Change a value of every scenario. Repeatable."),
+        Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Change a value of every scenario. Repeatable.",
+            autocompletion=complete_setting,
+        ),
     ] = None
     seeds: Annotated[
         int | None,

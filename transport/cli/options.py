@@ -10,6 +10,7 @@ import typer
 from typer import Argument, Option
 
 from transport.cli.output import Format, fail
+from transport.cli.setting_words import complete_setting
 from transport.protocol.scenario.file import find_scenario, read_scenario
 from transport.protocol.scenario.setup import Setup
 
@@ -56,6 +57,7 @@ SetOption = Annotated[
         "--set",
         metavar="KEY=VALUE",
         help="Change a scenario value, e.g. controller.horizon=10. Repeatable.",
+        autocompletion=complete_setting,
     ),
 ]
 LargeOption = Annotated[

@@ -15,6 +15,7 @@ from transport.analysis.replay import Replay
 from transport.cli.lazy import with_options
 from transport.cli.options import FormatOption, RunArgument, run_folder
 from transport.cli.output import Format, blame, fail, rows, show
+from transport.cli.setting_words import complete_setting
 from transport.flight.run_files import machine, versions
 from transport.flight.signals import leave_interrupts_to_python
 from transport.log.run_log import RecordedRun, open_run
@@ -55,7 +56,12 @@ class ReplayOptions:
 
     settings: Annotated[
         list[str] | None,
-        Option("--set", metavar="KEY=VALUE", help="Replay with this change. Repeatable."),
+        Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Replay with this change. Repeatable.",
+            autocompletion=complete_setting,
+        ),
     ] = None
     against: Annotated[
         str | None,

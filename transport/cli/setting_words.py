@@ -1,0 +1,97 @@
+"""Completion of `--set KEY=VALUE` by the shell: keys of a scenario, and the values they may have."""
+
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any, Literal, get_args, get_origin
+
+import typer
+
+# Stands in a key for the number of an entry of a list.
+_NUMBER = "#"
+
+
+def complete_setting(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the keys of a scenario that begin like an incomplete word.
+
+    The values of the last key that is left follow it: all of a choice, else none and the one that
+    the scenario has. Shells add a space to a single word, which a key must not have.
+    """
+    typed_key, has_value, _ = incomplete.partition("=")
+    keys = dict(_keys(typed_key.split(".")))
+    found = [key for key in keys if key.startswith(typed_key)]
+    if has_value:
+        found = [key for key in found if key == typed_key]
+    if len(found) != 1:
+        return found
+
+    (key,) = found
+    words = [f"{key}={value}" for value in _values(key, keys[key].annotation, ctx)]
+    return [word for word in words if word.startswith(incomplete)]
+
+
+def _keys(typed: list[str]) -> Iterator[tuple[str, Any]]:
+    """Yield the dotted keys of all values, with their fields.
+
+    A list has the number that is typed there, 1 without any.
+    """
+    from transport.protocol.scenario.keys import section_in
+    from transport.protocol.scenario.schema import Scenario
+
+    for parts, field in _below(Scenario, ()):
+        if section_in(field.annotation) is None:
+            yield ".".join(_numbered(parts, typed)), field
+
+
+def _below(section: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield every key and section below a section by the parts of its dotted key."""
+    from transport.protocol.scenario.keys import names_of, section_in
+
+    for key, name in names_of(section).items():
+        field = section.model_fields[name]
+        parts = (*path, key)
+        yield parts, field
+
+        inner = section_in(field.annotation)
+        if inner is not None:
+            is_list = get_origin(field.annotation) in {list, tuple}
+            yield from _below(inner, (*parts, _NUMBER) if is_list else parts)
+
+
+def _numbered(parts: tuple[str, ...], typed: list[str]) -> Iterator[str]:
+    """Yield the parts of a key, with the typed numbers of entries in their places."""
+    for place, part in enumerate(parts):
+        word = typed[place] if place < len(typed) else ""
+        number = word if word.isdecimal() else "1"
+        yield number if part == _NUMBER else part
+
+
+def _values(key: str, annotation: Any, ctx: typer.Context) -> list[str]:
+    """Return the values that a key may have; of a number or a text none and the present one."""
+    choices = _choices(annotation)
+    if choices:
+        return choices
+    return ["", *_present(key, ctx)]
+
+
+def _choices(annotation: Any) -> list[str]:
+    """Return the values of a choice, also of one that may be left out; empty for other kinds."""
+    if annotation is bool:
+        return ["true", "false"]
+    if get_origin(annotation) is Literal:
+        return [str(value) for value in get_args(annotation)]
+    return [choice for inner in get_args(annotation) for choice in _choices(inner)]
+
+
+def _present(key: str, ctx: typer.Context) -> Iterator[str]:
+    """Yield the value that a key has in the scenario of the command line; nothing without one."""
+    from transport.protocol.scenario.errors import ScenarioError
+    from transport.protocol.scenario.file import find_scenario, read_scenario
+
+    name = ctx.params.get("scenario") or "paper"
+    value: Any = None
+    with suppress(ScenarioError, OSError, KeyError, IndexError, TypeError):
+        value = read_scenario(find_scenario(str(name)), allow_large=True).tree()
+        for part in key.split("."):
+            value = value[int(part) - 1] if part.isdecimal() else value[part]
+    if isinstance(value, int | float | str):
+        yield str(value)
