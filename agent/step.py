@@ -21,6 +21,7 @@ from transport.mpc.controller import Controller, Horizon, StepResult
 from transport.mpc.cost import CostToGo
 from transport.mpc.feedback import FeedbackLaw
 from transport.mpc.prediction import Linear
+from transport.mpc.softening import softened_problem
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import STAGES, Message, Note, Plan, StepReport
 from transport.protocol.wire.node import Outbox
@@ -223,9 +224,14 @@ class Planner:
         self._team.announced.add(plan)
         self._times.conclude(publish_ns)
         report = self._report(step, result, out)
-        notes = self._notes(step.received.tick, out)
+        k = step.received.tick
+        notes = self._notes(k, out)
+        softened = [
+            numbers_note(k, self._agent, {"violation": violation}, out, softened_problem(text))
+            for text, violation in result.solution.violations.items()
+        ]
         self._times.resume()
-        return [*notes, plan, report]
+        return [*notes, *softened, plan, report]
 
     def _plan(self, step: Step, result: StepResult, out: Outbox) -> Plan:
         """Return the plan of a result; the last one of a tick is shared if the others need it."""

@@ -29,6 +29,7 @@ from transport.mpc.reference import Sampled
 from transport.mpc.regulation import Regulation
 from transport.mpc.rollout import Rollout, rollout
 from transport.mpc.settings import ControllerSettings
+from transport.mpc.softening import Softening
 
 # A trajectory beyond these angles of payload or UAVs, rad, is not followed: Euler angles become
 # singular.
@@ -79,6 +80,9 @@ class Controller:
         self._decision = Decision(model.system, settings, owned)
         self._program = Program(self._decision, self.cost, self.regulation.user_costs)
         self._along = CourseProgram(self._decision, obstacles)
+        self._softening = Softening(self._decision, self._program.stack)
+        self._softening_along = Softening(self._decision, self._along.stack)
+        self._softens = self._softening  # the one of the newest program
 
         # The model with the motor failures reported to `fail`, and without.
         self.model = model
@@ -241,14 +245,26 @@ class Controller:
         Source: docs/equations.md (22)-(30), (48), (74).
         """
         if isinstance(prediction, Course):
+            self._softens = self._softening_along
             return self._along.program(prediction)
+        self._softens = self._softening
         if self._curvature is not None:
             y_ref = y_ref - self._curvature
         return self._program.condense(linear, prediction, y_ref, law, end)
 
     def solve(self, qp: QP) -> Solution:
-        """Solve by the chosen solver, or by Clarabel when that fails."""
-        return solve(qp, self.settings.solver)
+        """Solve by the chosen solver, or by Clarabel when that fails.
+
+        Where hard constraints of the user have no solution, return that of the newest program with
+        them softened, and their violations. Source: docs/equations.md (30e).
+        """
+        solution = solve(qp, self.settings.solver)
+        if solution.status != "infeasible" or not self._softens.texts:
+            return solution
+        softened = solve(self._softens.softened(qp), self.settings.solver)
+        if softened.status != "solved":
+            return solution
+        return replace(softened, violations=self._softens.violations(softened.z))
 
     def conclude(
         self,

@@ -58,7 +58,7 @@ class CourseProgram:
         constraints: list[Constraint] = [Bounds(decision), *constraints_of(decision)]
         if obstacles:
             constraints.append(Clearance(decision, obstacles))
-        self._stack = Stack(decision, constraints)
+        self.stack = Stack(decision, constraints)
         # Constraints on states; those on inputs are judged relative to their range.
         self._on_states = [each for each in constraints if not isinstance(each, Bounds | Rates)]
 
@@ -96,7 +96,7 @@ class CourseProgram:
         size = self._decision.size
         own = self._decision.own
         scale = self._decision.scale
-        penalties = self._stack.penalties
+        penalties = self.stack.penalties
         if course.within:
             penalties = penalties[:0]
         slacks = len(penalties)
@@ -109,7 +109,7 @@ class CourseProgram:
         H[of_slacks, of_slacks] = penalties
 
         none = Rows(A=np.zeros((0, size)), lower=np.zeros(0), upper=np.zeros(0))
-        rows = none if course.within else self._stack.about(course.trajectory)
+        rows = none if course.within else self.stack.about(course.trajectory)
         return QP(
             H=H,
             g=np.concatenate([np.zeros(size), penalties]),

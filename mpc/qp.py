@@ -4,7 +4,8 @@ minimise 1/2 z' H z + g' z   subject to   lower <= z <= upper,   row_lower <= A 
 """
 
 import math
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Literal
 
@@ -99,6 +100,8 @@ class Solution:
     iterations: int  # the solver's own count
     solver: str
     fallback: bool = False  # the chosen solver failed, and this one solved or tried
+    # Planned violations of hard constraints that no plan meets, by expression, in its unit.
+    violations: Mapping[str, float] = field(default_factory=dict)
 
 
 def residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:

@@ -13,7 +13,11 @@ from transport.mpc.trajectory import Signals, Trajectory
 
 
 class OwnStates:
-    """Constraints on states, h(x) <= 0 or h(x) = 0, each soft one with a slack of its own."""
+    """Constraints on states, h(x) <= 0 or h(x) = 0, each soft one with a slack of its own.
+
+    Attributes:
+        texts: Their expressions in the order of a step's rows, None for a soft one.
+    """
 
     in_kernel: ClassVar = False
 
@@ -23,6 +27,12 @@ class OwnStates:
         self._constraints = UserConstraints(settings.constraint, system, "state", penalty)
         soft = np.flatnonzero(~np.isnan(self._constraints.penalty))
         self.penalties = self._constraints.penalty[soft]
+        self.texts = [
+            text if np.isnan(penalty) else None
+            for text, penalty in zip(
+                self._constraints.texts, self._constraints.penalty, strict=True
+            )
+        ]
 
         # h(x) - slack <= 0 in each step's rows.
         of_step = np.zeros((len(self._constraints), len(soft)))
@@ -39,6 +49,10 @@ class OwnInputs:
     """Constraints on inputs, g(u) <= 0 or g(u) = 0, always hard.
 
     Constraints without an owned input are left to their owners.
+
+    Attributes:
+        texts: Expressions of the others in the order of a step's rows.
+        is_shared: Whether several agents keep one of them.
     """
 
     in_kernel: ClassVar = False
@@ -48,6 +62,7 @@ class OwnInputs:
         # Owned inputs in each constraint, of all inputs in it: (constraints, m).
         depends = self._constraints.depends
         self._kept = depends[:, decision.own].any(axis=1)
+        self.texts = [self._constraints.texts[row] for row in np.flatnonzero(self._kept)]
         # Every agent corrects its share of what several of them keep.
         self._share = share(depends[self._kept], decision.own)
         self.is_shared = bool((self._share > 1.0).any())

@@ -22,29 +22,35 @@ class Rows:
 
 
 class Stack:
-    """Places of the rows and slacks of several constraints."""
+    """Places of the rows and slacks of several constraints.
+
+    Attributes:
+        constraints: The constraints, in the order of their rows.
+        penalties: Weights of all slacks.
+        rows: Rows of each constraint.
+    """
 
     def __init__(self, decision: Decision, constraints: Sequence[Constraint]) -> None:
         self.constraints = tuple(constraints)
         self.penalties = np.concatenate([each.penalties for each in constraints])
         self._size = decision.size
-        self._rows = _slices([len(each.slack) for each in constraints])
+        self.rows = _slices([len(each.slack) for each in constraints])
         self._slacks = _slices([len(each.penalties) for each in constraints])
 
     def empty(self) -> Rows:
         """Return the rows with the entries of the slacks alone, without bounds."""
-        count = self._rows[-1].stop
+        count = self.rows[-1].stop
         A = np.zeros((count, self._size + len(self.penalties)))
         slacks = A[:, self._size :]
         for constraint, rows, columns in zip(
-            self.constraints, self._rows, self._slacks, strict=True
+            self.constraints, self.rows, self._slacks, strict=True
         ):
             slacks[rows, columns] = constraint.slack
         return Rows(A=A, lower=np.full(count, -np.inf), upper=np.full(count, np.inf))
 
     def write(self, to: Rows, constraint: Constraint, block: Block) -> None:
         """Write the rows of one constraint."""
-        rows = self._rows[self.constraints.index(constraint)]
+        rows = self.rows[self.constraints.index(constraint)]
         to.A[rows, : self._size] = block.A
         to.lower[rows] = block.lower
         to.upper[rows] = block.upper

@@ -45,7 +45,7 @@ def summarise(run: AnalysedRun) -> dict[str, Any]:
         "controller": _controller(setup, log),
         **_durations(setup, log, series),
         **cost_and_tracking(setup, series),
-        "own_constraints": own_constraints(setup, series),
+        "own_constraints": own_constraints(setup, series, log),
         "cables": cables(setup, log),
         "estimate": consistency(series, log),
         "agent_step_ms": _step_times(reports),

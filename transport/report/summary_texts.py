@@ -31,11 +31,12 @@ def milliseconds(spread: Mapping[str, Any]) -> str:
 def own_constraint_text(own: Mapping[str, Any]) -> str:
     """Return whether a constraint of the user held on the actual trajectory, and by how much not."""
     violation = own["violation_max"]
+    softened = f", softened in {own['softened_steps']} steps" if own["softened_steps"] else ""
     if violation is not None and violation < OWN_HELD:
-        return f"{own['expression']}: held"
+        return f"{own['expression']}: held{softened}"
 
     exceeded = number_text(violation, "exceeded by {:.3g}")
-    return f"{own['expression']}: {exceeded} at {own['at_s']:.2f} s"
+    return f"{own['expression']}: {exceeded} at {own['at_s']:.2f} s{softened}"
 
 
 def limits_text(violation: float | None, solver: Mapping[str, Any]) -> str:

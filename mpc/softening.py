@@ -1,0 +1,94 @@
+"""Hard constraints of the user that no plan meets: a slack in place of no solution.
+
+The other agents, or the state, can make hard rows infeasible. The program is then solved again, in
+which each of these constraints has a slack of its own for its largest violation over the horizon.
+Source: docs/equations.md (30e).
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from transport.model.arrays import Array
+from transport.mpc.constraints.own import OwnInputs, OwnStates
+from transport.mpc.constraints.stack import Stack
+from transport.mpc.decision import Decision
+from transport.mpc.qp import QP
+from transport.mpc.shared_rows import default_penalty
+
+# Penalty on a violation over that of a soft constraint: it is a wall, as a hard constraint is.
+_STEEPER = 100.0
+# Violation that is the tolerance of a solver, in units of the expression.
+_NONE = 1e-6
+# Characters of an expression in a note, which has room for a thousand.
+_SHOWN = 900
+
+
+def softened_problem(text: str) -> str:
+    """Return the note of a step whose plan exceeds a hard constraint, from its expression."""
+    return f"no plan meets {text[:_SHOWN]}: softened"
+
+
+class Softening:
+    """The hard constraints of the user in the programs of one stack.
+
+    Attributes:
+        texts: Their expressions.
+    """
+
+    def __init__(self, decision: Decision, stack: Stack) -> None:
+        rows, of_constraint, texts = [], [], list[str]()
+        for constraint, place in zip(stack.constraints, stack.rows, strict=True):
+            if not isinstance(constraint, OwnInputs | OwnStates):
+                continue
+            # The rows of a step have the constraints in turn.
+            count = len(constraint.texts)
+            for turn, text in enumerate(constraint.texts):
+                if text is None:
+                    continue
+                own = np.arange(place.start + turn, place.stop, count)
+                rows.append(own)
+                of_constraint.append(np.full(len(own), len(texts)))
+                texts.append(text)
+
+        self.texts = tuple(texts)
+        self._rows = np.concatenate(rows) if rows else np.zeros(0, dtype=np.intp)
+        self._constraint = np.concatenate(of_constraint) if rows else np.zeros(0, dtype=np.intp)
+        self._penalty = _STEEPER * default_penalty(decision.settings.weights, decision.system.N)
+
+    def softened(self, qp: QP) -> QP:
+        """Return the program with two slacks for each hard constraint: above and below its bounds.
+
+        minimise ... + p (s + 1/2 s's)   subject to   lower <= A z - s_above + s_below <= upper
+        """
+        n = len(qp.g)
+        count = len(self.texts)
+        slacks = 2 * count
+
+        H = np.zeros((n + slacks, n + slacks))
+        H[:n, :n] = qp.H
+        H[n:, n:] = self._penalty * np.eye(slacks)
+
+        A = np.zeros((len(qp.A), n + slacks))
+        A[:, :n] = qp.A
+        A[self._rows, n + self._constraint] = -1.0
+        A[self._rows, n + count + self._constraint] = 1.0
+        return replace(
+            qp,
+            H=H,
+            g=np.concatenate([qp.g, np.full(slacks, self._penalty)]),
+            lower=np.concatenate([qp.lower, np.zeros(slacks)]),
+            upper=np.concatenate([qp.upper, np.full(slacks, np.inf)]),
+            A=A,
+        )
+
+    def violations(self, z: Array) -> Mapping[str, float]:
+        """Return the planned violations by expression, in its unit, from a softened solution."""
+        above, below = z[-2 * len(self.texts) :].reshape(2, -1)
+        largest = np.maximum(above, below)
+        return {
+            text: float(violation)
+            for text, violation in zip(self.texts, largest, strict=True)
+            if violation > _NONE
+        }

@@ -1,0 +1,66 @@
+"""Hard constraints of the user that no plan meets (docs/equations.md (30e))."""
+
+import numpy as np
+import pytest
+
+from tests.support import runs
+from tests.support.logs import log_of
+from tests.support.runs import completed
+from tests.support.systems import controller, paper_setup, situation, step
+from transport.analysis.analysed_run import AnalysedRun
+from transport.analysis.metrics import summarise
+from transport.mpc.settings import Constraint, ControllerSettings
+
+OWNED, SEED = (0,), 5
+# Newtons beyond the solver's tolerance.
+HELD = 1e-4
+
+
+def _plan(*constraints: Constraint) -> tuple[object, np.ndarray]:
+    """Return violations and planned thrusts of one step of UAV 1."""
+    setup = paper_setup()
+    settings = ControllerSettings(horizon=5, relaxation=1.0, constraint=constraints)
+    result = step(controller(setup, settings, OWNED), situation(setup, settings, SEED))
+    assert result.solution.status == "solved"
+    return result.solution.violations, result.U[:, 0]
+
+
+def test_a_constraint_that_a_plan_meets_stays_hard() -> None:
+    """A bound just below the present thrust holds, and there is nothing to report."""
+    _, free_N = _plan()
+    bound_N = float(free_N.max()) - 0.5
+    violations, thrust_N = _plan(Constraint(expression=f"thrust1 <= {bound_N!r}"))
+    assert violations == {}
+    assert thrust_N.max() <= bound_N + HELD
+
+
+@pytest.mark.parametrize("relation", ["<=", "=="])
+def test_a_constraint_that_no_plan_meets_is_violated_least(relation: str) -> None:
+    """The rate of the thrust allows no such bound at the first step: the plan goes there at that rate."""
+    setup = paper_setup()
+    settings = ControllerSettings(horizon=5)
+    before_N = situation(setup, settings, SEED).u[0]
+    text = f"thrust1 {relation} 1.0"
+    violations, thrust_N = _plan(Constraint(expression=text))
+    first_N = before_N - settings.step(1)[0]
+    assert thrust_N[0] == pytest.approx(first_N, abs=HELD)
+    assert violations == {text: pytest.approx(first_N - 1.0, abs=HELD)}
+
+
+def test_constraints_that_contradict_each_other_share_the_violation() -> None:
+    """Of two bounds a newton apart the plan is between, and both are named."""
+    _, free_N = _plan()
+    low, high = (f"thrust1 <= {float(free_N[0]) - 0.5!r}", f"thrust1 >= {float(free_N[0]) + 0.5!r}")
+    violations, _ = _plan(Constraint(expression=low), Constraint(expression=high))
+    assert sum(violations.values()) == pytest.approx(1.0, abs=HELD)
+
+
+def test_the_summary_counts_softened_steps() -> None:
+    """All thrusts together at most half the weight: no step fails, each is counted and named."""
+    own = "controller.constraint=[{expression='thrust1 + thrust2 + thrust3 + thrust4 <= 60'}]"
+    run = runs.ready("resilient", runs.ticks(4), own)
+    summary = summarise(AnalysedRun.of(run, log_of(completed(run))))
+    assert summary["solver"]["failures"] == 0
+    assert summary["own_constraints"][0]["softened_steps"] > 0
+    notices = [event["what"] for event in summary["faults"]]
+    assert any("no plan meets thrust1" in text for text in notices)
