@@ -17,7 +17,7 @@ from transport.model.motors import lagged
 from transport.model.native import Places
 from transport.model.obstacles import Obstacle
 from transport.model.state import LARGEST
-from transport.mpc.constraints.own import OwnInputs
+from transport.mpc.constraints.own import OwnInputs, OwnStates
 from transport.mpc.cost import Cost, CostToGo
 from transport.mpc.course import Course, CourseProgram
 from transport.mpc.decision import Decision
@@ -90,8 +90,10 @@ class Controller:
         self._gone = frozenset[int]()  # UAVs without an agent
         self._off = frozenset[int]()  # UAVs without motors
         self._released = frozenset[int]()
-        # Whether several agents keep the same of the user's constraints on inputs.
-        self._shares_rows = bool(settings.constraint) and OwnInputs(self._decision).is_shared
+        # Whether several agents keep the same of the user's constraints: all of those on states.
+        on_states = bool(settings.constraint) and bool(OwnStates(self._decision).texts)
+        on_inputs = bool(settings.constraint) and OwnInputs(self._decision).is_shared
+        self._shares_rows = on_states or on_inputs
         self._relaxation = self._relaxed(others_obstruct=self._shares_rows)
 
         self._at_hover: Linearisation | None = None

@@ -149,10 +149,18 @@ class UserCosts(Expressions):
 
 
 class UserConstraints(Expressions):
-    """The user's constraints on states or on inputs, in the order given: at most zero, or zero."""
+    """The user's constraints on states or on inputs, in the order given: at most zero, or zero.
+
+    Args:
+        penalties: Defaults of soft ones: of rows on places, and of all others.
+    """
 
     def __init__(
-        self, constraints: Sequence[Constraint], system: System, on: str, penalty: float = 1.0
+        self,
+        constraints: Sequence[Constraint],
+        system: System,
+        on: str,
+        penalties: tuple[float, float] = (1.0, 1.0),
     ) -> None:
         symbols = Symbols.of(system.N, system.commands_rates)
         chosen = []
@@ -171,8 +179,9 @@ class UserConstraints(Expressions):
         self.penalty = np.full(len(chosen), np.nan)
         for row, (constraint, relation) in enumerate(chosen):
             if constraint.soft and on == "state" and not relation.is_equality:
-                given = constraint.penalty
-                self.penalty[row] = penalty if given is None else given
+                is_of_place = bool(self.depends[row, state.R0].any())
+                default = penalties[0] if is_of_place else penalties[1]
+                self.penalty[row] = default if constraint.penalty is None else constraint.penalty
 
 
 def compile_constraints(

@@ -20,7 +20,7 @@ from transport.mpc.prediction import Linear, Prediction, follow, own_response, p
 from transport.mpc.qp import QP
 from transport.mpc.relaxation import Mixture, relaxed
 from transport.mpc.rollout import Rollout
-from transport.mpc.trajectory import TimeInvariant
+from transport.mpc.trajectory import Announced, TimeInvariant
 
 _NONE = np.zeros(0, dtype=np.intp)
 frozen(_NONE)
@@ -49,6 +49,7 @@ class Program:
 
         # State matrix with the others' feedback of the prediction before, if along a trajectory.
         self._A_others: Array | None = None
+        self._announced: Announced | None = None  # of the newest prediction
         self.compiled: CompiledProgram | None = None
         if native.AVAILABLE:
             self.compiled = CompiledProgram(
@@ -85,7 +86,9 @@ class Program:
 
         if law is None or along is None:
             self._A_others = None
+            self._announced = None
             return prediction
+        self._announced = Announced(U=along.U, c=law.c)
         if self._A_others is None or is_new:
             B_others = discrete.B.copy()
             B_others[:, own] = 0.0
@@ -105,7 +108,12 @@ class Program:
     ) -> QP:
         """Return the QP of a prediction: equations.md (26)-(30), (36e), (48); paper (25)-(27)."""
         objective = self._objective(linear, y_ref, law, end)
-        trajectory = TimeInvariant(decision=self.decision, linear=linear, prediction=prediction)
+        trajectory = TimeInvariant(
+            decision=self.decision,
+            linear=linear,
+            prediction=prediction,
+            announced=self._announced,
+        )
         if self.compiled is None or not self.compiled.is_newest(prediction):
             return self._by_products(objective, trajectory)
 

@@ -226,9 +226,9 @@ class Constraint(Section):
     """true: a state inequality may be violated at a penalty; equalities and input constraints are
     always hard"""
     penalty: Annotated[Positive | None, _weight("1 over the unit of the expression")] = None
-    """penalty on the largest violation over the horizon. If omitted: the slope of the team's
-    tracking cost at an error of 1 m, [equations.md](equations.md) (30d). A much steeper one lets
-    agents with late plans correct each other"""
+    """penalty on the largest violation over the horizon. If omitted: a slope of the team's
+    tracking cost, larger for places than for speeds, [equations.md](equations.md) (30d). A much
+    steeper one lets agents with late plans correct each other"""
 
 
 class CostTerm(Section):

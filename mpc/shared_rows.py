@@ -7,8 +7,11 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.mpc.settings import Weights
 
-# Tracking error whose cost a violation by one unit may cause, m: as far as UAVs are from each other.
+# Tracking error whose cost a violation by one unit may cause at one step, m: as far as UAVs are from
+# each other.
 _ERROR_M = 1.0
+# Error by which a place is kept from its reference at every step of the horizon, m.
+_KEPT_AWAY_M = 0.25
 
 
 def share(depends: npt.NDArray[np.bool_], own: npt.NDArray[np.intp]) -> Array:
@@ -28,10 +31,13 @@ def share(depends: npt.NDArray[np.bool_], own: npt.NDArray[np.intp]) -> Array:
     return np.asarray(by_uav.sum(axis=1) / np.maximum(by_uav[:, owned].sum(axis=1), 1))
 
 
-def default_penalty(weights: Weights, uavs: int) -> float:
-    """Return the penalty on a violation by one unit, in the scale of the cost: docs/equations.md (30d).
+def default_penalties(weights: Weights, uavs: int, horizon: int) -> tuple[float, float]:
+    """Return the penalties on a violation by one unit, of places and of all else: (30d).
 
-    It is the slope of the team's tracking cost at an error of a metre. A steeper one makes a wall of the constraint, at
-    which agents with late plans correct each other.
+    They are slopes of the team's tracking cost. A row on the place of a body keeps the team from its
+    reference by as much at every step, so its slope is that of the whole horizon. For all else it is
+    that of one step at an error of a metre: a steeper one makes a wall of the constraint, at which
+    agents with late plans correct each other.
     """
-    return 2.0 * _ERROR_M * (uavs * weights.position + weights.payload_position)
+    slope = 2.0 * (uavs * weights.position + weights.payload_position)  # 1/m of error, of one step
+    return horizon * _KEPT_AWAY_M * slope, _ERROR_M * slope

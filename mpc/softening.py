@@ -15,10 +15,10 @@ from transport.mpc.constraints.own import OwnInputs, OwnStates
 from transport.mpc.constraints.stack import Stack
 from transport.mpc.decision import Decision
 from transport.mpc.qp import QP
-from transport.mpc.shared_rows import default_penalty
+from transport.mpc.shared_rows import default_penalties
 
 # Penalty on a violation over that of a soft constraint: it is a wall, as a hard constraint is.
-_STEEPER = 100.0
+_STEEPER = 20.0
 # Violation that is the tolerance of a solver, in units of the expression.
 _NONE = 1e-6
 # Characters of an expression in a note, which has room for a thousand.
@@ -55,7 +55,9 @@ class Softening:
         self.texts = tuple(texts)
         self._rows = np.concatenate(rows) if rows else np.zeros(0, dtype=np.intp)
         self._constraint = np.concatenate(of_constraint) if rows else np.zeros(0, dtype=np.intp)
-        self._penalty = _STEEPER * default_penalty(decision.settings.weights, decision.system.N)
+        settings = decision.settings
+        of_places, _ = default_penalties(settings.weights, decision.system.N, settings.horizon)
+        self._penalty = _STEEPER * of_places
 
     def softened(self, qp: QP) -> QP:
         """Return the program with two slacks for each hard constraint: above and below its bounds.

@@ -69,6 +69,14 @@ class Trajectory(Protocol):
         """Return functions of state and inputs, expanded in [x, u], (n + m,)."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Announced:
+    """Inputs by the law with the corrections that all agents have announced, and these."""
+
+    U: Array  # (N_p, m)
+    c: Array  # (N_p, m)
+
+
 @dataclass(frozen=True, kw_only=True)
 class TimeInvariant:
     """Trajectory about the present state x0 and input u0: docs/equations.md (22)-(24), (35).
@@ -79,6 +87,7 @@ class TimeInvariant:
     decision: Decision
     linear: Linear
     prediction: Prediction
+    announced: Announced | None = None  # with a law, along its trajectory
 
     def own_inputs(self) -> Signals:
         """Return the owned inputs: the decision itself."""

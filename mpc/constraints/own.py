@@ -8,8 +8,12 @@ from transport.model.arrays import Array
 from transport.mpc.constraints.block import Block
 from transport.mpc.decision import Decision
 from transport.mpc.expressions import UserConstraints
-from transport.mpc.shared_rows import default_penalty, share
-from transport.mpc.trajectory import Signals, Trajectory
+from transport.mpc.shared_rows import default_penalties, share
+from transport.mpc.trajectory import Announced, Signals, TimeInvariant, Trajectory
+
+# Share of the others' announced corrections that an agent leaves to them, where they keep a row
+# together. The rest is taken as the same for all: agents whose corrections differ come together.
+_HEEDED = 0.5
 
 
 class OwnStates:
@@ -23,8 +27,8 @@ class OwnStates:
 
     def __init__(self, decision: Decision) -> None:
         settings, system = decision.settings, decision.system
-        penalty = default_penalty(settings.weights, system.N)
-        self._constraints = UserConstraints(settings.constraint, system, "state", penalty)
+        penalties = default_penalties(settings.weights, system.N, settings.horizon)
+        self._constraints = UserConstraints(settings.constraint, system, "state", penalties)
         soft = np.flatnonzero(~np.isnan(self._constraints.penalty))
         self.penalties = self._constraints.penalty[soft]
         self.texts = [
@@ -71,15 +75,34 @@ class OwnInputs:
 
     def block(self, trajectory: Trajectory) -> Block:
         """Return the rows of those with an owned input at steps 0..N_p - 1."""
-        signals = self._shared(trajectory.of_inputs(self._expand))
+        signals = trajectory.of_inputs(self._expand)
+        if self.is_shared:
+            signals = self._shared(signals, trajectory)
         return _rows(signals, self._constraints.equality[self._kept], self.slack)
 
-    def _shared(self, signals: Signals) -> Signals:
+    def _shared(self, signals: Signals, trajectory: Trajectory) -> Signals:
         """Return signals of which the own decision has a multiple of its effect, (30c)."""
-        if not self.is_shared:
-            return signals
+        values = signals.values
+        if isinstance(trajectory, TimeInvariant) and trajectory.announced is not None:
+            values = self._about_law(trajectory, trajectory.announced)
         by_row = np.tile(self._share, len(signals.values))
-        return Signals(values=signals.values, by_decision=lambda: by_row[:, None] * signals.effect)
+        return Signals(values=values, by_decision=lambda: by_row[:, None] * signals.effect)
+
+    def _about_law(self, trajectory: TimeInvariant, announced: Announced) -> Array:
+        """Return the values without a decision, which is about the inputs in force, (steps, rows).
+
+        phi(u) - (1 - b) (sum_j D_j c_j - n D_o c_o) + n D_o (u0_o - u_o), u, c as announced,
+        n the factor of the share
+        """
+        own = trajectory.decision.own
+        u0 = trajectory.linear.u0
+        value, slope = self._expand(u0)
+
+        by_all = announced.c @ slope.T
+        by_own = self._share * (announced.c[:, own] @ slope[:, own].T)
+        at_law = value + (announced.U - u0) @ slope.T
+        to_u0 = self._share * ((u0[own] - announced.U[:, own]) @ slope[:, own].T)
+        return np.asarray(at_law - (1.0 - _HEEDED) * (by_all - by_own) + to_u0)
 
     def _expand(self, u: Array) -> tuple[Array, Array]:
         """Return values and slopes of the kept constraints at inputs of all UAVs, (m,)."""

@@ -5,7 +5,7 @@ import pytest
 
 from transport.model.state import input_indices
 from transport.mpc.settings import Weights
-from transport.mpc.shared_rows import default_penalty, share
+from transport.mpc.shared_rows import default_penalties, share
 
 # Rows of four UAVs: the sum of all thrusts, thrusts of UAVs 1 and 3, the moments of UAV 2 alone.
 ROWS = np.zeros((3, 16), dtype=bool)
@@ -31,8 +31,13 @@ def test_a_row_of_owned_inputs_keeps_its_effect() -> None:
     assert share(ROWS[2:], input_indices([1]))[0] == 1.0
 
 
-def test_the_default_penalty_is_in_the_scale_of_the_cost() -> None:
-    """All weights times a number give that number times the penalty."""
+def test_the_default_penalties_are_in_the_scale_of_the_cost() -> None:
+    """All weights times a number give that number times the penalties; places count over the horizon."""
     weights = Weights(position=3.0, payload_position=1.0)
     scaled = Weights(position=30.0, payload_position=10.0)
-    assert default_penalty(scaled, 4) == pytest.approx(10.0 * default_penalty(weights, 4))
+    for before, after in zip(
+        default_penalties(weights, 4, 20), default_penalties(scaled, 4, 20), strict=True
+    ):
+        assert after == pytest.approx(10.0 * before)
+    of_places, other = default_penalties(weights, 4, 20)
+    assert default_penalties(weights, 4, 40) == pytest.approx((2.0 * of_places, other))
