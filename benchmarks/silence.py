@@ -1,21 +1,30 @@
 """Silent networks: `python -m benchmarks.silence` flies teams without messages for a while, or for good, or in part.
 
 Each case is flown with seeds; the instant at which the silence begins is drawn from the seed. The
-payload error during the silence is compared with that of the controller "alone" at the same time in
-the same weather, the error from 3 s after it on with that of the run without silence. One line for
-each case, `--runs` for each run; `--case TEXT` selects cases.
+payload errors are root mean squares over the intervals of all seeds together: during the silence,
+beside the same intervals of the controller "alone" and of the run without silence; and from 3 s after
+it to the end of the run, beside the run without silence. A ratio of sums is that of what a user sees:
+a mean of ratios would weigh a seed by how little it errs without silence.
+
+One line for each case, `--runs` for each run; `--case TEXT` selects cases. `--kept FOLDER` keeps the
+runs of these sources, and flies only those not kept there; `--write` renews the table in
+docs/guarantees.md, with the number of seeds of each row.
 """
 
 import argparse
+import hashlib
 import math
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 
+from benchmarks.runs import origin
+from docs.tables import ROOT, put, table
 from transport.flight.memory import simulate
 from transport.model.arrays import Array
 from transport.model.state import R0, THETA0
@@ -75,29 +84,43 @@ class Flown:
     resets: int
     period_s: float
 
-    def rms(self, begin_s: float, end_s: float) -> float:
-        """Return the payload error over an interval, m rms; nan without data."""
-        part = self.error_m[
-            round(begin_s / self.period_s) : min(
-                len(self.error_m), round(min(end_s, 1e6) / self.period_s)
-            )
-        ]
-        return float(np.sqrt(np.mean(part**2))) if len(part) else math.nan
+    def squares(self, begin_s: float, end_s: float) -> Array:
+        """Return the squared payload errors over an interval, by tick, m^2."""
+        first = round(begin_s / self.period_s)
+        last = round(min(end_s, 1e6) / self.period_s)
+        return np.asarray(self.error_m[first:last] ** 2)
+
+
+@dataclass(slots=True, kw_only=True)
+class Errors:
+    """Squared payload errors of all runs of a case over an interval, m^2."""
+
+    flown: list[Array] = field(default_factory=list)
+    alone: list[Array] = field(default_factory=list)
+    undisturbed: list[Array] = field(default_factory=list)  # without silence
+
+    def rms(self) -> tuple[float, float, float]:
+        """Return the errors in silence, alone and without silence, m rms; nan without runs."""
+        flown, alone, undisturbed = map(_rms, (self.flown, self.alone, self.undisturbed))
+        return flown, alone, undisturbed
+
+
+def _rms(squares: Sequence[Array]) -> float:
+    """Return the root mean square of all instants of all runs; nan without any."""
+    joined = np.concatenate([*squares, np.zeros(0)])
+    return float(np.sqrt(joined.mean())) if len(joined) else math.nan
 
 
 @dataclass(slots=True, kw_only=True)
 class Result:
-    """Worst values of the runs of a case."""
+    """Worst values of the runs of a case, and its payload errors."""
 
     runs: int = 0
     completed: int = 0
     attitude_deg: float = 0.0
     separation_m: float = math.inf
-    during_m: list[float] = field(default_factory=list)  # payload error in the silence
-    alone: list[float] = field(default_factory=list)  # over that of "alone"
-    after: list[float] = field(
-        default_factory=list
-    )  # payload error after it over that without silence
+    during: Errors = field(default_factory=Errors)
+    after: Errors = field(default_factory=Errors)  # from 3 s after the silence on
     resets: int = 0
 
 
@@ -174,6 +197,67 @@ def _phases(case: Case) -> tuple[str, ...]:
     return (f"maneuver.phase=[{', '.join([*moves, hover])}]",)
 
 
+# Sources that decide the numbers of a run.
+SOURCES = ("model", "mpc", "protocol", "agent", "plant", "coordinator", "scenarios")
+NUMBERS = ("error_m", "attitude_deg", "separation_m")
+
+
+@lru_cache(maxsize=1)
+def _of_sources() -> str:
+    """Return a digest of the sources."""
+    digest = hashlib.sha256()
+    for package in SOURCES:
+        for path in sorted((ROOT / package).rglob("*")):
+            if path.suffix in {".py", ".c", ".toml"}:
+                digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """Runs in a folder, or in none: each is flown once for these sources."""
+
+    folder: Path | None
+    is_flying: bool = True  # otherwise only kept runs count
+
+    def fly(self, scenario: str, settings: tuple[str, ...]) -> Flown | None:
+        """Return a run, flown or kept; None where it is neither."""
+        if self.folder is None:
+            return fly(scenario, settings)
+        named = repr((_of_sources(), scenario, settings)).encode()
+        path = self.folder / f"{hashlib.sha256(named).hexdigest()[:24]}.npz"
+        if not path.exists():
+            if not self.is_flying:
+                return None
+            self._keep(path, fly(scenario, settings))
+        return self._read(path)
+
+    @staticmethod
+    def _keep(path: Path, flown: Flown) -> None:
+        """Write a run to a file, whole or not at all."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_suffix(".part")
+        with part.open("wb") as opened:
+            np.savez(
+                opened,
+                said=np.array([flown.outcome, flown.reason]),
+                numbers=np.array([flown.resets, flown.period_s]),
+                **{name: getattr(flown, name) for name in NUMBERS},
+            )
+        part.replace(path)
+
+    @staticmethod
+    def _read(path: Path) -> Flown:
+        """Return a run from its file."""
+        with np.load(path) as kept:
+            outcome, reason = kept["said"].tolist()
+            resets, period_s = kept["numbers"].tolist()
+            series = {name: kept[name] for name in NUMBERS}
+        return Flown(
+            outcome=outcome, reason=reason, resets=int(resets), period_s=period_s, **series
+        )
+
+
 @lru_cache(maxsize=256)
 def fly(scenario: str, settings: tuple[str, ...]) -> Flown:
     """Fly a scenario with settings."""
@@ -207,49 +291,108 @@ def fly(scenario: str, settings: tuple[str, ...]) -> Flown:
     )
 
 
-def run(case: Case, seeds: Sequence[int], *, each: bool) -> Result:
-    """Fly a case with seeds."""
-    result = Result()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trio:
+    """The runs of a case with one seed: in silence, alone and without silence."""
+
+    flown: Flown
+    alone: Flown | None
+    undisturbed: Flown | None
+
+
+def trio(case: Case, seed: int, kept: Kept) -> Trio | None:
+    """Return the runs of a case with a seed; None where one is not kept and none are flown."""
     agents = len(read_scenario(find_scenario(case.scenario), []).owned)
+    same = (*case.settings, *_phases(case), f"seed={seed}")
+    flown = kept.fly(case.scenario, (*same, *network(case, seed, agents)))
+    if flown is None:
+        return None
+    alone = undisturbed = None
+    if case.compared:
+        alone = kept.fly(case.scenario, (*same, *ALONE))
+        undisturbed = kept.fly(case.scenario, (*same, *LATE))
+        if alone is None or undisturbed is None:
+            return None
+    return Trio(flown=flown, alone=alone, undisturbed=undisturbed)
+
+
+def run(case: Case, seeds: Sequence[int], kept: Kept, *, each: bool = False) -> Result:
+    """Return the result of a case with seeds."""
+    result = Result()
     for seed in seeds:
-        same = (*case.settings, *_phases(case), f"seed={seed}")
-        flown = fly(case.scenario, (*same, *network(case, seed, agents)))
-        begin_s = begins(case, seed)
-        end_s = begin_s + case.silent_s
-        result.runs += 1
-        result.completed += flown.outcome == "completed"
-        result.attitude_deg = max(result.attitude_deg, float(flown.attitude_deg.max()))
-        result.separation_m = min(result.separation_m, float(flown.separation_m.min()))
-        result.resets += flown.resets
-        result.during_m.append(flown.rms(begin_s, end_s))
-        if case.compared:
-            alone = fly(case.scenario, (*same, *ALONE))
-            result.alone.append(flown.rms(begin_s, end_s) / alone.rms(begin_s, end_s))
-        if case.compared and math.isfinite(case.silent_s) and not case.from_start:
-            undisturbed = fly(case.scenario, (*same, *LATE))
-            late_s = end_s + _BACK_S
-            result.after.append(flown.rms(late_s, FOR_GOOD) / undisturbed.rms(late_s, FOR_GOOD))
+        runs = trio(case, seed, kept)
+        if runs is None:
+            continue
+        one = Result()
+        for to in (one, result):
+            _count(case, seed, runs, to)
         if each:
-            worst = f"{flown.attitude_deg.max():.1f} deg, {flown.separation_m.min():.3f} m"
-            numbers = f"{worst}, {result.during_m[-1]:.3f} m"
-            ratios = f"alone x{(result.alone or [math.nan])[-1]:.2f}, after x{(result.after or [math.nan])[-1]:.2f}"
-            said = f"  seed {seed}: from {begin_s:.2f} s, {flown.outcome}, {numbers}, {ratios}, {flown.resets} resets"
-            sys.stdout.write(f"{said} {flown.reason}".rstrip() + "\n")
+            begun = f"  seed {seed}: from {begins(case, seed):.2f} s"
+            reason = f" {runs.flown.reason}".rstrip()
+            sys.stdout.write(f"{begun}, {', '.join(_cells(one))}{reason}\n")
             sys.stdout.flush()
     return result
 
 
+def _count(case: Case, seed: int, runs: Trio, result: Result) -> None:
+    """Add the runs of a seed to a result."""
+    flown = runs.flown
+    result.runs += 1
+    result.completed += flown.outcome == "completed"
+    result.attitude_deg = max(result.attitude_deg, float(flown.attitude_deg.max()))
+    result.separation_m = min(result.separation_m, float(flown.separation_m.min()))
+    result.resets += flown.resets
+
+    begin_s = begins(case, seed)
+    end_s = begin_s + case.silent_s
+    intervals = [(result.during, begin_s, end_s)]
+    if math.isfinite(case.silent_s) and not case.from_start:
+        intervals.append((result.after, end_s + _BACK_S, FOR_GOOD))
+    for errors, first_s, last_s in intervals:
+        errors.flown.append(flown.squares(first_s, last_s))
+        if runs.alone is not None and runs.undisturbed is not None:
+            errors.alone.append(runs.alone.squares(first_s, last_s))
+            errors.undisturbed.append(runs.undisturbed.squares(first_s, last_s))
+
+
+HEADINGS = (
+    "case", "complete", "attitude at most", "UAVs apart", "payload error in the silence",
+    "alone", "without silence", "from 3 s after it", "without silence",
+)  # fmt: skip
+
+
+def _cells(result: Result) -> list[str]:
+    """Return what is said of a result: the cells of a row but the first."""
+    resets = f", {result.resets} resets of filters" if result.resets else ""
+    during, alone, undisturbed = result.during.rms()
+    after, _, back = result.after.rms()
+    return [
+        f"{result.completed} of {result.runs}{resets}",
+        f"{result.attitude_deg:.1f} deg",
+        f"{result.separation_m:.3f} m",
+        f"{during:.3f} m",
+        _beside(during, alone),
+        _beside(during, undisturbed),
+        "-" if math.isnan(after) else f"{after:.3f} m",
+        _beside(after, back),
+    ]
+
+
+def _beside(error_m: float, other_m: float) -> str:
+    """Return another error, and by what factor the one exceeds it."""
+    return "-" if math.isnan(other_m) else f"{other_m:.3f} m (x{error_m / other_m:.2f})"
+
+
 def said(case: Case, result: Result) -> str:
     """Return the line of a case."""
-    line = (
-        f"{case.name}: {result.completed}/{result.runs} complete, {result.attitude_deg:.1f} deg, "
-        f"{result.separation_m:.3f} m apart, payload {np.mean(result.during_m):.3f} m rms"
-    )
-    if result.alone:
-        line += f", x{np.mean(result.alone):.2f} (at most {max(result.alone):.2f}) of alone"
-    if result.after:
-        line += f", after x{np.mean(result.after):.2f} (at most {max(result.after):.2f})"
-    return line + (f", {result.resets} resets of filters" if result.resets else "")
+    named = zip(HEADINGS[1:], _cells(result), strict=True)
+    return f"{case.name}: " + ", ".join(f"{heading} {cell}" for heading, cell in named)
+
+
+def write(results: Sequence[tuple[Case, Result]]) -> None:
+    """Renew the table in docs/guarantees.md."""
+    rows = [[case.name, *_cells(result)] for case, result in results if result.runs]
+    put(ROOT / "docs" / "guarantees.md", "silence", f"{table(HEADINGS, rows)}\n\n*{origin()}.*")
 
 
 def main(given: Sequence[str] | None = None) -> None:
@@ -259,12 +402,22 @@ def main(given: Sequence[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--case", default="", help="text in the names of the cases to fly")
     parser.add_argument("--runs", action="store_true", help="print a line for each run")
+    parser.add_argument("--kept", type=Path, help="folder of runs of these sources")
+    parser.add_argument("--no-fly", action="store_true", help="count kept runs alone")
+    parser.add_argument("--write", action="store_true", help="renew the table of the page")
     options = parser.parse_args(given)
     seeds = range(options.first, options.first + options.seeds)
+    kept = Kept(options.kept, is_flying=not options.no_fly)
+    results = []
     for case in cases():
         if options.case in case.name:
-            sys.stdout.write(said(case, run(case, seeds, each=options.runs)) + "\n")
-            sys.stdout.flush()
+            result = run(case, seeds, kept, each=options.runs)
+            results.append((case, result))
+            if result.runs:
+                sys.stdout.write(said(case, result) + "\n")
+                sys.stdout.flush()
+    if options.write:
+        write(results)
 
 
 if __name__ == "__main__":
