@@ -11,7 +11,7 @@ from transport.mpc.settings import Weights
 # each other.
 _ERROR_M = 1.0
 # Error by which a place is kept from its reference at every step of the horizon, m.
-_KEPT_AWAY_M = 0.25
+_KEPT_AWAY_M = 0.4
 
 
 def share(depends: npt.NDArray[np.bool_], own: npt.NDArray[np.intp]) -> Array:

@@ -1,6 +1,7 @@
 """Hard constraints of the user that no plan meets (docs/equations.md (30e))."""
 
-import numpy as np
+from collections.abc import Mapping
+
 import pytest
 
 from tests.support import runs
@@ -9,6 +10,7 @@ from tests.support.runs import completed
 from tests.support.systems import controller, paper_setup, situation, step
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
+from transport.model.arrays import Array
 from transport.mpc.settings import Constraint, ControllerSettings
 
 OWNED, SEED = (0,), 5
@@ -16,7 +18,7 @@ OWNED, SEED = (0,), 5
 HELD = 1e-4
 
 
-def _plan(*constraints: Constraint) -> tuple[object, np.ndarray]:
+def _plan(*constraints: Constraint) -> tuple[Mapping[str, float], Array]:
     """Return violations and planned thrusts of one step of UAV 1."""
     setup = paper_setup()
     settings = ControllerSettings(horizon=5, relaxation=1.0, constraint=constraints)
