@@ -50,25 +50,53 @@ def map_on_cores(
     import joblib
 
     cores = joblib.cpu_count()
-    workers = min(len(items), jobs or cores)
-    if workers <= 1:
-        yield from map(function, items)
-        return
-    from joblib.externals.loky import get_reusable_executor
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
+    with Workers(min(len(items), jobs or cores)) as workers:
+        yield from workers.map(function, items)
 
-    # Not loky alone: with all cases in its queue its thread may raise while workers are killed.
-    team = joblib.Parallel(
-        n_jobs=workers, return_as="generator_unordered", batch_size=1, max_nbytes=None,
-        initializer=_serve, initargs=(os.getpid(),),
-    )  # fmt: skip
-    try:
-        yield from team(joblib.delayed(function)(item) for item in items)
-    except TerminatedWorkerError as error:
-        first_line = str(error).splitlines()[0]
-        raise ExperimentError(f"a worker process died: {first_line}", EXIT_UNREACHABLE) from error
-    finally:
-        get_reusable_executor().shutdown(wait=True, kill_workers=True)
+
+class Workers:
+    """Worker processes that stay from one batch of items to the next, and end with the block."""
+
+    def __init__(self, jobs: int | None = None) -> None:
+        """Args: jobs: Workers; by default one for each core. A single job is this process."""
+        import joblib
+
+        self.jobs = jobs or joblib.cpu_count()
+
+    def __enter__(self) -> "Workers":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.jobs > 1:
+            from joblib.externals.loky import get_reusable_executor
+
+            get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)
+
+    def map(self, function: Callable[[Item], Value], items: Sequence[Item]) -> Iterator[Value]:
+        """Apply a function to items, in any order; the processes start with the first batch.
+
+        Args:
+            function: Picklable; returns one result.
+            items: Its arguments.
+
+        Raises: ExperimentError: a worker process has died.
+        """
+        if self.jobs <= 1 or len(items) <= 1:
+            yield from map(function, items)
+            return
+        import joblib
+        from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+        # Not loky alone: with all items in its queue its thread may raise while workers are killed.
+        team = joblib.Parallel(
+            n_jobs=self.jobs, return_as="generator_unordered", batch_size=1, max_nbytes=None,
+            initializer=_serve, initargs=(os.getpid(),),
+        )  # fmt: skip
+        try:
+            yield from team(joblib.delayed(function)(item) for item in items)
+        except TerminatedWorkerError as error:
+            line = str(error).splitlines()[0]
+            raise ExperimentError(f"a worker process died: {line}", EXIT_UNREACHABLE) from error
 
 
 def check_cluster(address: str) -> None:

@@ -49,13 +49,16 @@ class Candidate:
         """Return the candidate without one event."""
         return Candidate(self.events[:index] + self.events[index + 1 :])
 
-    def simpler(self) -> Iterator["Candidate"]:
-        """Yield candidates with one event less, then those with one event made simpler."""
-        for index in range(len(self.events)):
-            yield self.without(index)
-        for index, event in enumerate(self.events):
-            for other in event.simpler():
-                yield Candidate((*self.events[:index], other, *self.events[index + 1 :]))
+    def fewer(self) -> list["Candidate"]:
+        """Return the candidates with one event less."""
+        return [self.without(index) for index in range(len(self.events))]
+
+    def simpler(self, index: int) -> list["Candidate"]:
+        """Return the candidates in which one event is simpler."""
+        before, after = self.events[:index], self.events[index + 1 :]
+        return [
+            Candidate((*before, simpler, *after)) for simpler in self.events[index].simpler()
+        ]
 
     def smaller_teams(self, base: Base) -> Iterator[Base]:
         """Yield smaller teams in which every agent of the events exists, the smallest first."""

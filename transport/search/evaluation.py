@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -138,11 +137,3 @@ def _centralized(scenario: Scenario) -> Scenario:
     tree["controller"]["estimator"] = "measured"
 
     return Scenario.model_validate(tree)
-
-
-Evaluate = Callable[[Problem, Sequence[Candidate]], Iterator[Evaluation]]
-
-
-def one_by_one(problem: Problem, candidates: Sequence[Candidate]) -> Iterator[Evaluation]:
-    """Evaluate candidates in this process."""
-    return map(problem.evaluate, candidates)

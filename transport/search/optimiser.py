@@ -1,4 +1,9 @@
-"""Search in the unit cube: quasi-random points first, then CMA-ES from the worst of them, restarted.
+"""Search in the unit cube: severe points first, then the worst of them changed, one event at a time.
+
+Three sources of points. Quasi-random ones, drawn towards the severe ends of coordinates that have
+one: longer silences, stronger gusts. An evolution, which changes one or two events of a bad point
+or takes events from another: a failure is a coincidence of few events, of which the others are no
+part. CMA-ES (package `cma`), which follows a valley, anew from the next point when it stalls.
 
 Deterministic: the same values told give the same points asked, so that a search is resumed by
 telling it again what has been evaluated.
@@ -6,6 +11,7 @@ telling it again what has been evaluated.
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,25 +20,49 @@ from scipy.stats import qmc
 from transport.model.arrays import Array
 
 BATCH = 8  # points asked at a time; the population of CMA-ES
-_RANDOM_PER_DIMENSION = 3  # points before the first start
+_LEAST_RANDOM = 16  # points before the first generation, one for each dimension, at least these
+_SEVERITY = 3.0  # a severe coordinate is u^(1/3): above one half with probability 7/8
 _SIGMA = 0.25  # first step of CMA-ES, in sides of the cube
-_STALL = 8  # generations without progress after which it starts anew
+_STALL = 4  # generations of CMA-ES without progress after which it starts anew
 _APART = 0.3  # distance of starts, in sides of the cube and root of the dimension
+
+# Evolution.
+_PRESSURE = 0.25  # a parent is the worst point with this probability, else the next with it, ...
+_STEPS = (0.02, 0.3)  # standard deviation of a change, log-uniform between, sides of the cube
+_REDRAWN = 0.15  # share of the coordinates of a changed event that are drawn anew
+_CROSSED = 0.3  # share of the points with events of a second parent
+_FRESH = 0.1  # share of the points that are drawn anew
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """Coordinates of the unit cube: those of each event, and which ones have a severe end."""
+
+    events: tuple[slice, ...]
+    severe: Array  # (dimension,), true where 1 is worse than 0
+
+    @property
+    def dimension(self) -> int:
+        """Return the number of coordinates."""
+        return len(self.severe)
+
+    def severely(self, points: Array) -> Array:
+        """Return uniform points, (..., dimension), drawn towards the severe ends."""
+        return np.where(self.severe, points ** (1.0 / _SEVERITY), points)
 
 
 class Optimiser:
     """Minimiser of a function over the unit cube, by asking for points and being told its values."""
 
-    def __init__(self, dimension: int, *, seed: int) -> None:
-        self._dimension = dimension
-        self._seed = seed
-        self._random_left = _RANDOM_PER_DIMENSION * dimension
-        self._sampler = qmc.Sobol(dimension, seed=seed)
+    def __init__(self, layout: Layout, *, seed: int) -> None:
+        self._layout = layout
+        self._random_left = max(_LEAST_RANDOM, layout.dimension)
+        self._sampler = qmc.Sobol(layout.dimension, seed=seed)
+        self._rng = np.random.default_rng(seed)
+        self._descent = Descent(layout.dimension, seed=seed)
+        self._descends = False  # whether the next generation is one of CMA-ES
         self._points: list[Array] = []
         self._values: list[float] = []
-        self._starts: list[Array] = []
-        self._evolution: Any = None
-        self._stalled = 0
 
     def ask(self) -> list[Array]:
         """Return the next points, each (dimension,)."""
@@ -40,39 +70,92 @@ class Optimiser:
             self._random_left -= BATCH
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # batches need not be powers of two
-                return list(self._sampler.random(BATCH))
+                return list(self._layout.severely(self._sampler.random(BATCH)))
 
-        if self._evolution is None or self._evolution.stop() or self._stalled >= _STALL:
-            self._start()
-        return [np.array(point) for point in self._evolution.ask()]
+        order = np.argsort(self._values, kind="stable")
+        worst_first = [self._points[index] for index in order]
+        if self._descends:
+            return self._descent.ask(worst_first)
+        return [self._child(worst_first) for _ in range(BATCH)]
 
     def tell(self, points: Sequence[Array], values: Sequence[float]) -> None:
         """Take in the values of all points asked for, in the same order."""
-        best_before = min(self._values, default=np.inf)
+        if self._descends:
+            self._descent.tell(points, values)
+        is_generation = self._random_left <= 0
         self._points += list(points)
         self._values += list(values)
-        if self._evolution is None:
-            return
-        self._evolution.tell(list(points), list(values))
-        self._stalled = 0 if min(values) < best_before else self._stalled + 1
+        self._descends = is_generation and not self._descends
 
-    def _start(self) -> None:
-        """Start CMA-ES at the best point that is apart from earlier starts."""
+    def _child(self, worst_first: Sequence[Array]) -> Array:
+        """Return a point whose events are those of bad points, one or two of them changed."""
+        rng = self._rng
+        layout = self._layout
+        if rng.random() < _FRESH:
+            return layout.severely(rng.random(layout.dimension))
+
+        child = self._parent(worst_first).copy()
+        if rng.random() < _CROSSED:
+            other = self._parent(worst_first)
+            for event in layout.events:
+                if rng.random() < 0.5:
+                    child[event] = other[event]
+
+        changes = min(len(layout.events), int(rng.integers(1, 3)))
+        for index in rng.choice(len(layout.events), changes, replace=False):
+            event = layout.events[index]
+            child[event] = self._changed(child[event], layout.severe[event])
+        return child
+
+    def _parent(self, worst_first: Sequence[Array]) -> Array:
+        """Return a bad point, the worse the more often."""
+        rank = int(self._rng.geometric(_PRESSURE)) - 1
+        return worst_first[min(rank, len(worst_first) - 1)]
+
+    def _changed(self, event: Array, severe: Array) -> Array:
+        """Return coordinates of an event a step away, some of them drawn anew."""
+        rng = self._rng
+        low, high = np.log(_STEPS)
+        moved = event + np.exp(rng.uniform(low, high)) * rng.standard_normal(len(event))
+        drawn = rng.random(len(event))
+        drawn = np.where(severe, drawn ** (1.0 / _SEVERITY), drawn)
+        is_drawn = rng.random(len(event)) < _REDRAWN
+        return np.clip(np.where(is_drawn, drawn, moved), 0.0, 1.0)
+
+
+class Descent:
+    """CMA-ES from the worst point, anew from the worst that is apart from earlier starts."""
+
+    def __init__(self, dimension: int, *, seed: int) -> None:
+        self._dimension = dimension
+        self._seed = seed
+        self._starts: list[Array] = []
+        self._evolution: Any = None
+        self._worst = np.inf
+        self._stalled = 0
+
+    def ask(self, worst_first: Sequence[Array]) -> list[Array]:
+        """Return the next generation; points known so far are where it starts."""
+        if self._evolution is None or self._evolution.stop() or self._stalled >= _STALL:
+            self._start(worst_first)
+        return [np.array(point) for point in self._evolution.ask()]
+
+    def tell(self, points: Sequence[Array], values: Sequence[float]) -> None:
+        """Take in the values of the generation."""
+        self._evolution.tell(list(points), list(values))
+        self._stalled = 0 if min(values) < self._worst else self._stalled + 1
+        self._worst = min(self._worst, *values)
+
+    def _start(self, worst_first: Sequence[Array]) -> None:
+        """Start at the worst point that is apart from earlier starts, else anywhere."""
         import cma
 
-        order = np.argsort(self._values, kind="stable")
-        least = _APART * np.sqrt(self._dimension)
-        start = next(
-            (
-                self._points[index]
-                for index in order
-                if all(
-                    np.linalg.norm(self._points[index] - other) > least for other in self._starts
-                )
-            ),
-            np.random.default_rng([self._seed, len(self._starts)]).random(self._dimension),
-        )
+        start = next((point for point in worst_first if self._is_apart(point)), None)
+        if start is None:
+            start = np.random.default_rng([self._seed, len(self._starts)]).random(self._dimension)
+
         self._starts.append(start)
+        self._worst = np.inf
         self._stalled = 0
         options = {
             "bounds": [0.0, 1.0],
@@ -82,3 +165,8 @@ class Optimiser:
             "verb_log": 0,
         }
         self._evolution = cma.CMAEvolutionStrategy(start, _SIGMA, options)
+
+    def _is_apart(self, point: Array) -> bool:
+        """Return whether a point is far from all starts."""
+        least = _APART * np.sqrt(self._dimension)
+        return all(float(np.linalg.norm(point - start)) > least for start in self._starts)

@@ -6,6 +6,7 @@ from typing import Any
 
 from rich.console import Console
 
+from transport.experiments.workers import Workers
 from transport.flight.progress import compile_model
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
@@ -14,7 +15,7 @@ from transport.search.evaluation import Problem
 from transport.search.objective import Objective
 from transport.search.progress import SearchProgress
 from transport.search.report import write
-from transport.search.search import Evaluations, Search, SearchResult, on_cores
+from transport.search.search import Evaluations, Search, SearchResult, flying
 from transport.search.space import Bounds, Space, read_bounds
 
 OVER = ("silence", "deaths", "links")
@@ -58,8 +59,11 @@ def search(
     evaluations = Evaluations(folder, _identity(problem, bounds, options))
 
     try:
-        with SearchProgress(problem, options.budget, console) as progress:
-            result = chosen.run(evaluations, on_cores(options.jobs), progress)
+        with (
+            Workers(options.jobs) as workers,
+            SearchProgress(problem, options.budget, console) as progress,
+        ):
+            result = chosen.run(evaluations, flying(workers), progress, workers.jobs)
     finally:
         evaluations.close()
 

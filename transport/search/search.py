@@ -10,12 +10,12 @@ import numpy as np
 import orjson
 
 from transport.experiments.cases import ExperimentError, refused
-from transport.experiments.workers import map_on_cores
+from transport.experiments.workers import Workers
 from transport.protocol.scenario.errors import ScenarioError
 from transport.search.candidate import Candidate
 from transport.search.evaluation import Evaluation, Problem
-from transport.search.optimiser import Optimiser
-from transport.search.shrink import shrunk
+from transport.search.optimiser import BATCH, Optimiser
+from transport.search.shrink import Evaluate, Shrinker
 from transport.search.space import Space
 
 EVALUATIONS = "evaluations.jsonl"
@@ -134,11 +134,11 @@ class Progress(Protocol):
 Fly = Callable[[Problem, Sequence[Candidate]], Iterable[Evaluation]]
 
 
-def on_cores(jobs: int | None) -> Fly:
-    """Return a function that flies candidates on the cores of this machine."""
+def flying(workers: Workers) -> Fly:
+    """Return a function that flies candidates in worker processes."""
 
     def fly(problem: Problem, candidates: Sequence[Candidate]) -> Iterator[Evaluation]:
-        return map_on_cores(problem.evaluate, candidates, jobs)
+        return workers.map(problem.evaluate, candidates)
 
     return fly
 
@@ -153,8 +153,12 @@ class Search:
     seed: int = 0
     until_failure: bool = False  # end with the first batch that has a failure
 
-    def run(self, evaluations: Evaluations, fly: Fly, progress: Progress) -> SearchResult:
+    def run(
+        self, evaluations: Evaluations, fly: Fly, progress: Progress, at_once: int = 1
+    ) -> SearchResult:
         """Fly the budget, then shrink the worst case if it has failed.
+
+        at_once: cases that shrinking flies at a time, by which the result does not change.
 
         Raises: ScenarioError: the scenario fails without any event.
         """
@@ -168,15 +172,24 @@ class Search:
 
         flown = list(self._fly(evaluations, fly, progress))
         worst = min(flown, key=lambda one: (one.evaluation.robustness, one.number))
-        failed = worst.evaluation.failed
-        minimal = self._minimal(worst.candidate, progress) if failed else None
+        minimal = None
+        if worst.evaluation.failed:
+
+            def evaluate(problem: Problem, candidates: Sequence[Candidate]) -> list[Evaluation]:
+                return evaluations.of(problem, candidates, fly)
+
+            shrinker = Shrinker(
+                self.problem, worst.candidate, evaluate, progress.shrinking, at_once=at_once
+            )
+            shrinker.run()
+            minimal = _minimal(shrinker.problem, shrinker.candidate, evaluate)
 
         return SearchResult(
             problem=self.problem, without_events=without_events, flown=flown, minimal=minimal
         )
 
     def _fly(self, evaluations: Evaluations, fly: Fly, progress: Progress) -> Iterator[Flown]:
-        optimiser = Optimiser(self.space.dimension, seed=self.seed)
+        optimiser = Optimiser(self.space.layout, seed=self.seed)
         number = 0
 
         while number < self.budget:
@@ -194,25 +207,24 @@ class Search:
             if failed and self.until_failure:
                 return
 
-    def _minimal(self, candidate: Candidate, progress: Progress) -> Minimal:
-        problem, minimal, evaluation = shrunk(self.problem, candidate, progress.shrinking)
-        with_perfect_information = problem.with_perfect_information(minimal)
-        return Minimal(
-            problem=problem,
-            candidate=minimal,
-            evaluation=evaluation,
-            beyond_physics=with_perfect_information.failed,
-        )
+
+def _minimal(problem: Problem, candidate: Candidate, evaluate: Evaluate) -> Minimal:
+    """Return the proof that a minimal case is."""
+    return Minimal(
+        problem=problem,
+        candidate=candidate,
+        evaluation=evaluate(problem, [candidate])[0],
+        beyond_physics=problem.with_perfect_information(candidate).failed,
+    )
 
 
-def random_search(search: Search, fly: Fly) -> list[Flown]:
-    """Return the cases of plain random search with the same budget: what a search has to beat."""
+def random_search(search: Search, evaluations: Evaluations, fly: Fly) -> Iterator[Flown]:
+    """Yield the cases of plain random search with the same budget: what a search has to beat."""
     rng = np.random.default_rng(search.seed)
-    points = rng.random((search.budget, search.space.dimension))
-    candidates = [search.space.candidate(point) for point in points]
-    results = Evaluations(None, {}).of(search.problem, candidates, fly)
 
-    return [
-        Flown(number=number, candidate=candidate, evaluation=evaluation)
-        for number, (candidate, evaluation) in enumerate(zip(candidates, results, strict=True), 1)
-    ]
+    for first in range(0, search.budget, BATCH):
+        points = rng.random((BATCH, search.space.dimension))
+        candidates = [search.space.candidate(point) for point in points]
+        results = evaluations.of(search.problem, candidates, fly)
+        for number, pair in enumerate(zip(candidates, results, strict=True), first + 1):
+            yield Flown(number=number, candidate=pair[0], evaluation=pair[1])

@@ -1,75 +1,93 @@
 """Shrinking: from a case that fails to a minimal one that still fails.
 
-Greedy, in the manner of delta debugging: the first simpler neighbour that fails takes the place of
-the case, until none does.
+Greedy, in the manner of delta debugging: events are removed, then each is made simpler as long as
+the case fails, until no simpler neighbour does. Neighbours are flown several at a time, but their
+results are used in order, so that the minimal case does not depend on the number of workers.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from transport.protocol.scenario.errors import ScenarioError
 from transport.search.candidate import Candidate
 from transport.search.evaluation import Evaluation, Problem
 
 _MOST = 400  # evaluations of one shrinking: each takes about a second
+Evaluate = Callable[[Problem, Sequence[Candidate]], Sequence[Evaluation]]
 Progress = Callable[[Candidate, int], None]
 
 
 class Shrinker:
     """State of one shrinking: the minimal case so far, and how many evaluations it took."""
 
-    def __init__(self, problem: Problem, candidate: Candidate, progress: Progress) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        candidate: Candidate,
+        evaluate: Evaluate,
+        progress: Progress,
+        *,
+        at_once: int = 1,
+    ) -> None:
+        """Args: evaluate: Returns evaluations in order. at_once: Candidates it is given at a time."""
         self.problem = problem
         self.candidate = candidate
         self.evaluations = 0
+        self._evaluate = evaluate
         self._progress = progress
-        self._failed: dict[str, bool] = {}  # by key of problem and candidate
+        self._at_once = at_once
+        self._survivors: set[str] = set()  # keys of problem and candidate that do not fail
 
     def run(self) -> None:
         """Shrink until no simpler neighbour fails, or the evaluations are used up."""
-        while self._step():
-            pass
+        changed = True
+        while changed:
+            removed = self._repeat(Candidate.fewer)
+            simplified = self._simplify_each()
+            changed = removed or simplified
         self._shrink_team()
 
-    def _step(self) -> bool:
-        """Replace the case by a simpler one that fails; return whether there was one."""
-        for simpler in self.candidate.simpler():
-            if not simpler.events:
-                continue
-            if self._fails(self.problem, simpler):
-                self.candidate = simpler
-                self._progress(simpler, self.evaluations)
-                return True
+    def _simplify_each(self) -> bool:
+        """Make one event after the other as simple as possible; return whether one became simpler."""
+        changed = False
+        for index in range(len(self.candidate.events)):
+            simpler = self._repeat(lambda candidate, index=index: candidate.simpler(index))
+            changed = changed or simpler
+        return changed
 
-        return False
+    def _repeat(self, neighbours: Callable[[Candidate], Sequence[Candidate]]) -> bool:
+        """Replace the case by its first neighbour that fails until none does; return whether one did."""
+        changed = False
+        while (simpler := self._first_failing(neighbours(self.candidate))) is not None:
+            self.candidate = simpler
+            self._progress(simpler, self.evaluations)
+            changed = True
+        return changed
+
+    def _first_failing(self, candidates: Sequence[Candidate]) -> Candidate | None:
+        """Return the first of some candidates that fails."""
+        key = self.problem.key
+        untried = [one for one in candidates if one.events and key(one) not in self._survivors]
+
+        for first in range(0, len(untried), self._at_once):
+            batch = untried[first : first + self._at_once]
+            for candidate, evaluation in zip(
+                batch, self._evaluate(self.problem, batch), strict=True
+            ):
+                if self.evaluations >= _MOST:
+                    return None
+                self.evaluations += 1
+                if evaluation.failed:
+                    return candidate
+                self._survivors.add(evaluation.key)
+
+        return None
 
     def _shrink_team(self) -> None:
         """Replace the team by the smallest one with which the case fails."""
         for base in self.candidate.smaller_teams(self.problem.base):
-            problem = replace(self.problem, base=base)
-            if self._fails(problem, self.candidate):
-                self.problem = problem
+            whole = self.problem
+            self.problem = replace(whole, base=base)
+            if self._first_failing([self.candidate]) is not None:
                 self._progress(self.candidate, self.evaluations)
                 return
-
-    def _fails(self, problem: Problem, candidate: Candidate) -> bool:
-        key = problem.key(candidate)
-        if key not in self._failed:
-            if self.evaluations >= _MOST:
-                return False
-            self.evaluations += 1
-            try:
-                self._failed[key] = problem.evaluate(candidate).failed
-            except ScenarioError:
-                self._failed[key] = False
-
-        return self._failed[key]
-
-
-def shrunk(
-    problem: Problem, candidate: Candidate, progress: Progress
-) -> tuple[Problem, Candidate, Evaluation]:
-    """Return a minimal case that fails, with its scenario, and its evaluation."""
-    shrinker = Shrinker(problem, candidate, progress)
-    shrinker.run()
-    return shrinker.problem, shrinker.candidate, shrinker.problem.evaluate(shrinker.candidate)
+            self.problem = whole

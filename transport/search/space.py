@@ -1,5 +1,6 @@
 """Space of a search: which events are drawn, within which bounds, from a point of the unit cube."""
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ from transport.search.events import (
     Silence,
     TargetEvent,
 )
+from transport.search.optimiser import Layout
 
 
 def _as_tuple(value: Any) -> Any:
@@ -152,10 +154,15 @@ def read_bounds(file: Path | None, duration_s: float) -> Bounds:
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """Room for one event: so many coordinates of the unit cube, and the event at a point of them."""
+    """Room for one event: its coordinates in the unit cube, and the event at a point of them."""
 
-    dimension: int
+    severe: str  # a letter for each coordinate: "+" where 1 is worse than 0, "." elsewhere
     event: Callable[[Array], Event | None]
+
+    @property
+    def dimension(self) -> int:
+        """Return the number of coordinates."""
+        return len(self.severe)
 
 
 class Space:
@@ -173,20 +180,22 @@ class Space:
         for kind in kinds:
             slots += _SLOTS[kind](getattr(bounds, kind), agents)
         self._slots = tuple(slots)
-        self.dimension = sum(slot.dimension for slot in slots)
+        ends = np.cumsum([0, *(slot.dimension for slot in slots)]).tolist()
+        self.layout = Layout(
+            events=tuple(slice(begin, end) for begin, end in itertools.pairwise(ends)),
+            severe=np.array([mark == "+" for slot in slots for mark in slot.severe]),
+        )
 
     def candidate(self, point: Array) -> Candidate:
         """Return the candidate at a point of the unit cube, (dimension,)."""
-        events: list[Event] = []
-        first = 0
+        slots = zip(self._slots, self.layout.events, strict=True)
+        events = [slot.event(point[part]) for slot, part in slots]
+        return Candidate(tuple(event for event in events if event is not None))
 
-        for slot in self._slots:
-            event = slot.event(point[first : first + slot.dimension])
-            first += slot.dimension
-            if event is not None:
-                events.append(event)
-
-        return Candidate(tuple(events))
+    @property
+    def dimension(self) -> int:
+        """Return the number of coordinates of the unit cube."""
+        return self.layout.dimension
 
 
 def _between(bounds: Range, share: float) -> float:
@@ -218,7 +227,7 @@ def _silences(bounds: SilenceBounds, agents: int) -> list[Slot]:
             loss=_between(bounds.loss, loss),
         )
 
-    return [Slot(7, event)] * bounds.count
+    return [Slot("+.++...", event)] * bounds.count
 
 
 def _deaths(bounds: DeathBounds, agents: int) -> list[Slot]:
@@ -232,7 +241,7 @@ def _deaths(bounds: DeathBounds, agents: int) -> list[Slot]:
             back_after_s=_between(bounds.back_after_s, back) if returns > _ACTIVE else None,
         )
 
-    return [Slot(5, event)] * bounds.count
+    return [Slot("+....", event)] * bounds.count
 
 
 def _links(bounds: LinksBounds, _: int) -> list[Slot]:
@@ -244,7 +253,7 @@ def _links(bounds: LinksBounds, _: int) -> list[Slot]:
             loss=_between(bounds.loss, loss),
         )
 
-    return [Slot(3, event)]
+    return [Slot("+++", event)]
 
 
 def _gusts(bounds: GustsBounds, _: int) -> list[Slot]:
@@ -252,7 +261,7 @@ def _gusts(bounds: GustsBounds, _: int) -> list[Slot]:
         speed_mps = _between(bounds.speed_mps, point[0])
         return Gusts(speed_mps=speed_mps, seed=_choice(_SEEDS, point[1])) if speed_mps else None
 
-    return [Slot(2, event)]
+    return [Slot("+.", event)]
 
 
 def _mass(bounds: MassBounds, _: int) -> list[Slot]:
@@ -263,14 +272,14 @@ def _mass(bounds: MassBounds, _: int) -> list[Slot]:
             motor_lag_s=_between(bounds.motor_lag_s, lag),
         )
 
-    return [Slot(2, event)]
+    return [Slot(".+", event)]
 
 
 def _sensors(bounds: SensorsBounds, _: int) -> list[Slot]:
     def event(point: Array) -> Sensors:
         return Sensors(factor=_between(bounds.factor, point[0]), seed=_choice(_SEEDS, point[1]))
 
-    return [Slot(2, event)]
+    return [Slot("+.", event)]
 
 
 def _targets(bounds: TargetsBounds, _: int) -> list[Slot]:
@@ -287,7 +296,7 @@ def _targets(bounds: TargetsBounds, _: int) -> list[Slot]:
 
         return TargetEvent(at_s=_between(bounds.at_s, at), offset_m=(x, y, z))
 
-    return [Slot(5, event)] * bounds.count
+    return [Slot("+....", event)] * bounds.count
 
 
 _SLOTS: dict[str, Callable[[Any, int], list[Slot]]] = {

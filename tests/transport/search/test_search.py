@@ -14,7 +14,7 @@ from transport.search.candidate import Base, Candidate
 from transport.search.evaluation import Evaluation, Problem
 from transport.search.events import Death, Gusts, Silence
 from transport.search.objective import Objective
-from transport.search.optimiser import Optimiser
+from transport.search.optimiser import Layout, Optimiser
 from transport.search.search import Evaluations, Flown, Search
 from transport.search.space import Space, read_bounds
 
@@ -132,7 +132,8 @@ def test_the_minimal_case_has_the_two_events_of_the_coincidence() -> None:
 def test_the_optimiser_beats_chance() -> None:
     """On a smooth valley the best of 160 points is nearer than the best of 480 random ones."""
     target = np.full(12, 0.3)
-    optimiser = Optimiser(12, seed=3)
+    layout = Layout(events=(slice(0, 6), slice(6, 12)), severe=np.zeros(12, dtype=bool))
+    optimiser = Optimiser(layout, seed=3)
     best = np.inf
     for _ in range(20):
         points = optimiser.ask()
