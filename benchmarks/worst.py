@@ -2,31 +2,34 @@
 
 `python -m benchmarks.worst --planted` counts the runs until a planted fault is found, by the search
 and by random draws, over several seeds. `python -m benchmarks.worst --runs 1000` searches in the
-ready scenarios within the bounds that docs/guarantees.md claims, and prints how far each is from
-failing.
+ready scenarios within the bounds that docs/guarantees.md claims for how far each is from failing.
+With `--write` the table takes its place in docs/worst.md.
 """
 
 import argparse
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 
-from transport.flight.run_files import machine
+from benchmarks.runs import origin
+from docs.tables import ROOT, put, table
+from transport.experiments.workers import Workers
 from transport.protocol.scenario.file import find_scenario, read_scenario
-from transport.protocol.scenario.setup import Setup
 from transport.search.candidate import Base
 from transport.search.evaluation import Problem
 from transport.search.objective import Objective
 from transport.search.options import SearchOptions, search
 from transport.search.progress import SearchProgress
 from transport.search.report import in_words
-from transport.search.search import Evaluations, Search, on_cores, random_search
-from transport.search.space import Space, read_bounds
+from transport.search.search import Evaluations, Search, flying, random_search
+from transport.search.space import Bounds, Space
 
+DOCUMENT = ROOT / "docs" / "worst.md"
 _CONSOLE = Console(stderr=True)
 
 
@@ -37,6 +40,7 @@ class Case:
     scenario: str
     settings: tuple[str, ...] = ()
     over: tuple[str, ...] = ("silence", "deaths", "gusts")
+    bounds: Mapping[str, Any] = field(default_factory=dict)  # as a file of bounds has them
 
     def search(self, budget: int, seed: int) -> Search:
         """Return a search that ends with the first failure."""
@@ -44,22 +48,39 @@ class Case:
         scenario = read_scenario(path, self.settings)
         base = Base(scenario=scenario, source=str(path))
         problem = Problem(base=base, objective=Objective.of("attitude", None, scenario))
-        setup = Setup.of(scenario, str(path))
-        bounds = read_bounds(None, setup.ticks * setup.settings.sampling_period_s)
-        space = Space(self.over, bounds, scenario)
+        space = Space(self.over, Bounds.model_validate(self.bounds), scenario)
         return Search(problem=problem, space=space, budget=budget, seed=seed, until_failure=True)
 
 
-# Weaknesses that were mended, switched on again by keys of the scenario.
+# A short flight, so that many are flown: a climb to the side, and a hover.
+_FLIGHT = (
+    "maneuver.phase=[{name='hover',duration_s=1.0,displacement_m=[0,0,0]},"
+    "{name='climb',duration_s=2.0,displacement_m=[1.0,0,-1.0]},"
+    "{name='hover',duration_s=4.0,displacement_m=[0,0,0]}]"
+)
+# Weaknesses that were mended, switched on again by keys of the scenario, and bounds within which a
+# failure is a rare coincidence.
 PLANTED = {
     "a law without a fall-back in silence": Case(
-        scenario="resilient", settings=("controller.silence=law",)
+        scenario="resilient",
+        settings=(_FLIGHT, "controller.silence=law"),
+        over=("silence", "deaths"),
+        bounds={
+            "silence": {"start_s": [1.0, 4.0], "duration_s": [0.5, 3.0]},
+            "deaths": {"at_s": [1.0, 4.0], "back_after_s": [0.5, 3.0]},
+        },
     ),
     "a fail-safe without height": Case(
-        scenario="resilient", settings=("controller.fail_safe=level",), over=("deaths", "gusts")
+        scenario="resilient",
+        settings=(_FLIGHT, "controller.fail_safe=level"),
+        over=("deaths", "gusts"),
+        bounds={"deaths": {"count": 2, "at_s": [2.0, 5.0], "back_after_s": [0.5, 3.0]}},
     ),
-    "relaxation 1": Case(
-        scenario="windy", settings=("controller.relaxation=1.0",), over=("links", "gusts")
+    "announced trajectories instead of a shared law": Case(
+        scenario="paper",
+        settings=(_FLIGHT,),
+        over=("silence",),
+        bounds={"silence": {"start_s": [1.0, 5.0], "duration_s": [0.1, 0.6]}},
     ),
 }
 
@@ -81,38 +102,56 @@ READY = {
 }
 
 
-def runs_until_failure(case: Case, budget: int, seed: int) -> tuple[float, float, int]:
-    """Return the runs until the first failure by search and by chance, and events of the minimum."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """Runs until a planted fault was found with one seed, infinite where it was not."""
+
+    by_search: float
+    by_chance: float
+    events: int  # of the minimal case
+
+
+def find(case: Case, budget: int, seed: int, workers: Workers) -> Found:
+    """Search for a planted fault, and draw at random until it is found."""
+    fly = flying(workers)
     chosen = case.search(budget, seed)
     with SearchProgress(chosen.problem, budget, _CONSOLE) as progress:
-        result = chosen.run(Evaluations(None, {}), on_cores(None), progress)
-    events = 0 if result.minimal is None else len(result.minimal.candidate.events)
-    drawn = random_search(replace(chosen, until_failure=False), on_cores(None))
-    chance = next((one.number for one in drawn if one.evaluation.failed), np.inf)
-    return result.first_failure or np.inf, chance, events
+        result = chosen.run(Evaluations(None, {}), fly, progress, workers.jobs)
+    minimal = result.minimal
+
+    drawn = random_search(chosen, Evaluations(None, {}), fly)
+    by_chance = next((one.number for one in drawn if one.evaluation.failed), np.inf)
+    return Found(
+        by_search=result.first_failure or np.inf,
+        by_chance=by_chance,
+        events=0 if minimal is None else len(minimal.candidate.events),
+    )
 
 
-def planted(seeds: int, budget: int) -> None:
-    """Print the median runs until a planted fault is found, by search and by chance."""
-    sys.stdout.write("| planted fault | search | chance | ratio | events of the minimal case |\n")
-    sys.stdout.write("|---|---|---|---|---|\n")
-    for name, case in PLANTED.items():
-        rows = np.array([runs_until_failure(case, budget, seed) for seed in range(seeds)])
-        by_search, by_chance = np.median(rows[:, :2], axis=0)
-        most_events = rows[:, 2].max()
-        cells = f"{by_search:g} | {by_chance:g} | {by_search / by_chance:.2f} | {most_events:g}"
-        sys.stdout.write(f"| {name} | {cells} |\n")
-        sys.stdout.flush()
+def planted(names: Sequence[str], seeds: int, budget: int, workers: Workers) -> str:
+    """Return the table of the runs until each planted fault is found, by search and by chance."""
+    rows = []
+    for name in names or PLANTED:
+        found = [find(PLANTED[name], budget, seed, workers) for seed in range(seeds)]
+        by_search = float(np.median([one.by_search for one in found]))
+        by_chance = float(np.median([one.by_chance for one in found]))
+        most_events = max(one.events for one in found)
+        ratio = by_search / by_chance
+        row = [name, f"{by_search:g}", f"{by_chance:g}", f"{ratio:.2f}", f"{most_events}"]
+        rows.append(row)
+        _CONSOLE.print(f"{' | '.join(row)}\n{found}", highlight=False)
+
+    headings = ["planted fault", "runs, search", "runs, chance", "ratio", "events, minimal"]
+    return table(headings, rows)
 
 
-def ready(names: Sequence[str], runs: int, folder: Path) -> None:
-    """Print the least distance from failing of each ready scenario."""
-    sys.stdout.write("| scenario | runs | failures | least robustness | worst or minimal case |\n")
-    sys.stdout.write("|---|---|---|---|---|\n")
+def ready(names: Sequence[str], runs: int, jobs: int | None, folder: Path) -> str:
+    """Return the table of the least distance from failing of each ready scenario."""
+    rows = []
     for name in names or READY:
         case = READY[name]
         path = find_scenario(case.scenario)
-        options = SearchOptions(over=case.over, budget=runs)
+        options = SearchOptions(over=case.over, budget=runs, jobs=jobs)
         target = folder / name.split(",")[0]
         scenario = read_scenario(path, case.settings)
         result = search(scenario, str(path), options, target, _CONSOLE)
@@ -120,25 +159,36 @@ def ready(names: Sequence[str], runs: int, folder: Path) -> None:
         if result.minimal is not None:
             text = " ".join(in_words(result.minimal))
         least = result.worst.evaluation.robustness
-        cells = f"{len(result.flown)} | {result.failures} | {least:.2f} | {text}"
-        sys.stdout.write(f"| {name} | {cells} |\n")
-        sys.stdout.flush()
+        row = [name, f"{len(result.flown)}", f"{result.failures}", f"{least:.2f}", text]
+        rows.append(row)
+        _CONSOLE.print(" | ".join(row), highlight=False)
+
+    headings = ["scenario", "runs", "failures", "least robustness", "worst or minimal case"]
+    return table(headings, rows)
 
 
 def main() -> None:
     """Run what the arguments ask for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scenarios", nargs="*", help="names of ready cases; default: all")
+    parser.add_argument("names", nargs="*", help="names of cases; default: all")
     parser.add_argument("--planted", action="store_true", help="planted faults against chance")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--runs", type=int, default=300)
+    parser.add_argument("--jobs", type=int, default=None, help="default: all cores")
     parser.add_argument("--out", type=Path, default=Path("runs/worst"))
+    parser.add_argument("--write", action="store_true", help="put the table into docs/worst.md")
     arguments = parser.parse_args()
-    sys.stdout.write(f"{machine()}\n\n")
+
     if arguments.planted:
-        planted(arguments.seeds, arguments.runs)
+        with Workers(arguments.jobs) as workers:
+            content = planted(arguments.names, arguments.seeds, arguments.runs, workers)
     else:
-        ready(arguments.scenarios, arguments.runs, arguments.out)
+        content = ready(arguments.names, arguments.runs, arguments.jobs, arguments.out)
+
+    content = f"{content}\n\n*{origin()}*"
+    sys.stdout.write(f"{content}\n")
+    if arguments.write:
+        put(DOCUMENT, "planted" if arguments.planted else "ready", content)
 
 
 if __name__ == "__main__":

@@ -56,9 +56,7 @@ class Candidate:
     def simpler(self, index: int) -> list["Candidate"]:
         """Return the candidates in which one event is simpler."""
         before, after = self.events[:index], self.events[index + 1 :]
-        return [
-            Candidate((*before, simpler, *after)) for simpler in self.events[index].simpler()
-        ]
+        return [Candidate((*before, simpler, *after)) for simpler in self.events[index].simpler()]
 
     def smaller_teams(self, base: Base) -> Iterator[Base]:
         """Yield smaller teams in which every agent of the events exists, the smallest first."""

@@ -7,6 +7,7 @@ results are used in order, so that the minimal case does not depend on the numbe
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 from transport.search.candidate import Candidate
 from transport.search.evaluation import Evaluation, Problem
@@ -50,8 +51,8 @@ class Shrinker:
         """Make one event after the other as simple as possible; return whether one became simpler."""
         changed = False
         for index in range(len(self.candidate.events)):
-            simpler = self._repeat(lambda candidate, index=index: candidate.simpler(index))
-            changed = changed or simpler
+            became_simpler = self._repeat(partial(_simpler, index))
+            changed = changed or became_simpler
         return changed
 
     def _repeat(self, neighbours: Callable[[Candidate], Sequence[Candidate]]) -> bool:
@@ -91,3 +92,8 @@ class Shrinker:
                 self._progress(self.candidate, self.evaluations)
                 return
             self.problem = whole
+
+
+def _simpler(index: int, candidate: Candidate) -> Sequence[Candidate]:
+    """Return the candidates in which one event is simpler."""
+    return candidate.simpler(index)
