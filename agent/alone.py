@@ -172,7 +172,7 @@ class AlonePlanner:
             self._held_I[uav] = law.held(held_I, motion, course, settings.sampling_period_s)
 
         before = self._inputs_before(measured)
-        step = settings.step(len(self._owned))
+        step = settings.largest_step(len(self._owned))
         inputs = np.clip(np.concatenate(wanted), before - step, before + step)
         return np.clip(inputs, settings.lower(len(self._owned)), settings.upper(len(self._owned)))
 

@@ -50,7 +50,7 @@ class HandOver:
         alone = np.hstack([self._alone(uav, k, start, linear.x0, len(team)) for uav in self._owned])
         settings, count = self._setup.settings, len(self._owned)
         before = linear.u0[state.input_indices(self._owned)]
-        inputs = mixed(team, alone, share, before, settings.step(count))
+        inputs = mixed(team, alone, share, before, settings.largest_step(count))
         return np.clip(inputs, settings.lower(count), settings.upper(count))
 
     def _alone(self, uav: int, k: int, start: int, x: Array, steps: int) -> Array:

@@ -27,7 +27,7 @@ class Decision:
         # Bounds, and largest change over one sampling period, (m_own,).
         self.lower = settings.lower(len(self.uavs))
         self.upper = settings.upper(len(self.uavs))
-        self.rate = settings.step(len(self.uavs))
+        self.rate = settings.largest_step(len(self.uavs))
 
         # Unit of the decision in the QP: half the range, (m_own,), so that newtons and newton
         # metres weigh alike.

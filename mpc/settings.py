@@ -1,6 +1,8 @@
 """Settings of a controller, and the base of all sections of a scenario.
 
-Here alone each key has its type, range, default and meaning.
+Each key of the controller has its type, range, default and meaning here; those that only a run has,
+and limits that only a message sets (`horizon`, `relaxation`), are in
+`protocol.scenario.schema.ControllerSection`.
 """
 
 from dataclasses import dataclass
@@ -74,7 +76,7 @@ Range = Annotated[
 ]
 
 
-def _weight(unit: str | None = None, label: str = "") -> Key:
+def _weight_key(unit: str | None = None, label: str = "") -> Key:
     """Return the properties of a weight or penalty: their ratios set the condition of the QP."""
     return Key(unit=unit, within=(1e-12, 1e8), label=label)
 
@@ -82,27 +84,31 @@ def _weight(unit: str | None = None, label: str = "") -> Key:
 class Weights(Section):
     """The diagonal weights of the cost (docs/equations.md (21))."""
 
-    position: Annotated[Positive, _weight("1/m²", "weight on UAV position")] = 1.0
+    position: Annotated[Positive, _weight_key("1/m²", "weight on UAV position")] = 1.0
     """weight on each coordinate of each UAV's position error"""
-    attitude: Annotated[Positive, _weight("1/rad²", "weight on payload attitude")] = 5.0
+    attitude: Annotated[Positive, _weight_key("1/rad²", "weight on payload attitude")] = 5.0
     """weight on payload roll, pitch, yaw"""
-    yaw_rate: Annotated[Positive, _weight("s²/rad²", "weight on yaw rate")] = 0.05
+    yaw_rate: Annotated[Positive, _weight_key("s²/rad²", "weight on yaw rate")] = 0.05
     """weight on each UAV's third body rate"""
-    payload_position: Annotated[NotNegative, _weight("1/m²", "weight on payload position")] = 0.0
+    payload_position: Annotated[NotNegative, _weight_key("1/m²", "weight on payload position")] = (
+        0.0
+    )
     """weight on each coordinate of the payload's position error"""
-    payload_velocity: Annotated[NotNegative, _weight("s²/m²", "weight on payload velocity")] = 0.0
+    payload_velocity: Annotated[NotNegative, _weight_key("s²/m²", "weight on payload velocity")] = (
+        0.0
+    )
     """weight on each coordinate of the payload's velocity error"""
-    terminal: Annotated[NotNegative, _weight(label="terminal weight")] = 5.0
+    terminal: Annotated[NotNegative, _weight_key(label="terminal weight")] = 5.0
     """Q_f as a multiple of Q; no effect with `controller.terminal=riccati`"""
-    thrust: Annotated[Positive, _weight("1/N²", "weight on thrust")] = 1e-3
+    thrust: Annotated[Positive, _weight_key("1/N²", "weight on thrust")] = 1e-3
     """weight on each thrust"""
-    moments: Annotated[PositiveVector, _weight("1/(N m)²", "weight on moments")] = (
+    moments: Annotated[PositiveVector, _weight_key("1/(N m)²", "weight on moments")] = (
         1e-2,
         1e-2,
         1e-2,
     )
     """weight on each moment, per body axis"""
-    rates: Annotated[PositiveVector, _weight("s²/rad²", "weight on commanded body rates")] = (
+    rates: Annotated[PositiveVector, _weight_key("s²/rad²", "weight on commanded body rates")] = (
         0.1,
         0.1,
         0.1,
@@ -110,22 +116,23 @@ class Weights(Section):
     """weight on each commanded body rate, per body axis; only with `controller.inputs=rates`, in
     place of `moments` and `angular_acceleration`, for vehicles of any size"""
     acceleration: Annotated[
-        Positive | None, _weight("s⁴/m²", "weight on acceleration by thrust")
+        Positive | None, _weight_key("s⁴/m²", "weight on acceleration by thrust")
     ] = None
     """weight on each thrust over the mass that the UAV lifts, its own and an equal share of the
     payload's; replaces `thrust`, so that one value serves vehicles of any size"""
     angular_acceleration: Annotated[
-        Positive | None, _weight("s⁴/rad²", "weight on angular acceleration by moments")
+        Positive | None, _weight_key("s⁴/rad²", "weight on angular acceleration by moments")
     ] = None
     """weight on each moment over the UAV's inertia about that axis; replaces `moments`, so that one
     value serves vehicles of any size"""
-    tilt_rate: Annotated[NotNegative, _weight("s²/rad²", "weight on tilt rate")] = 0.0
+    tilt_rate: Annotated[NotNegative, _weight_key("s²/rad²", "weight on tilt rate")] = 0.0
     """weight on each UAV's first and second body rate"""
     penalised_input: PenalisedInput = "deviation"
     """argument of R: the deviation of the input from hover, or the input itself (the paper)"""
 
     def Q(self, N: int) -> Array:
-        """Return the diagonal of Q for N UAVs, (4 N + 9,)."""
+        """Return the diagonal of Q for N UAVs, (4 N + 9,). Source: docs/equations.md (21)."""
+        # In the order of the outputs (14): r_i, Theta_0, omega_i3, r_0, R_0 v_0.
         weights = (
             self.position,
             self.attitude,
@@ -189,7 +196,7 @@ class Separation(Section):
     """smallest distance between the centres of any two UAVs; at most the distance at hover"""
     # Above the constraint's multiplier the softened problem has the solution of the hard one, if
     # there is one.
-    penalty: Annotated[Positive, _weight("1/m")] = 100.0
+    penalty: Annotated[Positive, _weight_key("1/m")] = 100.0
     """penalty on the largest violation over the horizon"""
 
 
@@ -201,7 +208,7 @@ class Tilt(Section):
 
     limit_deg: Annotated[float, Interval(gt=0.0, lt=90.0), Key(label="largest planned tilt")]
     """largest roll and pitch, either sign, that an agent plans for its own UAVs"""
-    penalty: Annotated[Positive, _weight("1/rad")] = 10.0
+    penalty: Annotated[Positive, _weight_key("1/rad")] = 10.0
     """penalty on the largest violation over the horizon"""
 
 
@@ -213,7 +220,7 @@ class Tension(Section):
 
     minimum_N: Positive
     """smallest tension of the rods of its own UAVs that an agent plans; less than at hover"""
-    penalty: Annotated[Positive, _weight("1/N")] = 10.0
+    penalty: Annotated[Positive, _weight_key("1/N")] = 10.0
     """penalty on the largest violation over the horizon"""
 
 
@@ -225,7 +232,7 @@ class Constraint(Section):
     soft: bool = True
     """true: a state inequality may be violated at a penalty; equalities and input constraints are
     always hard"""
-    penalty: Annotated[Positive | None, _weight("1 over the unit of the expression")] = None
+    penalty: Annotated[Positive | None, _weight_key("1 over the unit of the expression")] = None
     """penalty on the largest violation over the horizon. If omitted: a slope of the team's
     tracking cost, larger for places than for speeds, [equations.md](equations.md) (30d). A much
     steeper one lets agents with late plans correct each other"""
@@ -239,7 +246,7 @@ class CostTerm(Section):
 
     expression: str
     """term of the cost, such as `"v0[0]"`: of states alone, zero where the cost is zero"""
-    weight: Annotated[Positive, _weight("1 over the square of the expression's unit")]
+    weight: Annotated[Positive, _weight_key("1 over the square of the expression's unit")]
     """weight of its square at each step of the horizon; at the last step
     `controller.weights.terminal` times as much, or the cost-to-go"""
 
@@ -313,7 +320,7 @@ class ControllerSettings(Section):
         _, largest_N = self.limits.thrust_N
         return np.array([largest_N, *self._largest_turning()] * uavs)
 
-    def step(self, uavs: int) -> Array:
+    def largest_step(self, uavs: int) -> Array:
         """Return the largest change of the inputs over one sampling period, (4 uavs,)."""
         turning = self.limits.moment_rates_Nm_s
         if self.inputs == "rates":

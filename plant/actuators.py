@@ -44,7 +44,7 @@ class ActuatorSchedule:
         self.fail_safe = fail_safe
         self._lower = settings.lower(1)  # limits of the inputs of a UAV, (4,)
         self._upper = settings.upper(1)
-        self._step = settings.step(1)  # largest change in a sampling period, (4,)
+        self._step = settings.largest_step(1)  # largest change in a sampling period, (4,)
         uavs = len(u_hover) // state.INPUTS
         self._plans: list[list[Plan]] = [[] for _ in range(uavs)]
         self._period_s = settings.sampling_period_s

@@ -25,7 +25,7 @@ class Program(Prediction):
         super().__init__(run, uavs)
         settings = run.settings
         N = run.system.N
-        self.change = settings.step(len(uavs))
+        self.change = settings.largest_step(len(uavs))
         self.Q = np.tile(settings.weights.Q(N), (self.steps, 1))
         self.Q[-1] *= settings.weights.terminal
         self.R = settings.weights.R(run.system)[self.own]

@@ -132,7 +132,7 @@ def test_every_row_is_accounted_for(case: Case) -> None:
 def test_rate_rows(case: Case) -> None:
     """Distance of each rate row to its bounds is that of the inputs' change over one period, paper section V-A."""
     own = case.own
-    rate = SETTINGS.step(len(own) // 4)
+    rate = SETTINGS.largest_step(len(own) // 4)
     change = np.diff(case.inputs[:, own], axis=0)
     assert close(case.below[block(case, "rate")], (change + rate).reshape(-1))
     assert close(case.above[block(case, "rate")], (rate - change).reshape(-1))
@@ -143,7 +143,7 @@ def test_first_rate_is_a_bound(case: Case) -> None:
     own = case.own
     uavs = len(own) // 4
     low, high = SETTINGS.lower(uavs), SETTINGS.upper(uavs)
-    rate, half = SETTINGS.step(uavs), (high - low) / 2.0
+    rate, half = SETTINGS.largest_step(uavs), (high - low) / 2.0
     in_force = case.at.u[own]
     assert close(in_force + case.qp.lower[: len(own)] * half, np.maximum(low, in_force - rate))
     assert close(in_force + case.qp.upper[: len(own)] * half, np.minimum(high, in_force + rate))

@@ -116,7 +116,7 @@ def solve_as_printed(
 
     # Rate limits: differences of successive inputs, the first against the input in force.
     difference = np.eye(steps * m) - np.eye(steps * m, k=-m)
-    rate = np.tile(settings.step(setup.system.N), steps)
+    rate = np.tile(settings.largest_step(setup.system.N), steps)
     altitude = np.zeros((steps, (steps + 1) * n))
     for k in range(steps):
         altitude[k, (k + 1) * n + 2] = 1.0

@@ -23,7 +23,7 @@ def limits_kept(
     uavs = len(owned)
     own = [4 * i + j for i in owned for j in range(4)]
     low, high = settings.lower(uavs), settings.upper(uavs)
-    rate = settings.step(uavs)
+    rate = settings.largest_step(uavs)
     change = np.abs(np.diff(np.vstack([u[own], plan]), axis=0))
     return bool(
         (plan >= low).all() and (plan <= high).all() and (change <= rate + LIMIT_SLACK).all()
@@ -41,7 +41,7 @@ def test_plan_keeps_bounds_and_rates(owned: tuple[int, ...], seed: int) -> None:
     optimum = step(controller(setup, settings, owned), at)
     assert optimum.solution.status == "solved"
     assert limits_kept(settings, owned, at.u, optimum.U)
-    own_rate = settings.step(len(owned))
+    own_rate = settings.largest_step(len(owned))
     assert (np.abs(np.diff(optimum.U, axis=0)) > 0.99 * own_rate).any(), (
         "no rate was ever at its limit"
     )

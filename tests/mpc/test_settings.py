@@ -63,4 +63,4 @@ def test_limits_per_uav() -> None:
     settings = ControllerSettings(limits=limits, sampling_period_s=0.25)
     assert settings.lower(2).tolist() == [2.0, -1.0, -2.0, -3.0] * 2
     assert settings.upper(2).tolist() == [30.0, 1.0, 2.0, 3.0] * 2
-    assert settings.step(2).tolist() == [20.0, 1.0, 2.0, 4.0] * 2
+    assert settings.largest_step(2).tolist() == [20.0, 1.0, 2.0, 4.0] * 2

@@ -205,7 +205,7 @@ def test_program_keeps_limits_that_the_law_violates(
     # expansion's error.
     np.testing.assert_allclose(U, result.U, atol=1e-6)
     changes = np.abs(np.diff(np.vstack([track.U[start - 1], U]), axis=0))
-    assert (changes <= settings.step(4) + 1e-6).all()
+    assert (changes <= settings.largest_step(4) + 1e-6).all()
     before, after = (_violation(model, settings, *of) for of in ((course.Z, course.U_all), (Z, U)))
     if wanted is not None:
         assert after < 0.25 * before

@@ -146,7 +146,7 @@ def test_fail_safe_keeps_the_limits(seed: int) -> None:
     """The fail-safe keeps the bounds and rates of the actuators at any attitude and rate."""
     rng = np.random.default_rng(seed)
     settings = ControllerSettings(limits=LIMITS, sampling_period_s=PERIOD_S)
-    low, high, step = settings.lower(N), settings.upper(N), settings.step(N)
+    low, high, step = settings.lower(N), settings.upper(N), settings.largest_step(N)
     plans = schedule(labelled(1, 0), labelled(2, 0))
     before = rng.uniform(low, high)
     for _ in range(50):

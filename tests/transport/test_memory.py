@@ -206,7 +206,7 @@ def test_inputs_keep_the_rate_limits() -> None:
         [run.hover.u, *[plant_state.u for plant_state in plant_states(run_messages(FOUR))]]
     )
     slack = 1e-6  # N and N m: the solver's tolerance on its rows
-    assert (np.abs(np.diff(U, axis=0)) <= run.settings.step(4) + slack).all()
+    assert (np.abs(np.diff(U, axis=0)) <= run.settings.largest_step(4) + slack).all()
 
 
 def test_truth_is_a_trajectory_of_the_model() -> None:

@@ -67,7 +67,7 @@ def _change_excess(setup: Setup, ticks: npt.NDArray[np.int64], u: Array) -> Arra
 
     0 across a gap in the record.
     """
-    step = setup.settings.step(setup.system.N)
+    step = setup.settings.largest_step(setup.system.N)
     before = np.vstack([setup.hover.u[None], u[:-1]])[: len(u)]
     excess = (np.abs(u - before) - step) / (2.0 * step)
     for fault in failures(setup.faults):
