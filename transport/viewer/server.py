@@ -45,26 +45,50 @@ class Page:
     """One page of a browser."""
 
     client: Any  # its connection
-    receipt: Any  # widget that asks the page to tell which frame it shows
+    # HTML widget of the page, with an invisible image whose address names the newest frame. The page
+    # asks for the image once it shows that frame, which is the receipt.
+    receipt: Any
     sent: int = 0  # newest frame
-    since_s: float | None = None  # time since when the page has not told that it shows this frame
+    # Time since when the page has not told that it shows this frame; None once it has.
+    unshown_since_s: float | None = None
+
+
+class Receipts:
+    """Pages by the number of their connection, and what they tell of the frames that they show."""
+
+    def __init__(self) -> None:
+        self.pages: dict[int, Page] = {}
+
+    def take(self, path: str) -> bool:
+        """Return whether a path below the secret one is that of a receipt, and note it.
+
+        It counts if the page shows the newest frame that it has been sent.
+        """
+        receipt = _RECEIPT.fullmatch(path)
+        if receipt is None:
+            return False
+        number, frame = map(int, receipt.groups())
+        page = self.pages.get(number)
+        if page is not None and frame == page.sent:
+            page.unshown_since_s = None
+        return True
 
 
 class Guard:
-    """Check of the requests to one server.
-
-    All are below its path; pages, by connection, tell the frames they show.
-    """
+    """Check of the requests to one server: all are below its path."""
 
     def __init__(self, title: str) -> None:
         self.path = f"/{secrets.token_urlsafe(24)}"
         self.serves = False  # whether a server uses it
-        self.pages: dict[int, Page] = {}
+        self.receipts = Receipts()
         self._title = f"<title>{escape(title)}</title>".encode()
 
     @contextmanager
     def installed(self) -> Iterator[None]:
-        """Check the requests to servers that viser starts meanwhile; it has no option for it."""
+        """Check the requests to servers that viser starts meanwhile; it has no option for it.
+
+        The patch of websockets is global while it lasts: no other server may be started.
+        """
         import websockets.asyncio.server as library
 
         serve: Any = library.serve
@@ -85,26 +109,19 @@ class Guard:
 
     def _answer(self, connection: Any, request: Any, process_request: Any) -> Any:
         """Return the answer to a request: a refusal, a receipt, or that of viser."""
-        token = "/" + request.path.partition("?")[0].lstrip("/").partition("/")[0]
-        if not hmac.compare_digest(token.encode(), self.path.encode()):
+        path = request.path.partition("?")[0]
+        first = path.removeprefix("/").partition("/")[0]
+        if not hmac.compare_digest(f"/{first}".encode(), self.path.encode()):
             return connection.respond(403, "expected the link that the command has printed\n")
 
         request.path = request.path.removeprefix(self.path) or "/"
-        receipt = _RECEIPT.fullmatch(request.path)
-        if receipt:
-            self._note_shown(*map(int, receipt.groups()))
+        if self.receipts.take(request.path):
             return connection.respond(204, "")
 
         answer = process_request(connection, request)
         if answer is not None and request.path.partition("?")[0] in ("/", "/index.html"):
             self._set_title(answer)
         return answer
-
-    def _note_shown(self, number: int, frame: int) -> None:
-        """Note that a page shows a frame, if it is the newest that it has been sent."""
-        page = self.pages.get(number)
-        if page is not None and frame == page.sent:
-            page.since_s = None
 
     def _set_title(self, answer: Any) -> None:
         """Give the page the title of the run; viser has one name for all its pages."""
@@ -128,22 +145,11 @@ def start_server(host: str, port: int, title: str) -> tuple[Any, Guard, str]:
 
     # A page may go, or the viewer end, at any moment; what is sent to it then is not needed.
     warnings.filterwarnings("ignore", _CLOSED, UserWarning)
-    with socket.socket(
-        socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM
-    ) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))  # viser would wait for an address that cannot be used forever
-        except (OSError, OverflowError) as error:
-            if getattr(error, "errno", None) != errno.EADDRINUSE:  # viser takes the next free one
-                raise ViewerError(
-                    f"--host, --port: cannot listen on {host}:{port} ({error})"
-                ) from error
+    _check_address(host, port)
+
     guard = Guard(title)
-    with (
-        guard.installed(),
-        redirect_stdout(io.StringIO()),
-    ):  # viser prints its address to stdout, which is for results
+    # viser prints its address to stdout, which is for results.
+    with guard.installed(), redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if not guard.serves:
         server.stop()
@@ -152,3 +158,21 @@ def start_server(host: str, port: int, title: str) -> tuple[Any, Guard, str]:
         )
     name = f"[{host}]" if ":" in host else host
     return server, guard, f"http://{name}:{server.get_port()}{guard.path}"
+
+
+def _check_address(host: str, port: int) -> None:
+    """Check that a server can listen on an address; viser retries for ever on one that cannot be used.
+
+    A port that is in use is no problem: viser takes the next free one.
+    Raises: ViewerError.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except (OSError, OverflowError) as error:
+            if getattr(error, "errno", None) == errno.EADDRINUSE:
+                return
+            text = f"--host, --port: cannot listen on {host}:{port} ({error})"
+            raise ViewerError(text) from error

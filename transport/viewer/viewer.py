@@ -92,7 +92,7 @@ class Viewer:
         tick = self.playback.advance(now_s - self._updated_s, history.first, history.last)
         self._updated_s = now_s
         self._notice_end()
-        pages = list(self._guard.pages.values())
+        pages = list(self._guard.receipts.pages.values())
         if not self._is_over and not pages:
             return  # a page that connects gets the newest frame
         self._panel.show_playback()
@@ -137,11 +137,11 @@ class Viewer:
             self.view3d.show(scene)
             self._panel.show(scene)
         self._frame += 1
-        for number, page in list(self._guard.pages.items()):
+        for number, page in list(self._guard.receipts.pages.items()):
             if not page.sent:
                 self.view3d.place_camera(page.client)
             page.sent = self._frame
-            page.since_s = page.since_s or time.monotonic()
+            page.unshown_since_s = page.unshown_since_s or time.monotonic()
             source = f"{self._guard.path}/shown/{number}/{self._frame}"  # of an invisible image
             page.receipt.content = f'<img src="{source}" alt="" style="display:none">'
 
@@ -155,15 +155,15 @@ class Viewer:
         self._panel.set_notice(text, warning=warning)
 
     def _add_page(self, client: Any) -> None:
-        self._guard.pages[client.client_id] = Page(client, client.gui.add_html(""))
+        self._guard.receipts.pages[client.client_id] = Page(client, client.gui.add_html(""))
 
     def _remove_page(self, client: Any) -> None:
-        self._guard.pages.pop(client.client_id, None)
+        self._guard.receipts.pages.pop(client.client_id, None)
 
 
 def _is_waited_for(page: Page, now_s: float) -> bool:
     """Return whether a page has not shown its newest frame yet, but may do so."""
-    return page.since_s is not None and now_s - page.since_s < _PATIENCE_S
+    return page.unshown_since_s is not None and now_s - page.unshown_since_s < _PATIENCE_S
 
 
 def open_viewer(folder: Path, host: str, port: int) -> Viewer:
