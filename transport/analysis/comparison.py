@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,6 +35,21 @@ class Difference:
         return f"{self.kind}.{self.name}"
 
 
+class InputsApart(NamedTuple):
+    """Largest differences of the inputs of a plan: thrust, N, and moments, N m, or rates, rad/s."""
+
+    tick: int
+    first_thrust_N: float  # at the first step
+    first_turning: float
+    thrust_N: float  # over the horizon
+    turning: float
+
+    @property
+    def largest(self) -> float:
+        """The largest of all differences, whatever the unit."""
+        return max(self.thrust_N, self.turning)
+
+
 @dataclass(slots=True)
 class Comparison:
     """Comparison of a replay with its run."""
@@ -45,9 +61,7 @@ class Comparison:
     unrecorded: list[int] = field(default_factory=list)
     # Differences by field, in the order in which the fields first differ.
     by_field: dict[str, list[Difference]] = field(default_factory=dict)
-    # For each tick compared: tick, largest difference of thrust (N) and of moments or rates (SI) of
-    # the plan's first step, then of all its steps.
-    rows: list[tuple[int, float, float, float, float]] = field(default_factory=list)
+    inputs_apart: list[InputsApart] = field(default_factory=list)  # of each tick compared
     commands: tuple[str, ...] = INPUT_NAMES  # names of the inputs in plans
 
     @property
@@ -55,6 +69,7 @@ class Comparison:
         """The first difference in a plan; None if all plans are equal."""
         earliest = [differing[0] for differing in self.by_field.values()]
         of_plans = [difference for difference in earliest if difference.kind == Plan.kind]
+        # Within a tick earlier iterations have larger numbers.
         return min(of_plans, key=lambda one: (one.tick, -one.negotiation), default=None)
 
     def first_beyond(self, size: float) -> int | None:
@@ -62,12 +77,13 @@ class Comparison:
 
         The size is in N or N m. None if there is no such tick.
         """
-        return next((tick for tick, *apart in self.rows if max(apart) > size), None)
+        return next((apart.tick for apart in self.inputs_apart if apart.largest > size), None)
 
     def add(self, step: Step, *, ignored: Iterable[str] = ()) -> None:
         """Compare the replayed and recorded messages of one tick.
 
-        Ignored fields, such as report.lost, do not count.
+        All or nothing: a tick with an answer that the log lacks is not compared. Ignored fields, such
+        as report.lost, do not count.
         """
         recorded_ones = [recorded for recorded in step.recorded if recorded is not None]
         if len(recorded_ones) < len(step.answers):
@@ -88,7 +104,7 @@ class Comparison:
                 self.plans += 1
                 self.identical += not differing
             if isinstance(answer, Plan) and isinstance(recorded, Plan) and answer.negotiation == 0:
-                self.rows.append((step.tick, *_inputs_apart(answer, recorded)))
+                self.inputs_apart.append(_inputs_apart(answer, recorded))
 
 
 def differences(
@@ -141,14 +157,20 @@ def _entry(message: Answer, name: str, index: list[int], commands: tuple[str, ..
     return str(index) if index else ""
 
 
-def _inputs_apart(plan: Plan, recorded: Plan) -> tuple[float, float, float, float]:
-    """Return the largest difference of thrust and of the other inputs.
+def _inputs_apart(plan: Plan, recorded: Plan) -> InputsApart:
+    """Return the largest differences of the inputs of two plans.
 
-    The first two are those at the first step, the last two those over the horizon.
+    Steps that only one horizon has are left out.
     """
     steps = min(len(plan.inputs), len(recorded.inputs))
     apart: Array = np.abs(plan.inputs[:steps] - recorded.inputs[:steps])
     by_uav = apart.reshape(steps, -1, INPUTS)
-    thrust = by_uav[:, :, 0].max(axis=1)
-    others = by_uav[:, :, 1:].max(axis=(1, 2))
-    return float(thrust[0]), float(others[0]), float(thrust.max()), float(others.max())
+    thrust_N = by_uav[:, :, 0].max(axis=1)
+    turning = by_uav[:, :, 1:].max(axis=(1, 2))
+    return InputsApart(
+        tick=plan.tick,
+        first_thrust_N=float(thrust_N[0]),
+        first_turning=float(turning[0]),
+        thrust_N=float(thrust_N.max()),
+        turning=float(turning.max()),
+    )

@@ -31,11 +31,11 @@ _LOG = "run.mcap"
 # Interval between two looks into the log, s.
 _POLL_S = 0.01
 # Interval between two looks at the parent of the run, s.
-_LOOK_S = 0.5
+_PARENT_CHECK_S = 0.5
 # Interval between two repetitions of the markers that do not change, s.
-_AGAIN_S = 1.0
+_FIXED_MARKERS_S = 1.0
 # Shortest time between two targets that are handed on, s.
-_INTERVAL_S = 0.5
+_TARGETS_APART_S = 0.5
 _NICE = 10  # the processes of the run have the processors first
 
 
@@ -69,8 +69,8 @@ def ros2(
     published = {
         topic: (kind, types().hash_rihs01(kind)) for topic, kind in messages.topics.items()
     }
-    topic, kind = TARGET
-    heard = {topic: (kind, types().hash_rihs01(kind))}
+    target_topic, target_type = TARGET
+    heard = {target_topic: (target_type, types().hash_rihs01(target_type))}
     with blame("--connect"):
         node = RosNode(connect, domain, published, heard)
 
@@ -92,7 +92,7 @@ def _publish(reader: "_Reader", publisher: "_Publisher", targets: "_Targets") ->
     """Publish the ticks of a run until it has ended, and hand on targets."""
     history = reader.history
     reader.read()
-    next_tick = history.last
+    next_tick = history.last  # begin with the newest tick, not with the whole log
     while True:
         has_ended = reader.read()
         targets.hand_on()
@@ -122,7 +122,9 @@ class _PacedStart:
     start_ns: int | None = None
 
     def note(self, tick: int, recorded_ns: int) -> None:
-        """Note when a tick was recorded."""
+        """Note when a tick was recorded, in a paced run."""
+        if self.speed == 0.0:
+            return
         start_ns = recorded_ns - self._since_start_ns(tick)
         if self.start_ns is None or start_ns < self.start_ns:
             self.start_ns = start_ns
@@ -134,6 +136,7 @@ class _PacedStart:
         return self.start_ns + self._since_start_ns(tick)
 
     def _since_start_ns(self, tick: int) -> int:
+        """Return the wall time from the start to a tick: stamp = start + k T_s / speed."""
         return round(tick * self.period_ns / self.speed)
 
 
@@ -146,20 +149,20 @@ class _Reader:
     history: RunHistory
     start: _PacedStart
     next_look_s: float = 0.0  # steady-clock time of the next look at the parent
-    is_left: bool = False  # whether the parent, which writes the log, was killed
+    parent_is_gone: bool = False  # whether the parent, which writes the log, was killed
 
     def read(self) -> bool:
         """Read new messages; return whether they are the last ones."""
         # Before the messages: all that a killed parent has written is then read.
         if time.monotonic() >= self.next_look_s:
-            self.next_look_s = time.monotonic() + _LOOK_S
-            self.is_left = read_live_run(self.folder) is None
+            self.next_look_s = time.monotonic() + _PARENT_CHECK_S
+            self.parent_is_gone = read_live_run(self.folder) is None
         recorded = self.tail.read_recorded()
         for entry in recorded:
-            if self.start.speed > 0.0 and isinstance(entry.message, PlantState):
+            if isinstance(entry.message, PlantState):
                 self.start.note(entry.message.tick, entry.received_ns)
         self.history.add([entry.message for entry in recorded])
-        return self.history.control is not None or self.tail.ended or self.is_left
+        return self.history.control is not None or self.tail.ended or self.parent_is_gone
 
 
 @dataclass(slots=True, kw_only=True)
@@ -179,7 +182,7 @@ class _Publisher:
 
         is_fixed_due = time.monotonic() >= self.next_fixed_s
         if is_fixed_due:
-            self.next_fixed_s = time.monotonic() + _AGAIN_S
+            self.next_fixed_s = time.monotonic() + _FIXED_MARKERS_S
         for topic, data in self.messages.scenes(tick, stamp_ns, fixed=is_fixed_due):
             self.node.put(topic, data)
 
@@ -203,7 +206,7 @@ class _Targets:
         if data is None:
             return
 
-        self.next_s = time.monotonic() + _INTERVAL_S
+        self.next_s = time.monotonic() + _TARGETS_APART_S
         try:
             self.commands.target(goal_in(data))
         except GoalError as error:
