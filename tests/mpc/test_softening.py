@@ -44,7 +44,7 @@ def test_a_constraint_that_no_plan_meets_is_violated_least(relation: str) -> Non
     before_N = situation(setup, settings, SEED).u[0]
     text = f"thrust1 {relation} 1.0"
     violations, thrust_N = _plan(Constraint(expression=text))
-    first_N = before_N - settings.step(1)[0]
+    first_N = before_N - settings.largest_step(1)[0]
     assert thrust_N[0] == pytest.approx(first_N, abs=HELD)
     assert violations == {text: pytest.approx(first_N - 1.0, abs=HELD)}
 
