@@ -67,7 +67,7 @@ def summary(result: SearchResult) -> dict[str, Any]:
 
 def ranked(result: SearchResult) -> list[Flown]:
     """Return the worst cases, the worst first."""
-    order = sorted(result.flown, key=lambda one: (one.evaluation.robustness, one.number))
+    order = sorted(result.flown, key=lambda one: one.order)
     return order[:_SHOWN]
 
 

@@ -30,6 +30,11 @@ class Flown:
     candidate: Candidate
     evaluation: Evaluation
 
+    @property
+    def order(self) -> tuple[float, int]:
+        """Return the key that sorts the worst first, of equal ones the earliest."""
+        return self.evaluation.robustness, self.number
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Minimal:
@@ -53,7 +58,7 @@ class SearchResult:
     @property
     def worst(self) -> Flown:
         """Return the case closest to failing, or the earliest failure."""
-        return min(self.flown, key=lambda one: (one.evaluation.robustness, one.number))
+        return min(self.flown, key=lambda one: one.order)
 
     @property
     def first_failure(self) -> int | None:
@@ -170,8 +175,8 @@ class Search:
             problem = f"expected a scenario that holds its limit without events, got {words}"
             raise ScenarioError(self.problem.base.source, "", problem)
 
-        flown = list(self._fly(evaluations, fly, progress))
-        worst = min(flown, key=lambda one: (one.evaluation.robustness, one.number))
+        flown = list(self._cases(evaluations, fly, progress))
+        worst = min(flown, key=lambda one: one.order)
         minimal = None
         if worst.evaluation.failed:
 
@@ -188,7 +193,12 @@ class Search:
             problem=self.problem, without_events=without_events, flown=flown, minimal=minimal
         )
 
-    def _fly(self, evaluations: Evaluations, fly: Fly, progress: Progress) -> Iterator[Flown]:
+    def _cases(self, evaluations: Evaluations, fly: Fly, progress: Progress) -> Iterator[Flown]:
+        """Yield the cases of the budget, in whole batches.
+
+        The optimiser is told all points that it has been asked for, so the last batch is flown even
+        if it goes beyond the budget.
+        """
         optimiser = Optimiser(self.space.layout, seed=self.seed)
         number = 0
 
@@ -209,7 +219,11 @@ class Search:
 
 
 def _minimal(problem: Problem, candidate: Candidate, evaluate: Evaluate) -> Minimal:
-    """Return the proof that a minimal case is."""
+    """Return the proof that a minimal case is.
+
+    The case with perfect information is flown here, in this process, and not kept among the
+    evaluations: it is another scenario, and flown once.
+    """
     return Minimal(
         problem=problem,
         candidate=candidate,
