@@ -120,6 +120,22 @@ assert json_schema("battery")["properties"]["charge_As"] == {"type": "number"}
 assert sample(Battery).sender == "agent2"
 """
 
+# The command with its option, and the points that it simulates.
+EXPERIMENT = """
+from typer.testing import CliRunner
+from transport.cli.experiment import EXPERIMENTS
+from transport.cli.main import app
+from transport.protocol.scenario.file import find_scenario, read_scenario
+
+shown = CliRunner().invoke(app, ["experiment", "--help"]).output
+assert "Effect of plans that are held back." in shown, shown
+name = "resilient"
+scenarios = {name: read_scenario(find_scenario(name))}
+points = EXPERIMENTS["reorder"].experiment(scenarios, {"reorder": [0.5]}).points
+assert [(point.labels["links.reorder"], point.baseline) for point in points] == [(0.0, True), (0.5, False)]
+assert read_scenario(find_scenario(name), points[1].settings).links.reorder == 0.5
+"""
+
 
 def section(heading: str) -> str:
     """Text below a heading of the page."""
@@ -132,8 +148,9 @@ def section(heading: str) -> str:
         ("A new link impairment", IMPAIRMENT),
         ("A new constraint", CONSTRAINT),
         ("A new message", MESSAGE),
+        ("A new experiment", EXPERIMENT),
     ],
-    ids=["link", "constraint", "message"],
+    ids=["link", "constraint", "message", "experiment"],
 )
 def test_recipe(heading: str, script: str, tmp_path: Path) -> None:
     """With the edits of a recipe, and no others, the example works from its definition to the result."""
