@@ -42,15 +42,19 @@ def _deviations(lag_s: float, step_s: float) -> tuple[float, float]:
 
     Their mean and first moment are those of the exponential. Source: docs/equations.md (54).
     """
-    left = decay(lag_s, step_s)
+    remaining = decay(lag_s, step_s)
     # mu = lambda / h (1 - exp(-h / lambda))
-    mean = lag_s / step_s * (1.0 - left)
+    mean = lag_s / step_s * (1.0 - remaining)
     # nu: four times the first moment about the middle of the step, over h^2.
-    moment = 4.0 * ((lag_s / step_s) ** 2 * (1.0 - left) - lag_s / step_s * (1.0 + left) / 2.0)
+    moment = 4.0 * (
+        (lag_s / step_s) ** 2 * (1.0 - remaining) - lag_s / step_s * (1.0 + remaining) / 2.0
+    )
     return mean - moment, mean + moment
 
 
-def held(a: Array, u: Array, lag_s: float, step_s: float) -> tuple[tuple[Array, Array], Array]:
+def two_held_inputs(
+    a: Array, u: Array, lag_s: float, step_s: float
+) -> tuple[tuple[Array, Array], Array]:
     """Return two inputs, held for half a step each, and the actual inputs at the end.
 
     The two stand for the actual inputs during the step.
@@ -71,11 +75,11 @@ def shares(lag_s: float, step_s: float, gains: tuple[float, ...] | None, uavs: i
     First axis: first input, second input, end; second axis: deviation of the actual inputs, of the
     body rates. Source: docs/equations.md (54), (58a).
     """
-    left = np.zeros((3, 2, 4))
-    left[:, 0] = np.array([*_deviations(lag_s, step_s), decay(lag_s, step_s)])[:, None]
+    shares_left = np.zeros((3, 2, INPUTS))
+    shares_left[:, 0] = np.array([*_deviations(lag_s, step_s), decay(lag_s, step_s)])[:, None]
     for axis, gain in enumerate(gains or (), start=1):
-        left[:, :, axis] = _rate_shares(lag_s, step_s, gain)
-    return np.tile(left, uavs)
+        shares_left[:, :, axis] = _rate_shares(lag_s, step_s, gain)
+    return np.tile(shares_left, uavs)
 
 
 def _rate_shares(lag_s: float, step_s: float, gain: float) -> Array:
@@ -90,7 +94,8 @@ def _rate_shares(lag_s: float, step_s: float, gain: float) -> Array:
     end = expm(M * step_s)
     area = np.linalg.solve(M, end - np.eye(2))
 
-    # Mean and first moment of a, as of the exponential in (54).
+    # Mean and first moment of a, as of the exponential in (54), with
+    # int_0^h t z dt = M^-1 (h z(h) - int_0^h z dt).
     mean = area[0] / step_s
     moment = 4.0 * (np.linalg.solve(M, step_s * end - area)[0] / step_s**2 - mean / 2.0)
     return np.array([mean - moment, mean + moment, end[0]])
@@ -132,20 +137,20 @@ def _held_inputs(
     """Return two held inputs that stand for the actual ones, and these at the end of a step."""
     gains = model.system.rate_gains
     if gains is None:
-        return held(a, u, lag_s, step_s)
+        return two_held_inputs(a, u, lag_s, step_s)
 
     in_inputs, in_states = rate_places(len(u))
     rates = np.zeros_like(u)
     rates[in_inputs] = x[in_states]
 
     # u + (share of a) (a - u) + (share of the rates) (omega - u)
-    left = shares(lag_s, step_s, tuple(gains.tolist()), model.system.N)
-    first, second, end = u + left[:, 0] * (a - u) + left[:, 1] * (rates - u)
+    shares_left = shares(lag_s, step_s, tuple(gains.tolist()), model.system.N)
+    first, second, end = u + shares_left[:, 0] * (a - u) + shares_left[:, 1] * (rates - u)
     return (first, second), end
 
 
 @lru_cache(64)
-def _with_lag(pattern: Pattern, rates: bool) -> tuple[Pattern, npt.NDArray[np.intp]]:
+def _pattern_with_lag(pattern: Pattern, rates: bool) -> tuple[Pattern, npt.NDArray[np.intp]]:
     """Return the pattern of a system [x, a] with motors, and the order of its entries.
 
     Entries are those of the system without motors, followed by -1/lambda and 1/lambda, (m,) each:
@@ -162,7 +167,10 @@ def _with_lag(pattern: Pattern, rates: bool) -> tuple[Pattern, npt.NDArray[np.in
 
 
 def _factors_with_lag(pattern: Pattern, rates: bool) -> list[Array]:
-    """Return the factors of a system with motors, with the numbers of their entries, from 1."""
+    """Return the factors of a system with motors, with numbers of entries in place of values.
+
+    `Pattern.numbered` counts from 1, so 0 is no entry.
+    """
     X, U, P, V_x, V_u, C = map(pattern.numbered, NAMES)
     n, m = U.shape
 
@@ -173,8 +181,8 @@ def _factors_with_lag(pattern: Pattern, rates: bool) -> list[Array]:
 
     by_state = np.zeros((m, n))
     if rates:
-        inputs, states = rate_places(m)
-        by_state[inputs] = X[states]
+        in_inputs, in_states = rate_places(m)
+        by_state[in_inputs] = X[in_states]
     return [
         np.block([[X, U], [by_state, on_itself]]),
         np.vstack([np.zeros((n, m)), on_command]),
@@ -185,7 +193,7 @@ def _factors_with_lag(pattern: Pattern, rates: bool) -> list[Array]:
     ]
 
 
-def lagged(
+def with_lag(
     linear: Linearisation, a: Array, u: Array, lag_s: float, rates: bool = False
 ) -> Linearisation:
     """Return the expansion of [x, a] and the command u, from that of x and a.
@@ -198,10 +206,11 @@ def lagged(
     moving = (u - a) / lag_s
 
     if rates:
-        inputs, states = rate_places(len(a))
-        on_itself[inputs] += linear.pattern.dense(linear.values, "U")[states, inputs]
-        moving[inputs] += linear.f[states]
+        in_inputs, in_states = rate_places(len(a))
+        U = linear.pattern.dense(linear.values, "U")
+        on_itself[in_inputs] += U[in_states, in_inputs]
+        moving[in_inputs] += linear.f[in_states]
 
-    pattern, order = _with_lag(linear.pattern, rates)
+    pattern, order = _pattern_with_lag(linear.pattern, rates)
     values = np.concatenate([linear.values, on_itself, rate])[order]
     return replace(linear, f=np.concatenate([linear.f, moving]), pattern=pattern, values=values)

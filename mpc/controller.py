@@ -13,7 +13,7 @@ from transport.model.arrays import Array, frozen
 from transport.model.discretisation import Discrete, euler, zero_order_hold
 from transport.model.hover import Hover
 from transport.model.linearisation import Linearisation, Model
-from transport.model.motors import lagged
+from transport.model.motors import with_lag
 from transport.model.native import Places
 from transport.model.obstacles import Obstacle
 from transport.model.state import LARGEST
@@ -182,7 +182,7 @@ class Controller:
             expansion = replace(self._at_hover, f=f, y=self.model.outputs(x))
         if has_lag:
             by_rates = self.model.system.commands_rates
-            expansion = lagged(expansion, actual, u0, settings.motor_lag_s, by_rates)
+            expansion = with_lag(expansion, actual, u0, settings.motor_lag_s, by_rates)
         return Linear(x0=x, z0=x0, u0=u0, model=expansion, u_target=u_target, forces=forces)
 
     def discretise(self, linear: Linear) -> Discrete:

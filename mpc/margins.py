@@ -13,7 +13,7 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.discretisation import zero_order_hold
-from transport.model.motors import lagged
+from transport.model.motors import with_lag
 from transport.model.parameters import ParameterError
 from transport.mpc.actual_plant import Mismatch, delayed_step
 from transport.mpc.controller import Controller
@@ -98,7 +98,9 @@ class Loop(SampledLoop):
         linear = first.model.linearise(hovering.x, hovering.u)
         T = tangent(hovering.x, motors=self.known_lag_s > 0.0)
         if self.known_lag_s > 0.0:
-            linear = lagged(linear, hovering.u, hovering.u, self.known_lag_s, system.commands_rates)
+            linear = with_lag(
+                linear, hovering.u, hovering.u, self.known_lag_s, system.commands_rates
+            )
         discrete = zero_order_hold(linear, self.period_s)
         self._T = T
         self._motions = system.n - 2 * system.N  # number of coordinates of the motion alone

@@ -13,7 +13,7 @@ from transport.model.arrays import Array, frozen, padded
 from transport.model.discretisation import Discrete, zero_order_hold
 from transport.model.hover import Hover
 from transport.model.linearisation import Linearisation, Model
-from transport.model.motors import lagged
+from transport.model.motors import with_lag
 from transport.model.state import input_indices
 from transport.mpc.cost import Cost
 from transport.mpc.feedback import FeedbackError
@@ -173,7 +173,7 @@ def _about_hover(
     u = hovering.hover.u
     linear = hovering.model.linearise(hovering.hover.x, u)
     if motor_lag_s > 0.0:
-        linear = lagged(linear, u, u, motor_lag_s, hovering.model.system.commands_rates)
+        linear = with_lag(linear, u, u, motor_lag_s, hovering.model.system.commands_rates)
     return linear, zero_order_hold(linear, period_s)
 
 

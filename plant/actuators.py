@@ -267,10 +267,10 @@ class Motors:
         Source: docs/equations.md (54), (56a).
         """
         rotors = self._rotors
-        rising = motors.held(self._a, command, self._section.lag_s, step_s)
+        rising = motors.two_held_inputs(self._a, command, self._section.lag_s, step_s)
         if rotors is None or self._section.falling_lag_s is None:
             return rising
-        falling = motors.held(self._a, command, self._section.falling_lag_s, step_s)
+        falling = motors.two_held_inputs(self._a, command, self._section.falling_lag_s, step_s)
         falls = rotors.thrusts((command - self._a).reshape(-1, state.INPUTS)) < 0.0
 
         def chosen(up: Array, down: Array) -> Array:

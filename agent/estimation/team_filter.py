@@ -258,7 +258,7 @@ class TeamFilter:
         linear = model.linearise(place.x, place.actual, forces=place.forces)
         if self._lagging:
             is_rates = model.system.commands_rates
-            linear = motors.lagged(linear, place.actual, u, self._lag_s, is_rates)
+            linear = motors.with_lag(linear, place.actual, u, self._lag_s, is_rates)
         return zero_order_hold(linear, self._period_s, remainder=self._noise.remainder)
 
     def _transition(

@@ -21,7 +21,7 @@ from transport.protocol.wire.messages import (
     Target,
 )
 from transport.protocol.wire.names import COORDINATOR, PLANT, agent_name
-from transport.protocol.wire.node import Outbox, lost
+from transport.protocol.wire.node import Outbox, end_without_coordinator
 
 _KEPT = 1024  # plans kept for a roster to come: a few ticks of a large team
 _EMPTY: dict[str, Any] = {"agents": (), "incarnations": (), "off": (), "released": (), "reason": ""}
@@ -161,7 +161,9 @@ class Participant(ABC):
             case Message():
                 self._handle(event, now_ns)
             case Presence(alive=False) if event.name == COORDINATOR:
-                self.finished = lost(self._out, self._tick, "coordinator is gone")
+                self.finished = end_without_coordinator(
+                    self._out, self._tick, "coordinator is gone"
+                )
         return self._work(now_ns) if self.finished is None else self._end()
 
     def _handle(self, message: Message, now_ns: int) -> None:

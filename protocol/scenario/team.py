@@ -175,7 +175,7 @@ def resized(template: Scenario, team: Team, source: str) -> Scenario:
     vehicle = None if team.vehicle is None else read_vehicle(team.vehicle)
 
     basis = template.name
-    tree = given(template)
+    tree = given_values(template)
     if vehicle is not None:
         basis = f"{template.name}-{vehicle.name}"
         tree = _merged(tree, vehicle.keys)
@@ -191,7 +191,7 @@ def resized(template: Scenario, team: Team, source: str) -> Scenario:
         raise team.with_source(error) from error.__cause__
 
 
-def given(scenario: Scenario) -> dict[str, Any]:
+def given_values(scenario: Scenario) -> dict[str, Any]:
     """Return a scenario as plain data, with the given values only."""
     return scenario.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude_none=True)
 

@@ -89,7 +89,7 @@ class Outbox:
         return msgspec.structs.replace(message, sequence=self._sequence - 1)
 
 
-def lost(outbox: Outbox, tick: int, reason: str) -> Control:
+def end_without_coordinator(outbox: Outbox, tick: int, reason: str) -> Control:
     """Return the end of a run for a node that has lost the coordinator, which would send it."""
     return outbox.stamp(
         Control, tick=max(tick, 0), outcome="aborted", reason=reason, exit_code=EXIT_UNREACHABLE

@@ -11,7 +11,7 @@ from tests.support.random_systems import random_forces, random_input, random_sta
 from transport.model.arrays import Array
 from transport.model.discretisation import by_exponential, zero_order_hold
 from transport.model.linearisation import Model
-from transport.model.motors import Period, decay, integrate, lagged
+from transport.model.motors import Period, decay, integrate, with_lag
 from transport.model.parameters import table_1
 
 PERIOD_S = 0.05
@@ -100,7 +100,7 @@ def test_expansion_of_motion_and_motors(lag_s: float, hold: object) -> None:
     x, a = random_state(rng, system.N, rate=0.5), random_input(rng, system.N)
     u, (n, m) = a + rng.standard_normal(len(a)), (system.n, system.m)
     plain = model.linearise(x, a)
-    found = lagged(plain, a, u, lag_s)
+    found = with_lag(plain, a, u, lag_s)
     A_c = np.block([[plain.A_c, plain.B_c], [np.zeros((m, n)), -np.eye(m) / lag_s]])
     B_c = np.vstack([np.zeros((n, m)), np.eye(m) / lag_s])
     np.testing.assert_array_equal(found.A_c, A_c)

@@ -133,7 +133,7 @@ def test_the_expansion_with_a_known_lag() -> None:
     system = with_rates(random_system(rng, 2))
     model, x, a, u = Model(system), random_state(rng, 2), random_input(rng, 2), random_input(rng, 2)
     plain = model.linearise(x, a)
-    found, (n, m) = motors.lagged(plain, a, u, lag_s, rates=True), (system.n, system.m)
+    found, (n, m) = motors.with_lag(plain, a, u, lag_s, rates=True), (system.n, system.m)
     inputs, states = rate_places(m)
     below = np.hstack([np.zeros((m, n)), -np.eye(m) / lag_s])
     below[inputs] += np.hstack([plain.A_c, plain.B_c])[states]

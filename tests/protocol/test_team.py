@@ -12,7 +12,7 @@ from transport.model.arrays import Array
 from transport.protocol.scenario.file import ScenarioError, read_scenario
 from transport.protocol.scenario.schema import Scenario, SystemSection
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import FEWEST, Team, given, resized, ring
+from transport.protocol.scenario.team import FEWEST, Team, given_values, resized, ring
 
 SIZES = [*range(FEWEST, 17), 24]
 NEIGHBOURS_M, GRAVITY = 0.5, 9.81
@@ -106,7 +106,7 @@ def test_the_rest_is_the_templates(template: str) -> None:
 
     scenario, ready = scenario_of(6, path), read_scenario(path)
     assert rest(scenario.tree()) == rest(ready.tree())
-    assert rest(given(scenario)) == rest(given(ready))
+    assert rest(given_values(scenario)) == rest(given_values(ready))
     assert scenario.name == f"{template}-6"
 
 

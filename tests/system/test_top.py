@@ -41,7 +41,7 @@ def test_faults_are_shown() -> None:
     assert [watch.state_of(agent) for agent in runs.ALL] == ["-", "-", "off", "-"]
     watch.take(replace(runs.plant_state(watch.setup, 9), plan_ticks=(9, 9, -2, 9)))
     assert watch.state_of(3) == "fail-safe"
-    assert watch.content()["agents"][2]["off"] == 1
+    assert watch.content()["agents"][2]["removed"] == 1
     assert list(watch.notices)[-1] == "agent3 is gone"
     for who in ("agent1", "plant"):
         watch.take(

@@ -11,9 +11,9 @@ from transport.cli.options import FiguresOption, FormatOption, complete_run, new
 from transport.cli.output import Format, blame, fail, rows, show
 from transport.flight.run_files import new_folder
 from transport.log.run_log import open_run
+from transport.log.whole_files import write_csv
 from transport.report.compare import Compared, Row, doubts, draw_compared
 from transport.report.compare import rows as quantities
-from transport.report.report import write_csv
 
 
 def compare(

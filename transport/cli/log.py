@@ -14,6 +14,7 @@ from transport.cli.options import FormatOption, complete_run, run_folder
 from transport.cli.output import Format, blame, facts, fail, rows, show
 from transport.log.run_log import RunLog, missing, read_log, setup_in, topic_of
 from transport.log.tables import INPUT_NAMES, RATE_NAMES, Row, columns, tables
+from transport.log.whole_files import write_csv
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import KINDS, Control
 
@@ -155,23 +156,22 @@ def export(
         _check_copy(option, target)
 
     file, log, setup = _open(path)
-    counts: dict[Path, int] = {}  # number of rows or ticks by file
+    written: list[tuple[Path, int, str]] = []  # file, number of entries, and their kind
     if options.out is not None:
         with blame("--out"):
-            counts |= _export_tables(log, setup, options, options.out)
+            for target, count in _export_tables(log, setup, options, options.out):
+                written.append((target, count, "rows"))
     for option, target in copies.items():
         if setup is None:
             fail(f"{option}: {file} has no scenario, or one of another version")
         with blame(option):
-            counts[target] = _export_scenes(log, setup, target, is_bag=option == "--ros2")
+            count = _export_scenes(log, setup, target, is_bag=option == "--ros2")
+            written.append((target, count, "ticks"))
 
     for sentence in _lost(log):
         typer.echo(f"warning: {sentence}", err=True)
-    content = [{"file": str(target), "rows": count} for target, count in counts.items()]
-    lines = [
-        f" {target}  {count} {'ticks' if target in copies.values() else 'rows'}"
-        for target, count in counts.items()
-    ]
+    content = [{"file": str(target), entries: count} for target, count, entries in written]
+    lines = [f" {target}  {count} {entries}" for target, count, entries in written]
     show(output, {"files": content}, *lines)
 
 
@@ -187,16 +187,13 @@ def _export_tables(
     log: RunLog, setup: Setup | None, options: TableOptions, out: Path
 ) -> Iterator[tuple[Path, int]]:
     """Write a table for each kind of message; yield file and number of rows."""
-    from transport.report.report import write_csv
-
     period_s = None if setup is None else setup.settings.sampling_period_s
     is_rates = setup is not None and setup.system.commands_rates
     commands = RATE_NAMES if is_rates else INPUT_NAMES
 
     out.mkdir(parents=True, exist_ok=True)
-    for kind, table in tables(log, period_s, commands).items():
-        if options.kinds and kind not in options.kinds:
-            continue
+    kinds = options.kinds or KINDS
+    for kind, table in tables(log, period_s, commands, kinds).items():
         target = out / f"{kind}.{'parquet' if options.parquet else 'csv'}"
         if options.parquet:
             _write_parquet(target, table, log.header)

@@ -16,7 +16,7 @@ from transport.interface.scenario import Scenario
 from transport.model.state import INPUTS
 from transport.protocol.scenario.budget import estimate
 from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.team import FEWEST, MOST, Team, given
+from transport.protocol.scenario.team import FEWEST, MOST, Team, given_values
 from transport.protocol.wire.exit_codes import EXIT_CHECK_FAILED
 
 
@@ -70,7 +70,7 @@ def new(
     except ScenarioError as error:
         raise _by_option(error, load_kg, name) from error
     setup = made.setup
-    tree = given(made.validated)
+    tree = given_values(made.validated)
     text = tomli_w.dumps(tree)
 
     shown = [text.rstrip("\n")] if out is None else []

@@ -40,7 +40,7 @@ _NOTICES = 5
 # An agent is silent after this many ticks without a report.
 _BEHIND = 5
 # Counts of an agent that the table only has if they are not zero.
-_RARE = ("missed", "fallbacks", "failures", "rejected", "off")
+_RARE = ("missed", "fallbacks", "failures", "rejected", "removed")
 _COLOURS = {"active": "green", "silent": "yellow", "off": "red", "fail-safe": "bold red"}
 _DRAW_S = 0.25  # interval between two tables on a terminal
 _NICE = 10  # the processes of the run have the processors first
@@ -52,7 +52,9 @@ class Watch:
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
-        self.agents: dict[int, dict[str, Any]] = {  # by number, as in JSON
+        # By number, as in JSON, in the order of the columns; `state` and `rejected` are filled in by
+        # `content`.
+        self.agents: dict[int, dict[str, Any]] = {
             agent: {
                 "agent": agent,
                 "uavs": [uav + 1 for uav in setup.owned[agent - 1]],
@@ -92,7 +94,7 @@ class Watch:
             case Roster():
                 members = frozenset(message.agents)
                 for agent in (self.members or frozenset()) - members:
-                    self.agents[agent]["off"] += 1
+                    self.agents[agent]["removed"] += 1
                 self.members = members
                 self.notices.append(message.reason)
             case Rejected():
@@ -106,9 +108,11 @@ class Watch:
         "-" while unknown.
         """
         uavs = self.setup.owned[agent - 1]
-        state = self.plant_state
-        if state is not None and any(state.plan_ticks[uav] == FAIL_SAFE for uav in uavs):
-            return "fail-safe"
+        plant_state = self.plant_state
+        if plant_state is not None:
+            sources = [plant_state.plan_ticks[uav] for uav in uavs]
+            if FAIL_SAFE in sources:
+                return "fail-safe"
         if self.members is not None and agent not in self.members:
             return "off"
 
@@ -144,15 +148,15 @@ class Watch:
 
         None before the first.
         """
-        state = self.plant_state
-        if state is None:
+        plant_state = self.plant_state
+        if plant_state is None:
             return None, None
 
-        t_s = state.tick * self.setup.settings.sampling_period_s
-        y = self.setup.model.outputs(state.x)
+        t_s = plant_state.tick * self.setup.settings.sampling_period_s
+        y = self.setup.model.outputs(plant_state.x)
         y_ref = self.setup.reference.outputs(np.array([t_s]))[0]
-        cost = self._cost.at(state.tick, y, y_ref, state.u)
-        attitude_deg = float(np.degrees(np.abs(StateView(state.x).Theta0)).max())
+        cost = self._cost.at(plant_state.tick, y, y_ref, plant_state.u)
+        attitude_deg = float(np.degrees(np.abs(StateView(plant_state.x).Theta0)).max())
         return cost, attitude_deg
 
     def _open(self, tick: Tick) -> None:
@@ -215,8 +219,13 @@ def top(
     tail = LogTail(log)
     name = folder.resolve().name
     is_marked = live.read(folder) is not None  # a run started by hand is not
+
+    def goes_on() -> bool:
+        """Return whether the log may still grow: a marked run that has ended removes its mark."""
+        return not tail.ended and (live.read(folder) is not None) == is_marked
+
     with Live(auto_refresh=False, transient=True) as screen:
-        while not once and not tail.ended and (live.read(folder) is not None) == is_marked:
+        while not once and goes_on():
             watch.read(tail)
             screen.update(table_of(watch, name), refresh=True)
             time.sleep(_DRAW_S)

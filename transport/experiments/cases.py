@@ -31,7 +31,7 @@ from transport.protocol.scenario.file import (
 )
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import Team, given, resized
+from transport.protocol.scenario.team import Team, given_values, resized
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_USAGE
@@ -122,7 +122,7 @@ class Point:
 
         uavs, group = self.team
         team = resized(read_scenario(path), Team(uavs=uavs, group=group), str(path))
-        return with_settings(given(team), changes, str(path), allow_large=True)
+        return with_settings(given_values(team), changes, str(path), allow_large=True)
 
 
 # Further numbers of a run, from its setup, summary and log.

@@ -14,7 +14,7 @@ from transport.experiments.declaration import NONE, Values, declared
 from transport.experiments.network_experiments import NETWORKS
 from transport.protocol.scenario.file import ScenarioError, with_settings
 from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.team import given
+from transport.protocol.scenario.team import given_values
 
 # Values of labels.
 AS_IT_IS = "as it is"
@@ -67,7 +67,7 @@ def ablation(scenario: Scenario) -> Iterator[Point]:
 def _takes(scenario: Scenario, setting: str) -> bool:
     """Return whether a setting changes a scenario, and its other settings do not exclude it."""
     try:
-        changed = with_settings(given(scenario), [setting], scenario.name)
+        changed = with_settings(given_values(scenario), [setting], scenario.name)
     except ScenarioError:
         return False
     return changed.tree() != scenario.tree()
@@ -76,7 +76,7 @@ def _takes(scenario: Scenario, setting: str) -> bool:
 @declared(
     "horizon",
     drawn_as="variants",
-    horizon=Values([5, 10, 20, 30], "STEPS", "Steps N_p.", [10]),
+    horizon=Values([5, 10, 20, 30], "STEPS", "Steps N_p.", quick=[10]),
     terminal=Values(
         [1.0, 5.0, 20.0], "WEIGHT", "Terminal weight, for open-loop prediction.", [5.0]
     ),
@@ -122,7 +122,9 @@ def horizon(
     scenarios=("paper", "centralized", "resilient", "centralized_lq", "precise"),
     quick_maneuver="maneuver.phase=[{name='climb',duration_s=0.5,displacement_m=[0,0,-0.25]},"
     "{name='hover',duration_s=0.5,displacement_m=[0,0,0]}]",
-    duration=Values([5.0, 20.0, 65.0], "SECONDS", "Duration of the last phase, s.", [0.5, 1.0]),
+    duration=Values(
+        [5.0, 20.0, 65.0], "SECONDS", "Duration of the last phase, s.", quick=[0.5, 1.0]
+    ),
 )
 def hover(scenario: Scenario, duration: Sequence[float]) -> Iterator[Point]:
     """Stability in a long hover after the maneuver.
@@ -282,7 +284,7 @@ AGILE: Mapping[str, tuple[str, ...]] = {
     quick_maneuver="maneuver.phase=[{name='hover',duration_s=0.3,displacement_m=[0,0,0]},"
     "{name='eight',kind='eight',size_m=[1.0,0.5,0],laps=0.5,speed_mps=1.0,ramp_s=2.0},"
     "{name='hover',duration_s=0.3,displacement_m=[0,0,0]}]",
-    speed=Values([3.0, 4.0, 5.0, 6.0], "SPEED", "Largest speed, m/s.", [1.0], least=0.01),
+    speed=Values([3.0, 4.0, 5.0, 6.0], "SPEED", "Largest speed, m/s.", quick=[1.0], least=0.01),
 )
 def agile(scenario: Scenario, speed: Sequence[float]) -> Iterator[Point]:
     """Fast flight: the payload's error over speed.

@@ -42,7 +42,9 @@ NETWORKS: Mapping[str, tuple[str, ...]] = {
 }
 
 
-@declared("delay_s", delay=Values([0.0, 0.05, 0.1, 0.2, 0.4], "SECONDS", "Delay, s.", [0.0, 0.2]))
+@declared(
+    "delay_s", delay=Values([0.0, 0.05, 0.1, 0.2, 0.4], "SECONDS", "Delay, s.", quick=[0.0, 0.2])
+)
 def latency(_: Scenario, delay: Sequence[float]) -> Iterator[Point]:
     """Effect of a fixed delay on every link.
 
@@ -58,7 +60,7 @@ def latency(_: Scenario, delay: Sequence[float]) -> Iterator[Point]:
     curves="model",
     legend={"bernoulli": "independent", "bursts": "in bursts"},
     seeds=5,
-    loss=Values([0.1, 0.3, 0.6], "SHARE", "Packet loss.", [0.3]),
+    loss=Values([0.1, 0.3, 0.6], "SHARE", "Packet loss.", quick=[0.3]),
     burst=Values(5.0, "TICKS", "Mean length of a burst, ticks.", least=1.0),
 )
 def loss(_: Scenario, loss: Sequence[float], burst: float) -> Iterator[Point]:
@@ -69,7 +71,7 @@ def loss(_: Scenario, loss: Sequence[float], burst: float) -> Iterator[Point]:
     yield Point({"model": NONE, "loss": 0.0}, "no loss", ("links.loss=0.0",), baseline=True)
 
     for model, words in (("bernoulli", "at random"), ("bursts", "in bursts")):
-        for share in filter(None, loss):
+        for share in filter(None, loss):  # no loss is the baseline above
             setting = _bursts(share, burst) if model == "bursts" else f"links.loss={share!r}"
             yield Point({"model": model, "loss": share}, f"{_percent(share)} {words}", (setting,))
 
@@ -79,6 +81,7 @@ def _bursts(share: float, burst_ticks: float) -> str:
 
     It spends a share of the ticks there.
     """
+    # The largest share has enter = leave share / (1 - share) <= 1.
     most = burst_ticks / (1.0 + burst_ticks)
     if share > most:
         expected = f"at most {most:.3g} with bursts of {burst_ticks:g} ticks on average"
@@ -86,7 +89,7 @@ def _bursts(share: float, burst_ticks: float) -> str:
 
     # In equilibrium the bad state has the share enter / (enter + leave).
     leave = 1.0 / burst_ticks
-    enter = min(1.0, leave * share / (1.0 - share))
+    enter = min(1.0, leave * share / (1.0 - share))  # rounding may exceed 1
     return f"links.gilbert_elliott={{enter={enter!r},leave={leave!r},loss=1.0}}"
 
 
@@ -94,8 +97,8 @@ def _bursts(share: float, burst_ticks: float) -> str:
     "std_s",
     curves="distribution",
     seeds=3,
-    distribution=Values(list(JITTER), "NAME", "Distribution.", ["uniform", "exponential"]),
-    std=Values([0.02, 0.05, 0.08], "SECONDS", "Standard deviation of the delay, s.", [0.05]),
+    distribution=Values(list(JITTER), "NAME", "Distribution.", quick=["uniform", "exponential"]),
+    std=Values([0.02, 0.05, 0.08], "SECONDS", "Standard deviation of the delay, s.", quick=[0.05]),
     mean=Values(0.16, "SECONDS", "Mean delay, s."),
 )
 def jitter(
@@ -118,7 +121,7 @@ def jitter(
     for name in distribution:
         if name not in JITTER:
             raise refused("--distribution", f"one of {', '.join(JITTER)}", name)
-        for deviation_s in filter(None, std):
+        for deviation_s in filter(None, std):  # no deviation is the baseline above
             yield Point(
                 {"distribution": name, "std_s": deviation_s, "mean_s": mean},
                 f"{name} with {_ms(deviation_s)}",
@@ -147,8 +150,8 @@ def _jitter_settings(name: str, deviation_s: float, mean_s: float) -> tuple[str,
     "delay_s",
     y="loss",
     seeds=3,
-    delay=Values([0.0, 0.1, 0.2, 0.4], "SECONDS", "Delay, s.", [0.0, 0.2]),
-    loss=Values([0.0, 0.1, 0.3, 0.6], "SHARE", "Packet loss.", [0.0, 0.3]),
+    delay=Values([0.0, 0.1, 0.2, 0.4], "SECONDS", "Delay, s.", quick=[0.0, 0.2]),
+    loss=Values([0.0, 0.1, 0.3, 0.6], "SHARE", "Packet loss.", quick=[0.0, 0.3]),
 )
 def matrix(_: Scenario, delay: Sequence[float], loss: Sequence[float]) -> Iterator[Point]:
     """Maps of cost and completion over delay and loss.
@@ -177,7 +180,7 @@ def matrix(_: Scenario, delay: Sequence[float], loss: Sequence[float]) -> Iterat
         [0.002, 0.005, 0.01, 0.02, 0.05],
         "SHARE",
         "Smallest change that is sent, share of the input's range.",
-        [0.01],
+        quick=[0.01],
     ),
     heartbeat=Values(1.0, "SECONDS", "Longest time between two plans, s."),
 )
@@ -191,21 +194,21 @@ def sharing(_: Scenario, threshold: Sequence[float], heartbeat: float) -> Iterat
     Example: transport experiment sharing --threshold 0.01 --threshold 0.1
     """
     for network, links in NETWORKS.items():
-        for least in (0.0, *threshold):  # the baseline of each network sends all plans
+        for threshold_share in (0.0, *threshold):  # the baseline of each network sends all plans
             shared: tuple[str, ...] = ("controller.share=always",)
             text = "all plans sent"
-            if least:
-                text = f"threshold {least:g}"
+            if threshold_share:
+                text = f"threshold {threshold_share:g}"
                 shared = (
                     "controller.share=on_change",
                     f"controller.share_heartbeat_s={heartbeat!r}",
-                    f"controller.share_threshold={least!r}",
+                    f"controller.share_threshold={threshold_share!r}",
                 )
             yield Point(
-                {"network": network, "share_threshold": least},
+                {"network": network, "share_threshold": threshold_share},
                 f"{text}, {network}",
                 (*links, *shared),
-                baseline=not least,
+                baseline=not threshold_share,
                 group=network,
             )
 

@@ -28,7 +28,7 @@ _LOSS_1M_DB = 46.7
     "{name='translate',duration_s=4.0,displacement_m=[2,0,0]}]",
     max=Values(16, "COUNT", "UAVs of the largest team.", 4, least=3, most=32),
     sizes=Values([3, 4, 8, 16, 32], quick=[3]),  # those below the largest
-    rate=Values([6.0, 24.0], "MBPS", "Rate of 802.11a, Mb/s.", [6.0]),
+    rate=Values([6.0, 24.0], "MBPS", "Rate of 802.11a, Mb/s.", quick=[6.0]),
     offsets=Values(["slots", "none"], "NAME", "Offsets of the sends: slots, none, random."),
     sharing=Values(["always"], "NAME", "Plans sent: always, on_change."),
     distance=Values([1.0], "FACTOR", "Distances on the air over those of the team.", least=1e-3),

@@ -27,8 +27,8 @@ from transport.experiments.figures import draw
 from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.flight.progress import ConsoleProgress
 from transport.flight.run_files import machine
+from transport.log.whole_files import write_csv, write_whole
 from transport.protocol.wire.exit_codes import EXIT_FAILED
-from transport.report.report import write_csv, write_whole
 
 # Files of a folder: the experiment to which it belongs, and the results.
 _IDENTITY = "experiment.json"

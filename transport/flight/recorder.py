@@ -24,7 +24,7 @@ from transport.protocol.wire.codec import Header, decode, encode
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.keys import RECORDER, Keys
 from transport.protocol.wire.names import COORDINATOR, agent_name
-from transport.protocol.wire.node import Outbox, lost
+from transport.protocol.wire.node import Outbox, end_without_coordinator
 
 # Kinds of messages that the recorder reads; of the others it reads the header.
 _READ = (wire.Roster, wire.LinkChange, wire.Target, wire.Control, wire.Rejected)
@@ -198,7 +198,11 @@ class Recorder:
 
         if self.control is None:  # the coordinator cannot tell the end of the run
             state = self.plant_state
-            self._take(lost(self._out, state.tick if state else 0, f"{COORDINATOR} is gone"))
+            self._take(
+                end_without_coordinator(
+                    self._out, state.tick if state else 0, f"{COORDINATOR} is gone"
+                )
+            )
 
     def _timeout_s(self, left: Set[str]) -> float | None:
         """Return how long to wait for the next event, given the processes that have left.

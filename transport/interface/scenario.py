@@ -16,7 +16,7 @@ from transport.protocol.scenario.keys import names_of
 from transport.protocol.scenario.origins import Origin
 from transport.protocol.scenario.schema import Scenario as ScenarioTree
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import FEWEST, MOST, Team, given, resized
+from transport.protocol.scenario.team import FEWEST, MOST, Team, given_values, resized
 
 _LONGEST_RAMP_S = 3.0  # at the ends of a path with a flat reference
 
@@ -122,7 +122,7 @@ equal to 1, got 1.5
             self._allow_large = allow_large or source._allow_large
             self._origins = source._origins
             if changes:
-                self._change(given(self._tree), changes)
+                self._change(given_values(self._tree), changes)
         else:
             self._path = find_scenario(str(source))
             self._allow_large = allow_large
@@ -131,7 +131,7 @@ equal to 1, got 1.5
 
     def set(self, settings: Settings | None = None, **short: Unpack[ShortSettings]) -> None:
         """Make several changes at once, such as those that are valid only together."""
-        self._change(given(self._tree), settings_of(settings, short))
+        self._change(given_values(self._tree), settings_of(settings, short))
 
     def __getitem__(self, key: str) -> Any:
         """Return the value of a dotted key or short name."""
@@ -194,7 +194,7 @@ equal to 1, got 1.5
 
         chosen = None if vehicle is None else str(vehicle)
         team = Team(uavs=uavs, group=group, name=name, vehicle=chosen, load_kg=load_kg)
-        tree = given(resized(self._tree, team, str(self._path)))
+        tree = given_values(resized(self._tree, team, str(self._path)))
 
         made = Scenario(self)
         try:

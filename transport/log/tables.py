@@ -3,7 +3,7 @@
 Arrays are flattened into columns whose names end in their units.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any
 
 from transport.log.run_log import RunLog
@@ -57,7 +57,10 @@ _SPREAD = {
 
 
 def tables(
-    log: RunLog, period_s: float | None, commands: tuple[str, ...] = INPUT_NAMES
+    log: RunLog,
+    period_s: float | None,
+    commands: tuple[str, ...] = INPUT_NAMES,
+    kinds: Collection[str] = KINDS,
 ) -> dict[str, list[Row]]:
     """Return the messages of a log by kind, each row as values by column (docs/log.md).
 
@@ -68,10 +71,13 @@ def tables(
         log: The log.
         period_s: Sampling period, s; an unknown one leaves `t_s` empty.
         commands: Names of the commands.
+        kinds: Kinds of messages.
     """
     rows_by_kind: dict[str, list[Row]] = {kind: [] for kind in KINDS}
     for entry in log.messages:
         message = entry.message
+        if message.kind not in kinds:
+            continue
         row: Row = {
             "tick": message.tick,
             "t_s": None if period_s is None else message.tick * period_s,

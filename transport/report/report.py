@@ -1,12 +1,7 @@
 """Report of a run folder: summary.json, steps.csv and figures from its log."""
 
-import csv
-import io
-import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import orjson
 
@@ -14,6 +9,7 @@ from transport.analysis.analysed_run import AnalysedRun, counted
 from transport.analysis.metrics import summarise
 from transport.analysis.steps import steps_columns, steps_rows
 from transport.log.run_log import RecordedRun, open_run
+from transport.log.whole_files import write_csv, write_whole
 from transport.protocol.scenario.setup import Setup
 
 # Kinds of files of figures.
@@ -59,26 +55,3 @@ def _remove_figures(folder: Path) -> None:
     for ending in _ENDINGS:
         for file in list(folder.glob(f"*.{ending}")):
             file.unlink()
-
-
-def write_csv(path: Path, rows: Iterable[Mapping[str, Any]], columns: Sequence[str]) -> None:
-    """Write a table atomically; floats are written by repr, which reads back as the same bits."""
-    with atomic_file(path) as file, io.TextIOWrapper(file, encoding="utf-8", newline="") as text:
-        writer = csv.DictWriter(text, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file atomically."""
-    with atomic_file(path) as file:
-        file.write(content)
-
-
-@contextmanager
-def atomic_file(path: Path) -> Iterator[BinaryIO]:
-    """Open a file that gets its name only when it is complete."""
-    partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as file:
-        yield file
-    os.replace(partial, path)
