@@ -123,7 +123,8 @@ assert sample(Battery).sender == "agent2"
 # The command with its option, and the points that it simulates.
 EXPERIMENT = """
 from typer.testing import CliRunner
-from transport.cli.experiment import EXPERIMENTS
+from transport.experiments.network_experiments import reorder
+from transport.experiments.declaration import EXPERIMENTS
 from transport.cli.main import app
 from transport.protocol.scenario.file import find_scenario, read_scenario
 
@@ -131,7 +132,7 @@ shown = CliRunner().invoke(app, ["experiment", "--help"]).output
 assert "Effect of plans that are held back." in shown, shown
 name = "resilient"
 scenarios = {name: read_scenario(find_scenario(name))}
-points = EXPERIMENTS["reorder"].experiment(scenarios, {"reorder": [0.5]}).points
+points = EXPERIMENTS[reorder.__name__].experiment(scenarios, {"reorder": [0.5]}).points
 assert [(point.labels["links.reorder"], point.baseline) for point in points] == [(0.0, True), (0.5, False)]
 assert read_scenario(find_scenario(name), points[1].settings).links.reorder == 0.5
 """
