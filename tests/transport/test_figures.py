@@ -25,7 +25,8 @@ from transport.protocol.wire.messages import FaultNote, LinkChange
 from transport.report.column import caption_of, marks_of
 from transport.report.figures import FIGURES, draw, fill
 from transport.report.report import write_report
-from transport.report.style import COLUMN_IN, RC, SMALL
+from transport.report.style import COLUMN_IN, CURVES, RC, SMALL
+from transport.scene.colours import uav_marker, uav_style
 
 NAMES = ["performance.png", "inputs.png", "trajectories.png", "timing.png"]
 
@@ -187,6 +188,36 @@ def test_no_axis_shows_rounding_errors(name: str) -> None:
         low, high = panel.get_ylim()
         assert high - low > LEAST_RANGE
         assert panel.get_yscale() == "linear" or low > LEAST_DECADE
+
+
+def test_a_sentence_stands_for_flat_curves() -> None:
+    """A panel whose curves do not change is one sentence, apart from others and within the figure.
+
+    The first panel stays also for a team at rest.
+    """
+    run = runs.setup(runs.SHORT)
+    analysed = AnalysedRun.of(run, log_of([plant_state(run, k) for k in range(9)]))
+    moving = replace(analysed.series, u=np.array(analysed.series.u))
+    moving.u[:, 1] += 0.1 * np.arange(9)  # roll of the first UAV
+    moving.u[:, 0] += np.arange(9)
+    for series, panels in ((moving, 2), (at_rest(analysed.series), 1)):
+        figure = Figure()
+        with mpl.rc_context(RC):
+            assert fill(figure, "inputs", replace(analysed, series=series))
+            assert problems(figure, SMALL) == []
+        assert sum(panel.axison for panel in figure.axes) == panels
+        texts = [text.get_text() for panel in figure.axes for text in panel.texts]
+        assert "pitch moment: 0 N m throughout" in texts
+        assert "smallest distance between UAVs: 0.5 m throughout" in texts
+
+
+def test_ten_curves_are_told_apart() -> None:
+    """Ten curves differ in marker, and in colour or line; ten UAVs in colour or line and marker."""
+    assert len(CURVES) == 10
+    assert len({marker for _, marker, _ in CURVES}) == 10
+    assert len({(colour, line) for colour, _, line in CURVES}) == 10
+    assert len({tuple(uav_style(i).values()) for i in range(10)}) == 10
+    assert len({(uav_style(i)["color"], uav_marker(i)) for i in range(10)}) == 10
 
 
 def at_rest(series: Series) -> Series:

@@ -22,8 +22,9 @@ from transport.report.style import CURVES, DIVERGED, MARKER, label_decades
 
 Scenarios = Mapping[str, Sequence[PointStatistics]]
 
-# Height of a panel, and room above it, in.
+# Height of a panel, of one whose curves are flat, and room above them, inches.
 _PANEL_IN = 0.95
+_FLAT_PANEL_IN = 0.5
 _ABOVE_IN = 0.2
 # More values than this get round ticks instead of one each, and no line between them.
 _MOST_TICKS = 10
@@ -35,6 +36,8 @@ _ROOM = 0.04
 # Height of "never" over the latest divergence, and highest tick below it.
 _NEVER = 1.25
 _HIGHEST_TICK = 0.85
+# A curve is flat if its means are within this share of the largest.
+_FLAT = 0.01
 # Means that far above their median are nearly diverged runs: the axis becomes logarithmic.
 _FAR_ABOVE = 5.0
 
@@ -107,7 +110,7 @@ class _Abscissa:
         values = list(dict.fromkeys(point.labels[x.label] for point in points))
         is_growth = experiment.drawn_as == "scaling"
         is_threshold = experiment.drawn_as == "sharing"
-        is_number = is_growth or (isinstance(values[0], float) and not is_threshold)
+        is_number = is_growth or (isinstance(values[0], int | float) and not is_threshold)
         return cls(axis=x, values=values, is_number=is_number, is_growth=is_growth)
 
     @property
@@ -184,9 +187,10 @@ def draw_curves(figure: Figure, experiment: Experiment, scenarios: Scenarios) ->
     diverged_s = [time_s for one in measured for time_s in one.diverged_s]
 
     shown = _PANELS[experiment.drawn_as]
+    heights_in = [_FLAT_PANEL_IN if _is_flat(one, curves) else _PANEL_IN for one in shown]
     panels = column_panels(
         figure,
-        [_PANEL_IN] * (len(shown) + bool(diverged_s)),
+        [*([_PANEL_IN] if diverged_s else []), *heights_in],
         legend=[Line2D([], [], **curve.style) for curve in curves],
         x_label=x.axis.title,
         room=Room(top_in=_ABOVE_IN),
@@ -201,6 +205,16 @@ def draw_curves(figure: Figure, experiment: Experiment, scenarios: Scenarios) ->
         means = _draw_means(panel, content, curves, places)
         is_ratio = content.number == COST_RATIO
         _scale(panel, means or [0.0], is_ratio=is_ratio, is_growth=x.is_growth)
+
+
+def _is_flat(content: Panel, curves: Sequence[_Curve]) -> bool:
+    """Return whether no curve of a panel changes along the axis."""
+    for curve in curves:
+        values = [one.mean(content.number) for one in curve.points]
+        means = [mean for mean in values if mean is not None]
+        if means and max(means) - min(means) > _FLAT * max(map(abs, means)):
+            return False
+    return True
 
 
 def _draw_means(
@@ -277,8 +291,7 @@ def _name(experiment: Experiment, column: str, value: float | str) -> str:
 def _style(shape: int, colour: int, *, joined: bool) -> dict[str, Any]:
     """Return the style of a curve with a number for marker and line, and one for its colour."""
     count = len(CURVES)
-    # Beyond the number of styles each marker gets another line.
-    _, marker, line = CURVES[(shape + shape // count) % count]
+    _, marker, line = CURVES[shape % count]
     return {
         "color": CURVES[colour % count][0],
         "marker": marker,

@@ -15,7 +15,7 @@ from transport.report.style import CURVES, DIVERGED, MARKER
 _PANEL_IN = 0.62
 _LEFT_IN, _RIGHT_IN, _BELOW_IN = 0.5, 0.2, 0.5
 _NUMBER = "payload_rms_m"
-_BESIDE = 1.05  # place of diverged points, of the height of a panel
+_BESIDE = 1.0  # place of diverged points, of the height of a panel: below its title
 
 
 def draw_weather(figure: Figure, scenarios: Mapping[str, Sequence[PointStatistics]]) -> None:

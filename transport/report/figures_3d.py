@@ -17,7 +17,7 @@ from transport.report.column import draw_legend, legend_height_in
 from transport.report.drawn_parts import BRIGHTEST, UP, frame, line
 from transport.report.style import COLUMN_IN, PAYLOAD, REFERENCE
 from transport.scene.bodies import obstacles
-from transport.scene.colours import uav_style
+from transport.scene.colours import uav_marker, uav_style
 
 # Smallest distance between drawn formations, m.
 _APART_M = 0.5
@@ -122,7 +122,7 @@ def _formation(axes: Any, setup: Setup, series: Series, k: int) -> None:
     corners = np.array([view.r0_I + rotation(view.Theta0) @ uav.rho for uav in setup.system.uavs])
     for i in np.flatnonzero(series.on_rods[k]):
         line(axes, np.array([series.uavs_I[k, i], corners[i]]), color="#555555", linewidth=0.8)
-        colour = uav_style(int(i))["color"]
-        line(axes, series.uavs_I[k, i], marker="o", markersize=4.0, color=colour)
+        style = {"color": uav_style(int(i))["color"], "marker": uav_marker(int(i))}
+        line(axes, series.uavs_I[k, i], markersize=4.0, **style)
     line(axes, np.vstack([corners, corners[:1]]), color=PAYLOAD, linewidth=2.0)
     line(axes, view.r0_I, marker="s", markersize=4.0, color=PAYLOAD)

@@ -1,12 +1,15 @@
 """Figure of the inputs with their limits, distances of the team, and ages of plans."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from transport.analysis.series import Series
 from transport.log.run_log import RunLog
+from transport.model.arrays import Array
 from transport.model.state import INPUTS
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import StepReport
@@ -24,7 +27,9 @@ from transport.report.curves import (
 from transport.report.style import line_width
 from transport.scene.colours import uav_style
 
+# Height of a panel, and of a sentence in its place, inches.
 _HEIGHT_IN = 0.7
+_SENTENCE_IN = 0.01
 # Shown distances from obstacles as a multiple of the largest margin.
 _NEAR = 6.0
 
@@ -32,25 +37,76 @@ _NEAR = 6.0
 _PlanAges = dict[int, list[tuple[int, int]]]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Part:
+    """A panel of the figure.
+
+    Attributes:
+        title: Its title.
+        values: All values shown.
+        least: Changes of the values below it are not shown.
+        unit: Their unit.
+        draw: Draws it.
+    """
+
+    title: str
+    values: Array
+    least: float
+    unit: str
+    draw: Callable[[Axes], None]
+
+    @property
+    def is_flat(self) -> bool:
+        """True if a sentence says all that the panel would show."""
+        return bool(np.ptp(self.values) <= self.least)
+
+    def write(self, panel: Axes) -> None:
+        """Write the sentence in place of the panel."""
+        middle = float(np.median(self.values))
+        about = 0.0 if abs(middle) < self.least else middle
+        panel.set_axis_off()
+        name, _, _ = self.title.partition(" (")
+        head(panel, f"{name}: {about:.3g} {self.unit} throughout", legend=False)
+
+
 def draw_inputs(setup: Setup, log: RunLog, series: Series, panels_of: Panels) -> list[Axes]:
     """Draw inputs, separation, distance from obstacles and age of plans.
 
-    Panels without data are left out.
-    """
-    plan_ages = _plan_ages(log)
-    has_separation = setup.system.N > 1
-    count = INPUTS + has_separation + bool(setup.obstacles) + bool(plan_ages)
-    panels = panels_of([_HEIGHT_IN] * count, legend=long_legend(setup))
+    Panels without data are left out. A sentence stands for curves that do not change.
 
-    _draw_limited(panels[:INPUTS], setup, series)
-    others = iter(panels[INPUTS:])
-    if has_separation:
-        _draw_separation(next(others), setup, series)
-    if setup.obstacles:
-        _draw_clearance(next(others), setup, series)
-    if plan_ages:
-        _draw_plan_ages(next(others), setup, plan_ages)
-    return panels
+    Returns: The panels with curves.
+    """
+    parts = [*_inputs(setup, series), *_distances(setup, series), *_plan_age(setup, log)]
+    flat = [part for part in parts[1:] if part.is_flat]
+    drawn = [part for part in parts if part not in flat]
+    # Above the last panel, which has the axis of time.
+    order = [*drawn[:-1], *flat, drawn[-1]]
+    heights_in = [_SENTENCE_IN if part in flat else _HEIGHT_IN for part in order]
+    panels = panels_of(heights_in, legend=long_legend(setup))
+    with_curves = []
+    for part, panel in zip(order, panels, strict=True):
+        if part in flat:
+            part.write(panel)
+        else:
+            part.draw(panel)
+            with_curves.append(panel)
+    return with_curves
+
+
+def _plan_age(setup: Setup, log: RunLog) -> Iterator[_Part]:
+    """Yield the panel of the ages of plans, if any plan is used."""
+    plan_ages = _plan_ages(log)
+    if not plan_ages:
+        return
+    period_s = setup.settings.sampling_period_s
+    ages_s = [period_s * age for entries in plan_ages.values() for _, age in entries]
+    yield _Part(
+        title="oldest plan used (s)",
+        values=np.array(ages_s),
+        least=0.0,
+        unit="s",
+        draw=partial(_draw_plan_ages, setup=setup, plan_ages=plan_ages),
+    )
 
 
 def _plan_ages(log: RunLog) -> _PlanAges:
@@ -63,31 +119,74 @@ def _plan_ages(log: RunLog) -> _PlanAges:
     return ages
 
 
-def _draw_limited(panels: Sequence[Axes], setup: Setup, series: Series) -> None:
-    """Draw each kind of input of the UAVs with its limits."""
-    turning = "rate command (rad/s)" if setup.system.commands_rates else "moment (N m)"
+def _inputs(setup: Setup, series: Series) -> Iterator[_Part]:
+    """Yield the panel of each kind of input of the UAVs."""
+    is_rate = setup.system.commands_rates
+    turning = "rate command (rad/s)" if is_rate else "moment (N m)"
     names = ("thrust (N)", *(f"{axis} {turning}" for axis in ANGLES))
+    units = ("N", *(["rad/s" if is_rate else "N m"] * len(ANGLES)))
     lower = setup.settings.lower(1)
     upper = setup.settings.upper(1)
-    for k, panel in enumerate(panels):
-        plot_uavs(panel, series.times_s, series.u[:, k::INPUTS])
-        _widen_about_middle(panel, LEAST_INPUT)
-        limits(panel, float(lower[k]), float(upper[k]))
+    for k, name in enumerate(names):
         is_symmetric = lower[k] == -upper[k]
         bounds = f"± {upper[k]:g}" if is_symmetric else f"{lower[k]:g}, {upper[k]:g}"
-        head(panel, f"{names[k]}, limits {bounds}", legend=not is_symmetric)
+        title = f"{name}, limits {bounds}"
+        yield _Part(
+            title=title,
+            values=series.u[:, k::INPUTS],
+            least=LEAST_INPUT,
+            unit=units[k],
+            draw=partial(
+                _draw_limited,
+                title=title,
+                series=series,
+                k=k,
+                ends=(float(lower[k]), float(upper[k])),
+            ),
+        )
 
 
-def _draw_separation(panel: Axes, setup: Setup, series: Series) -> None:
+def _draw_limited(
+    panel: Axes, title: str, series: Series, k: int, ends: tuple[float, float]
+) -> None:
+    """Draw an input of the UAVs with its limits."""
+    plot_uavs(panel, series.times_s, series.u[:, k::INPUTS])
+    _widen_about_middle(panel, LEAST_INPUT)
+    limits(panel, *ends)
+    head(panel, title, legend=ends[0] != -ends[1])
+
+
+def _distances(setup: Setup, series: Series) -> Iterator[_Part]:
+    """Yield the panels of the smallest distance between UAVs and of those from obstacles."""
+    if setup.system.N > 1:
+        title = "smallest distance between UAVs (m)"
+        separation = setup.settings.separation
+        if separation is not None:
+            title += f", limit {separation.minimum_m:g}"
+        yield _Part(
+            title=title,
+            values=series.separation_m,
+            least=LEAST_M,
+            unit="m",
+            draw=partial(_draw_separation, title=title, setup=setup, series=series),
+        )
+    if setup.obstacles:
+        yield _Part(
+            title="distance from obstacles (m)",
+            values=series.clearance_m,
+            least=0.0,
+            unit="m",
+            draw=partial(_draw_clearance, setup=setup, series=series),
+        )
+
+
+def _draw_separation(panel: Axes, title: str, setup: Setup, series: Series) -> None:
     """Draw the smallest distance between UAVs, with its limit if there is one."""
     panel.plot(series.times_s, series.separation_m, color="#000000")
     _widen_about_middle(panel, LEAST_M)
-
-    title = "smallest distance between UAVs (m)"
     separation = setup.settings.separation
     if separation is not None:
         limits(panel, separation.minimum_m)
-        title += f", limit {separation.minimum_m:g}"
     head(panel, title)
 
 

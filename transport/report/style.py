@@ -31,15 +31,21 @@ PAYLOAD = "#000000"
 REFERENCE = "#8c8c8c"
 _BAND = "#f1f1f1"
 
-# Colour, marker and line style of each curve. Colours differ for colour-blind readers (after Okabe
-# and Ito 2008) and in grey: lightness L* 29, 54, 70, 0, 61.
-CURVES = (
-    ("#004488", "o", "-"),
-    ("#D55E00", "s", "--"),
-    ("#56B4E9", "^", "-."),
-    ("#000000", "D", ":"),
-    ("#CC79A7", "v", "-"),
-)
+# Colours of curves differ for colour-blind readers (after Okabe and Ito 2008) and in grey:
+# lightness L* 29, 54, 70, 0, 61.
+_COLOURS = ("#004488", "#D55E00", "#56B4E9", "#000000", "#CC79A7")
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")
+_LINES = ("-", "--", "-.", ":")
+
+
+def _curve(i: int) -> tuple[str, str, str]:
+    """Return colour, marker and line style of curve i; another line where colours repeat."""
+    cycle, colour = divmod(i, len(_COLOURS))
+    return _COLOURS[colour], _MARKERS[i], _LINES[(i + cycle) % len(_LINES)]
+
+
+# Colour, marker and line style of ten curves.
+CURVES = tuple(_curve(i) for i in range(len(_MARKERS)))
 MARKER = 3.2  # size, points
 # Marker of a diverged run, in every figure: hollow.
 DIVERGED: Any = {"markerfacecolor": "#ffffff", "linestyle": "none"}

@@ -16,7 +16,7 @@ from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import STAGES, StepReport
 from transport.report.column import CLOSE, Room, column_panels, head
 from transport.report.style import REFERENCE, label_decades, shade_phases
-from transport.scene.colours import uav_style
+from transport.scene.colours import uav_marker, uav_style
 
 # Heights of the panel over time, and of a bar below it, inches.
 _OVER_TIME_IN = 1.5
@@ -76,9 +76,9 @@ def _steps_by_agent(log: RunLog) -> dict[int, list[StepReport]]:
 
 
 def _look(setup: Setup, agent: int) -> dict[str, Any]:
-    """Return the style of an agent, whose colour is that of its first UAV."""
+    """Return the style of an agent, whose colour and marker are those of its first UAV."""
     first_uav = setup.owned[agent - 1][0]
-    return {"color": uav_style(first_uav)["color"], "marker": "o"}
+    return {"color": uav_style(first_uav)["color"], "marker": uav_marker(first_uav)}
 
 
 def _draw_over_time(panel: Axes, setup: Setup, steps: _Steps, rest_ms: Mapping[int, float]) -> None:

@@ -10,6 +10,7 @@ from transport.scene.parts import Colour
 # styles.
 UAV_COLOURS = ("#004488", "#C24E00", "#009E73", "#E08BBC", "#7F5F00")
 _LINE_STYLES = ("-", "--", ":", "-.")
+_MARKERS = ("o", "s", "^", "D")
 
 # Ages of plans, s, and their colours (docs/viewer.md), that of a fresh one first.
 _FRESH_S = 0.1
@@ -27,6 +28,11 @@ def uav_style(i: int) -> dict[str, Any]:
     """Return line colour and style of UAV i (0-based)."""
     cycle, colour = divmod(i, len(UAV_COLOURS))
     return {"color": UAV_COLOURS[colour], "linestyle": _LINE_STYLES[cycle % len(_LINE_STYLES)]}
+
+
+def uav_marker(i: int) -> str:
+    """Return the marker of UAV i (0-based), another one where colours repeat."""
+    return _MARKERS[i // len(UAV_COLOURS) % len(_MARKERS)]
 
 
 def uav_colour(i: int) -> Colour:

@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,10 @@ def built(name: str, *of: str, **given: Any) -> Experiment:
 
 
 LATENCY = built("latency", delay=[0.1, 0.4])
+OF_RADIO = ("air_delivered_share", "airtime_share")
+RADIO = replace(EXPERIMENTS["radio"], points=tuple(EXPERIMENTS["radio"].build(
+    max=8, sizes=[3, 4], rate=[6.0], offsets=["slots", "none"], sharing=["always"], distance=[1.0]
+)))  # fmt: skip
 EVERY = (
     LATENCY,
     built("loss"),
@@ -51,7 +56,7 @@ EVERY = (
 
 def completed(cost: float, attitude_deg: float) -> Result:
     """A completed run."""
-    numbers: dict[str, float | None] = dict.fromkeys(NUMBERS, 0.5)
+    numbers: dict[str, float | None] = dict.fromkeys((*NUMBERS, *OF_RADIO), 0.5)
     numbers |= {"cost_mean": cost, "attitude_max_deg": attitude_deg, "lost_s": None}
     return Result(key="k", outcome="completed", reason="", numbers=numbers)
 
@@ -64,9 +69,8 @@ def diverged(at_s: float) -> Result:
 
 def made(experiment: Experiment, results: Callable[[Point], list[Result]]) -> list[PointStatistics]:
     """Statistics of an experiment's points, with invented results."""
-    return statistics_of(
-        experiment.points, [results(point) for point in experiment.points], NUMBERS[1:]
-    )
+    names = (*NUMBERS[1:], *OF_RADIO)
+    return statistics_of(experiment.points, [results(point) for point in experiment.points], names)
 
 
 MIXES: dict[str, Callable[[Point], list[Result]]] = {
@@ -116,7 +120,9 @@ def test_anything_can_be_reported(experiment: Experiment, mix: str, tmp_path: Pa
     assert max(len(line.rstrip()) for line in text.splitlines()) <= WIDTH
 
 
-@pytest.mark.parametrize("experiment", [LATENCY, built("loss")], ids=lambda value: value.name)
+@pytest.mark.parametrize(
+    "experiment", [LATENCY, built("loss"), RADIO], ids=lambda value: value.name
+)
 def test_markers_stand_on_their_values(experiment: Experiment) -> None:
     """On an axis of numbers the points of all curves are exactly at the values of their runs."""
     figure = Figure()
