@@ -5,7 +5,7 @@ from typing import Any
 
 from transport.agent.own_returned import Returned, checked, converted
 from transport.agent.own_run import Run
-from transport.protocol.scenario.own_class import OwnClassError, made, own_class, told
+from transport.protocol.scenario.own_class import OwnClassError, errors_of, new_object, own_class
 from transport.protocol.wire.messages import Measurement, Plan
 
 METHODS = ("start", "step", "stop")  # of a class of the user
@@ -20,8 +20,8 @@ class OwnObject:
 
     def __init__(self, name: str, run: Run, *, is_negotiating: bool) -> None:
         self._run = run
-        self._object: Any = made(own_class(name), NEGOTIATING if is_negotiating else METHODS)
-        with told("start"):
+        self._object: Any = new_object(own_class(name), NEGOTIATING if is_negotiating else METHODS)
+        with errors_of("start"):
             self._object.start(run)
         run.started()
 
@@ -34,7 +34,7 @@ class OwnObject:
         return self._result("negotiate", lambda: self._object.negotiate(iteration, proposals))
 
     def _result(self, method: str, call: Callable[[], object]) -> Returned:
-        with told(method):
+        with errors_of(method):
             returned = call()
         try:
             result = converted(returned, method, self._run.data_shape)
@@ -49,5 +49,5 @@ class OwnObject:
 
     def stop(self) -> None:
         """End the run for the class. Raises: OwnClassError: that fails."""
-        with told("stop"):
+        with errors_of("stop"):
             self._object.stop()

@@ -82,7 +82,9 @@ def delayed_step(system: System, T: Array, plant: Mismatch, period_s: float) -> 
     periods, part_s = divmod(plant.delay_s, period_s)
     F, G = _continuous(system, T, plant)
     return DelayedStep(
-        late=round(periods), before=_held(F, G, part_s), after=_held(F, G, period_s - part_s)
+        late=round(periods),
+        before=_exact_step(F, G, part_s),
+        after=_exact_step(F, G, period_s - part_s),
     )
 
 
@@ -137,7 +139,7 @@ def _with_motors(F: Array, G: Array, wrench: _Wrench, lag_s: float) -> tuple[Arr
     return with_motors, np.vstack([np.zeros((r, m)), commanded])
 
 
-def _held(F: Array, G: Array, duration_s: float) -> Discrete:
+def _exact_step(F: Array, G: Array, duration_s: float) -> Discrete:
     """Return the zero-order hold of x' = F x + G u; of no duration the identity."""
     none = np.zeros(len(F))
     if duration_s == 0.0:

@@ -144,7 +144,7 @@ class Loop(SampledLoop):
 
         whole = self._blocks(plant_step.size, late)
         now = np.vstack([whole.motion[: self._motions], whole.expected])
-        issued, unmeasured = self._issued(whole, now)
+        issued, unmeasured = self._new_commands(whole, now)
 
         # Commands in force, now and before; the fail-safe needs no time for computing.
         commands = [issued, *whole.commands]  # newest first
@@ -157,7 +157,7 @@ class Loop(SampledLoop):
         expected = self._A[self._motions :] @ now + self._B[self._motions :] @ acting[0]
         return np.vstack([moved, expected, now, *whole.past[:-1], *commands[:-1], *unmeasured])
 
-    def _issued(self, whole: "_Blocks", now: Array) -> tuple[Array, list[Array]]:
+    def _new_commands(self, whole: "_Blocks", now: Array) -> tuple[Array, list[Array]]:
         """Return the new commands, (m, size), and the agents' estimates of unmeasured coordinates."""
         issued = np.empty((self._system.m, now.shape[1]))
         gone = self._gone[:, 0]

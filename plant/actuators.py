@@ -257,11 +257,11 @@ class Motors:
             yield self._efficiency * command, period_s
             return
         for _ in range(steps):
-            halves, self._a = self._lagged(command, period_s / steps)
+            halves, self._a = self._held_inputs(command, period_s / steps)
             for half in halves:
                 yield self._efficiency * half, period_s / steps / 2.0
 
-    def _lagged(self, command: Array, step_s: float) -> tuple[tuple[Array, Array], Array]:
+    def _held_inputs(self, command: Array, step_s: float) -> tuple[tuple[Array, Array], Array]:
         """Return two inputs for half a step each, and those at its end, (4 N,).
 
         Source: docs/equations.md (54), (56a).

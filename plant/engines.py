@@ -19,10 +19,10 @@ from transport.plant.environment import Environment
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.own_class import (
     OwnClassError,
-    made,
+    errors_of,
+    new_object,
     own_class,
     real_array,
-    told,
     version_of,
 )
 from transport.protocol.scenario.plant_sections import PlantSection
@@ -149,7 +149,7 @@ class Engine:
         error = UNKNOWN_ERROR
         if not self.failure:
             with self._failing():
-                with told("advance"):
+                with errors_of("advance"):
                     told_error = self._physics.advance(u, forces, duration_s)
                     if told_error is not None and math.isfinite(told_error):
                         error = float(told_error)
@@ -165,13 +165,13 @@ class Engine:
         """Make the engine of some bodies and give it the state. Raises: OwnClassError."""
         self._system = system
         methods = ("reset", "advance", "state")
-        self._physics: Physics = made(self._make, methods, system, self._section)
+        self._physics: Physics = new_object(self._make, methods, system, self._section)
         self._reset()
 
     def _reset(self) -> None:
         """Give the engine the state, and check that it takes it. Raises: OwnClassError."""
         x = self._x
-        with told("reset"):
+        with errors_of("reset"):
             self._physics.reset(x.copy())
 
         taken = self._read()
@@ -182,7 +182,7 @@ class Engine:
 
     def _read(self) -> Array:
         """Return a copy of the engine's state; it need not be finite. Raises: OwnClassError."""
-        with told("state"):
+        with errors_of("state"):
             x = real_array(self._physics.state())
         if x.shape != self._x.shape:
             raise OwnClassError(f"state: expected shape {self._x.shape}, got {x.shape}")

@@ -191,7 +191,7 @@ class LinkChangeSection(LinkOverrideSection):
     ticks"""
 
     @model_serializer(mode="wrap")
-    def _given(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _given_keys(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Return only the keys given: a default written out would be a change."""
         given = set(self.model_fields_set)
         if "from_" in given:

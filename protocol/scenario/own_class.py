@@ -61,7 +61,7 @@ def own_class(name: str) -> Any:
     package = module_name.partition(".")[0]
     folder = str(Path.cwd())
     spec = _new_in(folder, package)
-    with told(f"its import from {folder} or the installed packages"), _on_path(folder):
+    with errors_of(f"its import from {folder} or the installed packages"), _on_path(folder):
         if spec is not None:
             _execute(spec)
         return getattr(_current(module_name), attribute)
@@ -140,12 +140,12 @@ def _digest(module: str) -> str:
     return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:12]
 
 
-def made(make: Callable[..., Any], methods: Sequence[str], *arguments: object) -> Any:
+def new_object(make: Callable[..., Any], methods: Sequence[str], *arguments: object) -> Any:
     """Return a new object of a class.
 
     Raises: OwnClassError: its constructor fails, or it lacks one of the methods.
     """
-    with told("the constructor"):
+    with errors_of("the constructor"):
         instance = make(*arguments)
 
     for name in methods:
@@ -163,7 +163,7 @@ def real_array(given: object) -> Array:
 
 
 @contextmanager
-def told(call: str) -> Iterator[None]:
+def errors_of(call: str) -> Iterator[None]:
     """Turn exceptions of a call of a class into OwnClassError, with file and line, also `os._exit`.
 
     Its output goes to standard error.

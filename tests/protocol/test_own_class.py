@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from transport.protocol.scenario.own_class import OwnClassError, made, own_class, told
+from transport.protocol.scenario.own_class import OwnClassError, errors_of, new_object, own_class
 
 ENDS = """
 import os
@@ -32,7 +32,7 @@ def test_an_exit_in_a_constructor_is_an_error(
     (tmp_path / "mine_ends.py").write_text(ENDS, encoding="utf-8")
     expected = r"the constructor raised SystemExit: os\._exit\(0\) \(mine_ends\.py:6\)"
     with pytest.raises(OwnClassError, match=expected):
-        made(own_class("mine_ends:Ends"), ())
+        new_object(own_class("mine_ends:Ends"), ())
 
 
 def test_an_exit_at_import_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -52,7 +52,7 @@ def test_children_and_other_calls_end_as_they_ask_to(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine_forks.py").write_text(ENDS, encoding="utf-8")
     before = os._exit
-    assert made(own_class("mine_forks:Forks"), ()).status == 7
+    assert new_object(own_class("mine_forks:Forks"), ()).status == 7
     assert os._exit is before
 
 
@@ -60,7 +60,7 @@ def test_another_thread_keeps_its_exit(monkeypatch: pytest.MonkeyPatch) -> None:
     """The exit of a process by another thread, such as one that watches its parent, is not held up."""
     statuses: list[int] = []
     monkeypatch.setattr(os, "_exit", statuses.append)
-    with told("step"):
+    with errors_of("step"):
         thread = threading.Thread(target=lambda: os._exit(4))
         thread.start()
         thread.join()
