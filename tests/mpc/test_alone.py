@@ -1,6 +1,7 @@
 """The control law of a UAV alone (docs/equations.md (31a)-(31e))."""
 
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -8,12 +9,14 @@ import pytest
 from tests.support import runs
 from transport.model import state
 from transport.model.arrays import Array
+from transport.model.discretisation import zero_order_hold
 from transport.model.hover import hover
 from transport.model.parameters import System, table_1
 from transport.model.rotations import rotation
 from transport.mpc.actual_plant import Mismatch
 from transport.mpc.alone import GAINS, AloneLaw, Motion, OwnSensors, course_of, motion_of
 from transport.mpc.alone_margins import AloneLoop
+from transport.mpc.controller import Controller
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.manifold import tangent
 from transport.protocol.scenario.setup import Setup
@@ -25,6 +28,7 @@ UAV, PERIOD_S = 1, 0.05
 # Central differences of smooth functions of order one: their error is a thousandth of this.
 STEP, SLOPE_TOLERANCE = 1e-4, 1e-6
 ROUNDING = 1e-9
+NEUTRAL = 1e-7  # rounding of a multiple eigenvalue
 # Trapezoids and sums of a pendulum over seconds, and the lag of the observer: a tenth of the swing.
 OBSERVED = 0.15
 READY = ("resilient", "precise", "windy", "eight", "gap")
@@ -151,6 +155,33 @@ def test_a_team_of_uavs_alone_is_stable(name: str, next_tick: bool) -> None:
     loop = AloneLoop(run.system, run.settings.sampling_period_s, next_tick=next_tick)
     assert loop.growth(Mismatch()) < 0.0
     assert loop.growth(Mismatch(lag_s=0.03)) < 0.0
+
+
+@pytest.mark.parametrize("name", READY)
+def test_a_team_of_which_some_act_alone_is_stable(name: str) -> None:
+    """Any UAVs alone, the others on the team's law, and any share of both: no deviation grows.
+
+    The team's law leaves headings of its UAVs free, so that one mode for each of them is neutral.
+    """
+    run = ready(name)
+    whole = Controller(run.model, run.hover, run.settings, range(run.system.N))
+    K_team = whole.regulation.gain(0)[:, : run.system.n]
+    follows = FailSafe(run.system, run.hover.u, run.hover.x[None])
+    K_alone = np.vstack([follows.gain(uav) for uav in range(run.system.N)])
+    T = tangent(run.hover.x)
+    held = zero_order_hold(
+        run.model.linearise(run.hover.x, run.hover.u), run.settings.sampling_period_s
+    )
+
+    subsets = product((0.0, 1.0), repeat=run.system.N)
+    mixtures = [*subsets, *([share] * run.system.N for share in np.linspace(0.1, 0.9, 9))]
+    for mixture in mixtures:
+        alone = np.repeat(mixture, state.INPUTS)[:, None]
+        K = (1.0 - alone) * K_team + alone * K_alone
+        growth = np.abs(np.linalg.eigvals(T.T @ (held.A + held.B @ K) @ T))
+        neutral = growth > 1.0 - NEUTRAL
+        assert growth.max() < 1.0 + NEUTRAL
+        assert neutral.sum() <= np.count_nonzero(np.array(mixture) < 1.0)
 
 
 def test_the_observer_sees_the_swing() -> None:
