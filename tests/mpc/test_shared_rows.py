@@ -57,7 +57,7 @@ EXCESS_N = 8.0
 SUM_N = float(SETUP.hover.u[::4].sum()) - EXCESS_N
 SETTINGS = ControllerSettings(
     horizon=1,
-    constraint=[Constraint(expression=f"thrust1 + thrust2 + thrust3 + thrust4 <= {SUM_N!r}")],
+    constraint=(Constraint(expression=f"thrust1 + thrust2 + thrust3 + thrust4 <= {SUM_N!r}"),),
 )
 # Of a corrected newton: rounding.
 CLOSE = 1e-9
