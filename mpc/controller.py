@@ -370,6 +370,8 @@ class Controller:
         self._off = frozenset(off)
         self._released = frozenset(released)
         self.model = Model(self._whole.system, off, released) if off else self._whole
+        for stack in (self._program.stack, self._along.stack):
+            stack.fail(self.model.system, self._off)
         self._form(since)
 
     def _form(self, since: int | None) -> None:

@@ -112,6 +112,10 @@ class Expressions:
     def __len__(self) -> int:
         return int(self._shape[0])
 
+    def use(self, p: Array) -> None:
+        """Take other values of the parameters."""
+        self._p = p
+
     def at(self, point: Array) -> tuple[Array, Array]:
         """Return values, (c,), and gradients, (c, n) or (c, m), at a point.
 

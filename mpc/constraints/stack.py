@@ -1,13 +1,15 @@
 """The constraints of one program, one below the other, with the slacks behind the decision."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from transport.model.arrays import Array
+from transport.model.parameters import System
 from transport.mpc.constraints.block import Block, Constraint
+from transport.mpc.constraints.tension import Tension
 from transport.mpc.decision import Decision
 from transport.mpc.trajectory import Trajectory
 
@@ -36,6 +38,15 @@ class Stack:
         self._size = decision.size
         self.rows = _slices([len(each.slack) for each in constraints])
         self._slacks = _slices([len(each.penalties) for each in constraints])
+
+    def fail(self, system: System, off: Collection[int]) -> None:
+        """Take the team with bobs in place of released UAVs; UAVs, 0-based, are off.
+
+        Of the constraints those on tensions depend on the masses of the UAVs.
+        """
+        for constraint in self.constraints:
+            if isinstance(constraint, Tension):
+                constraint.fail(system, off)
 
     def empty(self) -> Rows:
         """Return the rows with the entries of the slacks alone, without bounds."""

@@ -1,11 +1,13 @@
 """Smallest tension of the rods of the owned UAVs, softened: docs/equations.md (30b)."""
 
+from collections.abc import Collection
 from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 
 from transport.model.dynamics import Symbols, motion
+from transport.model.parameters import System
 from transport.mpc.constraints.block import Block
 from transport.mpc.decision import Decision
 from transport.mpc.expressions import Expressions
@@ -14,7 +16,10 @@ from transport.mpc.trajectory import Trajectory
 
 
 class Tension:
-    """Limit on the tension of each rod of an owned UAV, without external forces."""
+    """Limit on the tension of each rod of an owned UAV, without external forces.
+
+    UAVs off have none: they load the payload, on their rods or as bobs.
+    """
 
     in_kernel: ClassVar = False
 
@@ -23,6 +28,9 @@ class Tension:
         symbols = Symbols.of(system.N, system.commands_rates)
         no_forces = ca.SX.zeros(symbols.F.numel())
         tensions = ca.substitute(motion(symbols).tensions, symbols.F, no_forces)
+
+        self._uavs = decision.uavs
+        self._has_limit = np.ones(len(decision.uavs), dtype=bool)
 
         # minimum - tension, N: positive where a tension is too small.
         self._lacking = Expressions(
@@ -34,10 +42,15 @@ class Tension:
         self.penalties = np.array([settings.penalty])
         self.slack = np.full((decision.shape[0] * len(decision.uavs), 1), -1.0)
 
+    def fail(self, system: System, off: Collection[int]) -> None:
+        """Take the team with bobs in place of released UAVs; UAVs, 0-based, are off."""
+        self._lacking.use(system.vector())
+        self._has_limit = np.array([uav not in off for uav in self._uavs])
+
     def block(self, trajectory: Trajectory) -> Block:
         """Return the rows minimum - tension - slack <= 0 at steps 0..N_p - 1."""
         lacking = trajectory.of_states_and_inputs(self._lacking.at)
-        upper = -lacking.values.reshape(-1)
+        upper = np.where(self._has_limit, -lacking.values, np.inf).reshape(-1)
         return Block(
             effect=lambda: lacking.effect,
             lower=np.full(len(upper), -np.inf),

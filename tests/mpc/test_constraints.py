@@ -10,6 +10,7 @@ import pytest
 from tests.support import naive
 from tests.support.systems import Setup, Situation, controller, paper_setup, situation, step
 from transport.model.arrays import Array
+from transport.model.hover import hover_after_failures
 from transport.model.state import THETA, V0, uav_slice
 from transport.mpc.constraints.separation import pair_distances
 from transport.mpc.prediction import Prediction, convolve
@@ -33,6 +34,7 @@ MINIMUM_M, TILT_DEG, SPEED_LIMIT, CEILING_M, THRUST_PRODUCT, MOMENT_SUM = (
     0.1,
 )
 TENSION_N = 5.0
+OFF = 2  # the UAV that fails
 # Slopes of tensions of some newtons by central differences, N.
 BY_DIFFERENCES = 1e-6
 SETTINGS = ControllerSettings(
@@ -248,6 +250,25 @@ def test_tension_rows(case: Case) -> None:
     expected = (found - TENSION_N + case.slacks[3]).reshape(-1)
     np.testing.assert_allclose(case.above[rows], expected, rtol=0.0, atol=BY_DIFFERENCES)
     assert np.isinf(case.below[rows]).all()
+
+
+def test_tensions_after_failures() -> None:
+    """At the hover of the UAVs left their rods have its tensions; UAVs off have no limit."""
+    setup = paper_setup()
+    system = setup.model.system
+    one = controller(setup, SETTINGS, (0, 1, 2, 3))
+    one.fail({OFF}, {OFF})
+
+    at = hover_after_failures(system, {OFF}, {OFF})
+    linear = one.linearise(at.x, at.u)
+    U = np.tile(at.u, (HORIZON, 1))
+    y_ref = np.tile(setup.model.outputs(at.x), (HORIZON + 1, 1))
+    prediction = one.predict(linear, one.discretise(linear), U, None)
+    limits = one.condense(linear, prediction, y_ref).row_upper[-HORIZON * system.N :]
+
+    margin_N = at.tensions - TENSION_N
+    margin_N[OFF] = np.inf
+    np.testing.assert_allclose(limits.reshape(HORIZON, -1), np.tile(margin_N, (HORIZON, 1)))
 
 
 @pytest.mark.parametrize("owned", OWNED, ids=str)
