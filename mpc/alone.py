@@ -2,7 +2,7 @@
 
 Position and velocity are controlled in three axes, upwards with the share of the payload on the rod. An integral finds
 wind and mass errors, and the UAV gives way to the swing of the rod, which damps it.
-Source: docs/equations.md (31a)-(31d).
+Source: docs/equations.md (31a)-(31e).
 """
 
 import math

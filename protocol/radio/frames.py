@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 
 class Result(IntEnum):
-    """Fate of a frame at one receiver."""
+    """Fate of a frame at one receiver; a loss is minus this number in `Airtime.arrivals`."""
 
     DELIVERED = 0
     COLLISION = 1  # another transmission interfered, or the receiver itself transmitted
