@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.hover import Hover, hover_after_failures, with_released
+from transport.model.hover import Hover
 from transport.model.linearisation import Model
 from transport.model.maneuver import Maneuver
 from transport.model.obstacles import Obstacle
@@ -18,8 +18,8 @@ from transport.model.parameters import ParameterError, System, resting_height
 from transport.mpc.reference import Reference
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.clearance import first_blocked
-from transport.protocol.scenario.faults import Fault, failures
-from transport.protocol.scenario.feasibility import exceeded, least_slowing
+from transport.protocol.scenario.faults import Fault
+from transport.protocol.scenario.feasibility import exceeded, least_slowing, teams_left
 from transport.protocol.scenario.path_instants import maneuver_instants
 from transport.protocol.scenario.plant_sections import PlantSection
 from transport.protocol.scenario.target_planning import ON_GROUND_M
@@ -98,27 +98,18 @@ def off_limits(
     """
     if not reference.is_flat:
         return
-    released = [fault for fault in failures(faults) if fault.do == "release"]
     field = "maneuver.profile"
     try:
         instants_s = checked_instants(reference)
         path = reference.maneuver.jets(instants_s)
-        for count in range(len(released) + 1):
-            since_s = 0.0
-            field = "maneuver.phase"
-            if count:
-                since_s = released[count - 1].tick * settings.sampling_period_s
-                field = "faults.event"
-            gone = frozenset(fault.uav for fault in released[:count])
-            left = with_released(system, gone)
-            at_rest = hover_after_failures(system, gone, gone) if gone else hover
-
-            after = instants_s >= since_s
-            problem = exceeded(path[:, after], left, at_rest, settings, gone)
+        field = "maneuver.phase"
+        for team in teams_left(system, hover, faults):
+            after = instants_s >= team.tick * settings.sampling_period_s
+            problem = exceeded(path[:, after], team, settings)
             if problem:
                 # After slowing, the release may be anywhere on the path.
-                factor = least_slowing(path, left, at_rest, settings, gone)
-                yield field, problem + _slower(factor)
+                yield field, problem + _slower(least_slowing(path, team, settings))
+            field = "faults.event"  # of the teams after releases
     except ParameterError as error:
         yield field, str(error)
 

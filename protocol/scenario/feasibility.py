@@ -1,7 +1,7 @@
 """Limits of a team along a path, and the least slowing of the path with which it keeps them."""
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -9,10 +9,11 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.model.flight import LEAST_TENSION, MOST_TILT, Flight, flight, slowed
-from transport.model.hover import Hover
+from transport.model.hover import Hover, hover_after_failures, with_released
 from transport.model.parameters import System
 from transport.model.state import INPUTS, StateView
 from transport.mpc.settings import ControllerSettings
+from transport.protocol.scenario.faults import Fault, failures
 
 # Largest slowing that is tried, and relative accuracy of the least one.
 _SLOWEST = 64.0
@@ -50,27 +51,53 @@ class Extreme:
         return f"{expected}, got {self.value:.4g}{self.unit}"
 
 
-def exceeded(
-    path: Array,
-    system: System,
-    hover: Hover,
-    settings: ControllerSettings,
-    released: Collection[int] = (),
-) -> str | None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TeamLeft:
+    """The team after scripted releases, from a tick on."""
+
+    tick: int
+    system: System
+    hover: Hover
+    released: frozenset[int]  # UAVs off their rods, 0-based
+
+    @property
+    def left(self) -> list[int]:
+        """UAVs that are still on their rods, 0-based: only they have limits."""
+        return [uav for uav in range(self.system.N) if uav not in self.released]
+
+
+def teams_left(system: System, hover: Hover, faults: Sequence[Fault]) -> Iterator[TeamLeft]:
+    """Yield the whole team, then the team after each scripted release, in the order of time.
+
+    Raises: ParameterError: those left cannot hover.
+    """
+    gone: frozenset[int] = frozenset()
+    yield TeamLeft(tick=0, system=system, hover=hover, released=gone)
+    for fault in failures(faults):
+        if fault.do != "release":
+            continue
+        gone |= {fault.uav}
+        yield TeamLeft(
+            tick=fault.tick,
+            system=with_released(system, gone),
+            hover=hover_after_failures(system, gone, gone),
+            released=gone,
+        )
+
+
+def exceeded(path: Array, team: TeamLeft, settings: ControllerSettings) -> str | None:
     """Return the first limit that the team exceeds along a path, in words; None if it keeps all.
 
     The path is given by its jets at k instants, (7, k, 3), or (7, k, 5) with a formation. The
-    instants must be dense (`path_instants`): nothing is known between them. UAVs, 0-based, were
-    released before it, and only those left have limits.
+    instants must be dense (`path_instants`): nothing is known between them.
     Source: docs/equations.md (69).
     """
-    left = [uav for uav in range(system.N) if uav not in released]
-    held_N = hover.tensions[left]
+    held_N = team.hover.tensions[team.left]
     if not held_N.min() >= LEAST_TENSION * held_N.mean():
         expected = "expected all rods of the UAVs left to carry the payload at hover"
         return f"{expected}, got {held_N.min():.4g} N in one"
 
-    aside = _aside(path, system)
+    aside = _aside(path, team.system)
     if aside >= 1.0:
         expected = "expected a formation with UAVs less than a rod's length off their attachments"
         return f"{expected}, got {aside:.3g}"
@@ -78,25 +105,19 @@ def exceeded(
     extremes: list[Extreme] = []
     for first in range(0, path.shape[1], _AT_ONCE):
         part = path[:, first : first + _AT_ONCE]
-        flown = flight(system, hover, part, released=released)
-        further = list(_extremes(flown, system, hover, settings, left))
+        flown = flight(team.system, team.hover, part, released=team.released)
+        further = list(_extremes(flown, team, settings))
         before = extremes or further
         extremes = [one.joined(other) for one, other in zip(before, further, strict=True)]
 
     return next((extreme.text() for extreme in extremes if not extreme.holds), None)
 
 
-def least_slowing(
-    path: Array,
-    system: System,
-    hover: Hover,
-    settings: ControllerSettings,
-    released: Collection[int] = (),
-) -> float | None:
+def least_slowing(path: Array, team: TeamLeft, settings: ControllerSettings) -> float | None:
     """Return the least factor on all durations with which the limits are kept; None without one."""
 
     def is_kept(factor: float) -> bool:
-        return exceeded(slowed(path, factor), system, hover, settings, released) is None
+        return exceeded(slowed(path, factor), team, settings) is None
 
     low = 1.0
     high = 2.0
@@ -127,14 +148,13 @@ def _aside(path: Array, system: System) -> float:
     return float((aside_m / lengths_m).max())
 
 
-def _extremes(
-    flown: Flight, system: System, hover: Hover, settings: ControllerSettings, left: list[int]
-) -> Iterator[Extreme]:
+def _extremes(flown: Flight, team: TeamLeft, settings: ControllerSettings) -> Iterator[Extreme]:
     """Yield the extremes of the quantities of the UAVs left, always in the same order."""
     limits = settings.limits
-    inputs = flown.u.reshape(len(flown.x), system.N, INPUTS)[:, left]
+    left = team.left
+    inputs = flown.u.reshape(len(flown.x), team.system.N, INPUTS)[:, left]
     tensions_N = flown.tensions[:, left]
-    shares_of_hover = tensions_N / hover.tensions[left]
+    shares_of_hover = tensions_N / team.hover.tensions[left]
 
     yield _highest("a thrust of at most", " N", limits.thrust_N[1], inputs[..., 0])
 
@@ -144,7 +164,9 @@ def _extremes(
         tilt_deg = min(tilt_deg, settings.tilt.limit_deg)
     yield _highest("a UAV tilt of at most", " deg", tilt_deg, np.degrees(np.abs(Theta)))
 
-    kind, unit = ("a commanded rate", " rad/s") if system.commands_rates else ("a moment", " N m")
+    kind, unit = (
+        ("a commanded rate", " rad/s") if team.system.commands_rates else ("a moment", " N m")
+    )
     for axis, bound in enumerate(settings.upper(1)[1:], start=1):
         quantity = f"{kind} about axis {axis} of at most"
         yield _highest(quantity, unit, float(bound), np.abs(inputs[..., axis]))
@@ -158,9 +180,8 @@ def _extremes(
 
     if settings.separation is not None and len(left) > 1:
         quantity = "a distance of UAVs of at least"
-        yield _lowest(
-            quantity, " m", settings.separation.minimum_m, _distances(flown, system, left)
-        )
+        distances_m = _distances(flown, team)
+        yield _lowest(quantity, " m", settings.separation.minimum_m, distances_m)
 
 
 def _highest(quantity: str, unit: str, bound: float, values: Array) -> Extreme:
@@ -173,11 +194,11 @@ def _lowest(quantity: str, unit: str, bound: float, values: Array) -> Extreme:
     return Extreme(quantity=quantity, unit=unit, bound=bound, is_upper=False, value=value)
 
 
-def _distances(flown: Flight, system: System, left: list[int]) -> Array:
+def _distances(flown: Flight, team: TeamLeft) -> Array:
     """Return the distances of all pairs of UAVs left at every instant, (pairs, k), m."""
-    rho = np.array([uav.rho for uav in system.uavs])
-    lengths_m = np.array([uav.rod_length for uav in system.uavs])
+    rho = np.array([uav.rho for uav in team.system.uavs])
+    lengths_m = np.array([uav.rod_length for uav in team.system.uavs])
     r_P = rho - lengths_m[:, None] * StateView(flown.x).e_P
     return np.array(
-        [np.linalg.norm(r_P[:, i] - r_P[:, j], axis=1) for i, j in combinations(left, 2)]
+        [np.linalg.norm(r_P[:, i] - r_P[:, j], axis=1) for i, j in combinations(team.left, 2)]
     )

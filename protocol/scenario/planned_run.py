@@ -10,6 +10,7 @@ from transport.model.parameters import System
 from transport.model.target import Target
 from transport.mpc.reference import Reference
 from transport.mpc.settings import ControllerSettings
+from transport.protocol.scenario.faults import Fault
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.wire import messages
 
@@ -35,6 +36,11 @@ class PlannedRun(Protocol):
     @property
     def settings(self) -> ControllerSettings:
         """Settings of every controller, with the sampling period and the limits."""
+        ...
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """Scripted faults, in the order of time."""
         ...
 
     @property

@@ -7,11 +7,16 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.model.curves import ORDERS, Curve
-from transport.model.parameters import resting_height
+from transport.model.parameters import ParameterError, resting_height
 from transport.model.target import Target
 from transport.protocol.scenario.clearance import first_blocked
 from transport.protocol.scenario.errors import RequestError
-from transport.protocol.scenario.feasibility import exceeded, least_slowing
+from transport.protocol.scenario.feasibility import (
+    TeamLeft,
+    exceeded,
+    least_slowing,
+    teams_left,
+)
 from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.path_instants import (
     WayPointError,
@@ -71,7 +76,7 @@ def planned(setup: PlannedRun, section: TargetSection, tick: int) -> dict[str, A
 
     # The fastest motion that keeps the limits of the team, within the time left.
     approach = _approach(setup, section, window)
-    way = _way(setup, section) if len(points_I) > 1 else None
+    way = _way(setup, section, window) if len(points_I) > 1 else None
     window.check(approach.duration_s + (0.0 if way is None else way.duration_s))
 
     # Between its points a curve may be deeper than they are.
@@ -164,6 +169,7 @@ def _approach(setup: PlannedRun, section: TargetSection, window: Window) -> Curv
     """Return the approach of a target: the fastest of those tried that keeps the limits."""
     point_I = np.array(section.points_m[0])
     distance_m = _approach_m(setup, point_I, window)
+    teams = _teams_flying(setup, window)
 
     ramp_s = _SHORTEST_RAMP_S
     problem: str | None = None
@@ -174,7 +180,7 @@ def _approach(setup: PlannedRun, section: TargetSection, window: Window) -> Curv
             window.check(approach.duration_s)
 
         path = _approach_path(setup, approach, point_I, window)
-        problem = exceeded(path, setup.system, setup.hover, setup.settings)
+        problem = _exceeded(path, teams, setup)
         if problem is None:
             return approach
         ramp_s *= _LONGER
@@ -194,22 +200,46 @@ def _approach_path(setup: PlannedRun, approach: Curve, point_I: Array, window: W
     return led.jets(_between(maneuver_instants(led), window.since_s, approach.duration_s))
 
 
-def _way(setup: PlannedRun, section: TargetSection) -> Curve:
+def _way(setup: PlannedRun, section: TargetSection, window: Window) -> Curve:
     """Return the curve through further way points, as fast as given, or as feasible."""
     way = _way_as_given(section)
     path = way.path(curve_instants(way))
-    problem = exceeded(path, setup.system, setup.hover, setup.settings)
+    teams = _teams_flying(setup, window)
+    problem = _exceeded(path, teams, setup)
     if problem is None:
         return way
 
-    factor = least_slowing(path, setup.system, setup.hover, setup.settings)
-    if factor is None:
+    factors = [least_slowing(path, team, setup.settings) for team in teams]
+    if None in factors:
         raise RequestError(f"points_m: {problem}")
+    factor = max(factor for factor in factors if factor is not None)
     if section.times_s is not None:
         raise RequestError(f"times_s: {problem}; feasible in {factor:.3f} times the time")
     if section.speed_mps is not None:
         raise RequestError(f"speed_mps: {problem}; feasible in {factor:.3f} times the time")
     return replace(way, duration_s=factor * way.duration_s, ramp_s=factor * way.ramp_s)
+
+
+def _teams_flying(setup: PlannedRun, window: Window) -> list[TeamLeft]:
+    """Return the team that flies when a target is given, and those after later releases.
+
+    When they come within the motion depends on its duration: their limits hold for all of it.
+
+    Raises: RequestError: UAVs that are left cannot hover.
+    """
+    try:
+        teams = list(teams_left(setup.system, setup.hover, setup.faults))
+    except ParameterError as error:
+        raise RequestError(str(error)) from error
+    tick = round(window.since_s / setup.settings.sampling_period_s)
+    first = max(number for number, team in enumerate(teams) if team.tick <= tick)
+    return teams[first:]
+
+
+def _exceeded(path: Array, teams: list[TeamLeft], setup: PlannedRun) -> str | None:
+    """Return the first limit that one of the teams exceeds along a path, in words."""
+    problems = (exceeded(path, team, setup.settings) for team in teams)
+    return next((problem for problem in problems if problem is not None), None)
 
 
 def _way_as_given(section: TargetSection) -> Curve:

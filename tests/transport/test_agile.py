@@ -8,10 +8,11 @@ import pytest
 import transport
 from transport.analysis.series import series_of
 from transport.model.flight import flight
-from transport.model.hover import hover_after_failures, with_released
 from transport.mpc.settings import Tension
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.feasibility import exceeded
+from transport.protocol.scenario.errors import RequestError, ScenarioError
+from transport.protocol.scenario.feasibility import exceeded, teams_left
+from transport.protocol.scenario.maneuver_sections import TargetSection
+from transport.protocol.scenario.target_planning import planned
 
 QUICK = [
     {"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]},
@@ -124,16 +125,30 @@ def test_least_tension_is_that_of_the_uavs_left() -> None:
     given = {**released(4), "controller.tension.minimum_N": 3.2}
     setup = transport.Scenario("eight", given).setup
 
-    left = with_released(setup.system, {3})
-    at_rest = hover_after_failures(setup.system, {3}, {3})
+    _, team = teams_left(setup.system, setup.hover, setup.faults)
     path = setup.reference.maneuver.jets(setup.reference.times_s)
-    assert exceeded(path, left, at_rest, setup.settings, {3}) is None
+    assert team.released == {3}
+    assert exceeded(path, team, setup.settings) is None
 
     higher = setup.settings.model_copy(update={"tension": Tension(minimum_N=5.0)})
-    problem = exceeded(path, left, at_rest, higher, {3})
+    problem = exceeded(path, team, higher)
     assert problem is not None
-    least_N = flight(left, at_rest, path, released={3}).tensions[:, :3].min()
+    least_N = flight(team.system, team.hover, path, released={3}).tensions[:, :3].min()
     assert problem.endswith(f"at least 5 N along the reference, got {least_N:.4g} N")
+
+
+def test_targets_are_checked_for_the_uavs_left() -> None:
+    """A way that only the released UAV could not fly is accepted once it is gone."""
+    setup = transport.Scenario("eight", released(4)).setup
+    rest_I = setup.maneuver.path(np.array([setup.maneuver.duration_s]))[0][0]
+    beyond_I = rest_I + np.array([2.0, 0.0, 0.0])
+    points_m = [rest_I.tolist(), beyond_I.tolist()]
+    section = TargetSection.model_validate({"points_m": points_m, "times_s": [0.0, 2.5]})
+
+    ticks_per_s = round(1.0 / setup.settings.sampling_period_s)
+    with pytest.raises(RequestError, match="expected a commanded rate about axis 2 of at most"):
+        planned(setup, section, 3 * ticks_per_s)
+    assert planned(setup, section, 5 * ticks_per_s)["way_s"] == 2.5
 
 
 @pytest.mark.slow
