@@ -32,6 +32,11 @@ PENALTY = 1.0  # of a copy's difference from the consensus, as a multiple of the
 class ADMM(Paper):
     """Part of one agent in a consensus about the inputs of all UAVs."""
 
+    arena = {
+        "tuned": "the penalty by hand, on the maneuver, perfect network",
+        "settings": ["controller.negotiation_iterations=10"],
+    }
+
     def start(self, run):
         """Declare the data, (N_p, 4 N) inputs, and take the agent's part of the cost."""
         super().start(run)

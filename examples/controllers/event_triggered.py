@@ -34,6 +34,7 @@ class EventTriggered:
     """Controller of the UAVs that an agent owns, which sends only news."""
 
     version = "1"
+    arena = {"tuned": "gains of the observer and limit by hand, on the scenario resilient"}
 
     def start(self, run):
         """Compute the gain; declare the data, an estimate of the team."""

@@ -40,6 +40,7 @@ from transport.protocol.scenario.schema import Scenario
 # Declared when imported.
 __all__ = [
     "EXPERIMENTS",
+    "ExperimentOptions",
     "design_experiments",
     "network_experiments",
     "radio_experiment",
@@ -114,11 +115,7 @@ class ExperimentOptions:
 
         Raises: ExperimentError: options exclude each other. ScenarioError: a scenario is refused.
         """
-        if self.dask is not None:
-            if self.jobs is not None:
-                raise refused("--dask", "only one of --dask and --jobs", "both")
-            check_cluster(self.dask)
-
+        self.check_workers()
         names = self.scenarios or list(self.declared.scenarios)
         if len(set(names)) < len(names):
             raise refused("--scenario", "each value once", ", ".join(names))
@@ -144,6 +141,16 @@ class ExperimentOptions:
             simulated_before=simulated_before,
         )
         return experiment, cases
+
+    def check_workers(self) -> None:
+        """Refuse a cluster beside workers of this machine, or an address that is none.
+
+        Raises: ExperimentError.
+        """
+        if self.dask is not None:
+            if self.jobs is not None:
+                raise refused("--dask", "only one of --dask and --jobs", "both")
+            check_cluster(self.dask)
 
     def folder(self, name: str) -> Path:
         """Return the folder of an experiment; say that `--quick` gives no measurement."""

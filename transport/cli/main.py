@@ -48,6 +48,7 @@ app = lazy_group(
                 epilog="Exit codes: 0 done, whatever the result; 2 usage, 3 scenario, "
                 "4 cluster or worker lost, 7 some simulations raised an error, 130 interrupted.",
             ),
+            "arena": ("arena:arena", "Compare algorithms, yours too, on tasks and networks."),
             "worst": ("worst:worst", "Search for the network that brings the team down."),
             "scenario": lazy_group(
                 {"Commands": _SCENARIO},

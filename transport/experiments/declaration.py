@@ -116,7 +116,7 @@ class Experiment:
     x: str = ""  # columns along the axes
     y: str = ""
     drawn_as: Literal[
-        "curves", "scaling", "variants", "sharing", "tracking", "radio", "weather"
+        "curves", "scaling", "variants", "sharing", "tracking", "radio", "weather", "arena"
     ] = "curves"
     # Column that tells the curves of a scenario apart, and names of its values in the figure.
     # Points labelled `NONE` belong to all curves.

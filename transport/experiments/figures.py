@@ -7,6 +7,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from transport.experiments.declaration import Experiment, axis
+from transport.experiments.figure_arena import draw_arena
 from transport.experiments.figure_curves import draw_curves
 from transport.experiments.figure_maps import draw_maps
 from transport.experiments.figure_variants import draw_variants
@@ -36,6 +37,8 @@ def fill(figure: Figure, experiment: Experiment, measured: Sequence[PointStatist
         draw_variants(figure, scenarios)
     elif experiment.drawn_as == "weather":
         draw_weather(figure, scenarios)
+    elif experiment.drawn_as == "arena":
+        draw_arena(figure, measured)
     elif experiment.y:
         draw_maps(figure, axis(experiment.x), axis(experiment.y), scenarios)
     else:

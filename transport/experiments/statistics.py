@@ -71,6 +71,15 @@ class PointStatistics:
         value = self.numbers[name]
         return None if value is None else value.mean
 
+    def half_width(self, name: str) -> float | None:
+        """Return half the 95 % interval of a number; that of the cost ratio is the cost's, scaled."""
+        value = self.numbers["cost_mean" if name == COST_RATIO else name]
+        if value is None or value.half_width is None:
+            return None
+        if name != COST_RATIO:
+            return value.half_width
+        return None if self.cost_ratio is None else value.half_width * self.cost_ratio / value.mean
+
     def row(self) -> dict[str, Any]:
         """Return values by column, as in points.csv."""
         row: dict[str, Any] = {

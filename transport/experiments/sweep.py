@@ -220,6 +220,15 @@ def sweep(
     return Swept(experiment=experiment, cases=cases, results=[results[case.key] for case in cases])
 
 
+def markdown_of(table: Table) -> list[str]:
+    """Return the lines of a table in Markdown; a line break within a cell stays one."""
+    headings = [" ".join(str(column.header).split()) for column in table.columns]
+    rows = zip(*(column.cells for column in table.columns), strict=True)
+    texts = [[str(cell).replace("\n", "<br>") for cell in row] for row in rows]
+    cells = [headings, ["---"] * len(headings), *texts]
+    return [f"| {' | '.join(row)} |" for row in cells]
+
+
 def write_markdown(
     folder: Path, sentences: Sequence[str], table: Table, files: Sequence[Path]
 ) -> list[str]:
@@ -236,11 +245,7 @@ def write_markdown(
 
 def markdown(sentences: Sequence[str], table: Table) -> str:
     """Return sentences and table as Markdown, which ends with a line end."""
-    headings = [" ".join(str(column.header).split()) for column in table.columns]
-    rows = zip(*(column.cells for column in table.columns), strict=True)
-    cells = [headings, ["---"] * len(headings), *rows]
-    lines = [f"| {' | '.join(map(str, row))} |" for row in cells]
-    return "\n".join([*(f"- {sentence}" for sentence in sentences), "", *lines, ""])
+    return "\n".join([*(f"- {sentence}" for sentence in sentences), "", *markdown_of(table), ""])
 
 
 class _Progress(ConsoleProgress):
