@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from transport.experiments.cases import ExperimentError as ExperimentError
     from transport.flight.harness import HarnessError as HarnessError
     from transport.flight.run_files import RunError as RunError
+    from transport.interface.arena import Arena as Arena
+    from transport.interface.arena import arena as arena
     from transport.interface.figure import Margins as Margins
     from transport.interface.figure import margins as margins
     from transport.interface.fly import ActiveRun as ActiveRun
@@ -37,6 +39,7 @@ _NAMES = {
     "transport.interface.fly": ("fly", "load", "active", "ActiveRun"),
     "transport.interface.sweep": ("sweep", "Sweep"),
     "transport.interface.worst": ("worst", "Worst"),
+    "transport.interface.arena": ("arena", "Arena"),
     "transport.interface.figure": ("margins", "Margins"),
     "transport.interface.scenario": ("team", "Scenario"),
     "transport.interface.run": ("Run",),

@@ -133,7 +133,7 @@ class ArenaResult:
             "tasks": {name: asdict(TASKS[name]) for name in self.tasks},
             "networks": {name: NETWORKS[name] for name in NETWORKS},
             "algorithms": {name: asdict(one) for name, one in self.arena.algorithms.items()},
-            "points": [{**one.row(), "refused": reason} for one, reason in self.by_place.values()],
+            "points": [_row(one, reason) for one, reason in self.by_place.values()],
         }
 
     def write(self, folder: Path) -> list[Path]:
@@ -170,3 +170,8 @@ def conduct(made: Arena, simulate: Simulate, results: Results, console: Console)
 def results_of(folder: Path | None) -> Results:
     """Return the results of the arena in a folder, which is resumed."""
     return Results(NAME, folder)
+
+
+def _row(one: PointStatistics, refused: str) -> dict[str, Any]:
+    """Return a point as JSON data."""
+    return {**one.row(), f"{COST_RATIO}_ci95": one.half_width(COST_RATIO), "refused": refused}

@@ -67,7 +67,7 @@ def sweep(
     values = _checked_grid(grid)
     if seeds < 1:
         raise ArgumentError(f"seeds: expected a number >= 1, got {seeds}")
-    simulate = _simulate_with(workers)
+    simulate = simulate_with(workers)
     plan = _plan(_scenarios(base), values, seeds)
 
     shown = console(shown=progress)
@@ -114,7 +114,7 @@ def _plan(
     return plan
 
 
-def _simulate_with(workers: int | str | None) -> experiment_sweep.Simulate:
+def simulate_with(workers: int | str | None) -> experiment_sweep.Simulate:
     """Return the function that simulates cases on cores of this machine, or on a cluster."""
     if isinstance(workers, str):
         check_cluster(workers)
