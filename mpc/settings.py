@@ -40,6 +40,10 @@ class Key:
     option: str = ""  # of a key of a link: option of `transport link set`
 
 
+# Magnitudes of lags and times of computation, s: longer ones are milliseconds.
+LAG_S = (1e-9, 2.0)
+
+
 class Section(BaseModel):
     """Part of a scenario: unknown keys are refused, values are frozen."""
 
@@ -293,11 +297,14 @@ class ControllerSettings(Section):
     """commands of agents beside the thrust: moments, or body rates that an inner loop on each UAV
     follows, [equations.md](equations.md#body-rates) (57)"""
     rate_time_constant_s: Annotated[
-        PositiveVector, Key(label="time constant of the inner loop", shown="ms")
+        PositiveVector,
+        Key(within=LAG_S, label="time constant of the inner loop", shown="ms"),
     ] = (0.04, 0.04, 0.04)  # fmt: skip
     """time constant of the inner loop about each body axis, of controllers and plant; only with
     `inputs=rates`"""
-    motor_lag_s: Annotated[NotNegative, Key(label="motor lag of the model", shown="ms")] = 0.0
+    motor_lag_s: Annotated[
+        NotNegative, Key(within=LAG_S, label="motor lag of the model", shown="ms")
+    ] = 0.0
     """time constant of the motors that the controller predicts with,
     [equations.md](equations.md#motors) (55); 0, or at least a hundredth of T_s. The time constant
     of the plant is `plant.motors.lag_s`"""

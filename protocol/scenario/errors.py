@@ -11,7 +11,7 @@ from transport.model.arrays import ShapeError
 from transport.model.parameters import ParameterError
 from transport.mpc.feedback import FeedbackError
 from transport.mpc.settings import SettingsError
-from transport.protocol.scenario.keys import names_of, out_of_range, section_in
+from transport.protocol.scenario.keys import milliseconds, names_of, out_of_range, section_in
 from transport.protocol.scenario.origins import Origin, source_of
 from transport.protocol.wire.errors import MessageError, TransportError
 from transport.protocol.wire.exit_codes import EXIT_SCENARIO
@@ -178,8 +178,13 @@ def _problem_text(problem: Mapping[str, Any], section: type[BaseModel]) -> str:
     if kind == "value_error":  # of a validator, whose text says all
         return str(problem["ctx"]["error"])
 
-    expected = problem["msg"].replace("Input should be", "expected")
     value = problem["input"]
+    if kind == "less_than_equal" and isinstance(value, int | float):
+        asked = milliseconds(str(problem["loc"][-1]), value, problem["ctx"]["le"])
+        if asked:
+            return asked
+
+    expected = problem["msg"].replace("Input should be", "expected")
     if isinstance(value, tuple):  # lists of numbers become tuples
         value = list(value)
     return f"{expected[0].lower()}{expected[1:]}, got {_short(repr(value))}"

@@ -51,6 +51,10 @@ UNITS: Mapping[str, Unit] = {
     "_Nm_s": Unit("N m/s", 1e-12, 1e12),
 }
 
+_SECONDS = "_s"
+# Ranges of times below this one, s, tell milliseconds from seconds.
+_LONGEST_S = 60.0
+
 
 def key_of(field: FieldInfo) -> Key:
     """Return the properties of a key in the annotation of its field."""
@@ -151,9 +155,24 @@ def out_of_range(
     elif isinstance(value, float) and value != 0.0:
         least, most = within
         if abs(value) > most:
-            yield place, f"expected a magnitude of at most {most:g}, got {value:g}"
+            yield place, milliseconds(place, value, most) or _too_large(value, most)
         elif not abs(value) >= least:
             yield place, f"expected a magnitude of at least {least:g}, got {value:g}"
+
+
+def milliseconds(key: str, value: float, most: float) -> str:
+    """Return expected and got of a time above its range that milliseconds explain; else nothing."""
+    seconds = value / 1000.0
+    name = key.rstrip(".0123456789")  # of a list, without the number of the entry
+    if ending_of(name) != _SECONDS or most > _LONGEST_S:
+        return ""
+    if not 0.0 < seconds <= most:
+        return ""
+    return f"expected seconds, at most {most:g}, got {value:g}: did you mean {seconds:g}?"
+
+
+def _too_large(value: float, most: float) -> str:
+    return f"expected a magnitude of at most {most:g}, got {value:g}"
 
 
 def _section_out_of_range(section: BaseModel, place: str) -> Iterator[tuple[str, str]]:

@@ -22,6 +22,7 @@ Probability = Annotated[float, Interval(ge=0.0, le=1.0)]
 
 # Longest delay in seconds that is taken for one without question: delays in ms are mostly larger.
 LONGEST_SAMPLE_S = 10.0
+_DELAY_S = (1e-9, LONGEST_SAMPLE_S)
 
 _PROCESS = "agent1, agent2, ..., plant"
 
@@ -41,7 +42,10 @@ def _read_trace(value: Any, info: ValidationInfo) -> Any:
 
 
 def _checked_trace(rows: list[list[float]] | None) -> list[list[float]] | None:
-    """Return the rows of a trace. Raises: ValueError: too few, bad, or not in the order of times."""
+    """Return the rows of a trace.
+
+    Raises: ValueError: too few, bad, not in the order of times, or with delays in milliseconds.
+    """
     if rows is None:
         return None
     if len(rows) < 2:
@@ -53,6 +57,9 @@ def _checked_trace(rows: list[list[float]] | None) -> list[list[float]] | None:
             raise ValueError(f"row {number}: expected a time and a delay, got {row}")
         if not (row[0] >= 0.0 and row[0] > before_s):
             raise ValueError(f"row {number}: expected rising times from 0 on, got {row[0]:g} s")
+        if row[1] > LONGEST_SAMPLE_S:
+            expected = f"expected seconds, at most {LONGEST_SAMPLE_S:g}, got {row[1]:g}"
+            raise ValueError(f"row {number}: {expected}: did you mean {row[1] / 1000.0:g}?")
         before_s = row[0]
     return rows
 
@@ -72,11 +79,19 @@ class LinkSection(Section):
     """Impairments of a link, in scenario time; apart from bursts independent for each message."""
 
     delay_s: Annotated[
-        NotNegative, Key(label="delay of plans", shown="ms", option="--delay", short="delay_s")
+        NotNegative,
+        Key(within=_DELAY_S, label="delay of plans", shown="ms", option="--delay", short="delay_s"),
     ] = 0.0
     """fixed part of the delay"""
     jitter_s: Annotated[
-        NotNegative, Key(label="jitter of plans", shown="ms", option="--jitter", short="jitter_s")
+        NotNegative,
+        Key(
+            within=_DELAY_S,
+            label="jitter of plans",
+            shown="ms",
+            option="--jitter",
+            short="jitter_s",
+        ),
     ] = 0.0
     """scale of the random part of the delay: width (uniform, centred on `delay_s`), standard
     deviation (normal, lognormal), mean (exponential); delays below 0 become 0"""
@@ -120,7 +135,13 @@ class LinkSection(Section):
     )
     """probability that a message is held back by `reorder_s`"""
     reorder_s: Annotated[
-        NotNegative, Key(label="extra delay of plans held back", shown="ms", option="--reorder-s")
+        NotNegative,
+        Key(
+            within=_DELAY_S,
+            label="extra delay of plans held back",
+            shown="ms",
+            option="--reorder-s",
+        ),
     ] = 0.0
     """extra delay of a message that is held back"""
     rate_hz: Annotated[

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from annotated_types import Interval
 
 from transport.mpc.settings import (
+    LAG_S,
     Key,
     NotNegative,
     NotNegativeVector,
@@ -47,10 +48,10 @@ class RotorsSection(Section):
 class MotorsSection(Section):
     """Difference of the actual inputs of all UAVs from their commands."""
 
-    lag_s: Annotated[NotNegative, Key(label="motor lag", shown="ms")] = 0.0
+    lag_s: Annotated[NotNegative, Key(within=LAG_S, label="motor lag", shown="ms")] = 0.0
     """time constant of thrust and moments; 0, or at least a hundredth of T_s"""
     falling_lag_s: Annotated[
-        Positive | None, Key(label="motor lag of falling thrust", shown="ms")
+        Positive | None, Key(within=LAG_S, label="motor lag of falling thrust", shown="ms")
     ] = None
     """time constant of a rotor whose thrust falls, `lag_s` is then that of rising thrust; default:
     `lag_s`. Needs `lag_s` > 0 and `[plant.motors.rotors]`"""

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval
 
-from transport.mpc.settings import Key, NotNegative, Positive, Section
+from transport.mpc.settings import LAG_S, Key, NotNegative, Positive, Section
 
 
 class RadioSection(Section):
@@ -22,10 +22,12 @@ class RadioSection(Section):
     """frames that wait at a UAV, with the one on the air; a further one is lost"""
     offsets: Annotated[Literal["none", "slots", "random"], Key(label="offsets of sends")] = "slots"
     """when an agent sends: as soon as its plan is computed, in its own slot of the period, or at a random instant"""
-    computation_mean_s: Annotated[NotNegative, Key(label="time of computation", shown="ms")] = 0.005
+    computation_mean_s: Annotated[
+        NotNegative, Key(within=LAG_S, label="time of computation", shown="ms")
+    ] = 0.005
     """mean time from a tick to the plan of an agent; a model, independent of the host"""
     computation_deviation_s: Annotated[
-        NotNegative, Key(label="deviation of the time of computation", shown="ms")
+        NotNegative, Key(within=LAG_S, label="deviation of the time of computation", shown="ms")
     ] = 0.001
     """standard deviation of that time, normal, independent for each agent and tick"""
     power_mw: Annotated[Positive, Key(unit="mW", label="transmit power")] = 40.0

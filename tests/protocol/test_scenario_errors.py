@@ -30,6 +30,31 @@ ON_CHANGE = (
 # Settings, and the text that must follow: the field first where it is not the key of the first
 # setting.
 WRONG: list[tuple[str | tuple[str, ...], str]] = [
+    # Milliseconds for seconds.
+    ("links.delay_s=50", "expected seconds, at most 10, got 50: did you mean 0.05?"),
+    ("links.delay_s=500", "expected seconds, at most 10, got 500: did you mean 0.5?"),
+    ("links.delay_s=20000", "expected a magnitude of at most 10, got 20000"),
+    ("links.measurement.jitter_s=80", "expected seconds, at most 10, got 80: did you mean 0.08?"),
+    (
+        "links.override=[{from='agent1',reorder_s=120}]",
+        "links.override.1.reorder_s: expected seconds, at most 10, got 120: did you mean 0.12?",
+    ),
+    (
+        "links.trace=[[0,50],[1,20]]",
+        "row 1: expected seconds, at most 10, got 50: did you mean 0.05?",
+    ),
+    ("controller.sampling_period_s=50", "expected seconds, at most 10, got 50: did you mean 0.05?"),
+    ("plant.motors.lag_s=30", "expected seconds, at most 2, got 30: did you mean 0.03?"),
+    ("controller.motor_lag_s=30", "expected seconds, at most 2, got 30: did you mean 0.03?"),
+    (
+        "controller.rate_time_constant_s=[40,40,40]",
+        "controller.rate_time_constant_s.1: expected seconds, at most 2, got 40: did you mean 0.04?",
+    ),
+    ("plant.noise.delay.position_s=50", "expected seconds, at most 1, got 50: did you mean 0.05?"),
+    (
+        "radio={computation_mean_s=5}",
+        "radio.computation_mean_s: expected seconds, at most 2, got 5: did you mean 0.005?",
+    ),
     # Keys.
     ("controller.horizn=20", "unknown key; did you mean 'horizon'?"),
     ("system.uav.2.mas_kg=1", "unknown key; did you mean 'mass_kg'?"),

@@ -304,7 +304,7 @@ def test_an_empty_log_has_no_numbers() -> None:
 
 def test_plans_that_never_arrive_are_told() -> None:
     """Plans behind a delay longer than the run are neither lost nor late: the report says that they did not arrive."""
-    settings = (runs.ticks(10), "links.delay_s=400.0")
+    settings = (runs.ticks(10), "links.delay_s=10.0")
     run = runs.setup(*settings)
     summary = summarise(AnalysedRun.of(run, log_of(runs.recorded(run))))
     messages = summary["messages"]
