@@ -1,7 +1,8 @@
 """An agent that shares no code with the others, made from Zenoh, msgpack, numpy and docs/protocol.md.
 
 It does not know the maneuver. It keeps its rod parallel to the others', whose states are in their
-plans, and its corner of the payload as high as the middle, and carries its share. `pip install
+plans, and its corner of the payload as high as the middle, and carries its share. It shares the
+height of its UAV as own data and, if the others share theirs, keeps to their mean. `pip install
 eclipse-zenoh msgpack numpy` installs all that it needs. Start all but
 agent 3 as in README ("By hand"), with `--scenario resilient`, and this in its place; `transport
 validate resilient` prints the digest:
@@ -24,6 +25,7 @@ import zenoh
 AGENTS, VERSION, STEPS = 4, 7, 20
 # Mass, inertia and hover thrust of UAV 3, and its corner of the payload.
 MASS, INERTIA, THRUST, RHO = 1.5, np.array([0.029, 0.029, 0.055]), 22.0725, (-0.25, -0.25)
+RHO_Z, LENGTH = -0.125, 3.2
 
 
 def pack(value):
@@ -73,9 +75,17 @@ def control(payload, uav, team):
     return np.append(THRUST + np.clip(100.0 * low, -10.0, 10.0), np.clip(moments, -0.5, 0.5))
 
 
+def height(payload, uav):
+    """Return z of the UAV (inertial, down, m): r_z = r0_z + k' R(Theta0) (rho - l e)."""
+    roll, pitch = payload[6:8]
+    down = [-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)]
+    return payload[2] + down @ (np.append(RHO, RHO_Z) - LENGTH * uav[:3])
+
+
 def main(run, digest, agent, port, exchange="relayed"):
     """Take part until the run ends."""
     me, prefix, inbox, alive, plans = int(agent), f"transport/{run}", queue.SimpleQueue(), set(), {}
+    heights = {}  # own data of the others, if they share a height, by agent
     ports = [
         f"tcp/127.0.0.1:{int(port) + i}" for i in range(2 + me)
     ]  # it connects to those before its own
@@ -113,6 +123,8 @@ def main(run, digest, agent, port, exchange="relayed"):
                     plans[tick, fields[0]] = fields[5].mean(
                         axis=0
                     )  # e, Omega, Theta, omega of its UAVs
+                    if fields[0] != me and len(fields) > 10 and fields[10].size == 1:
+                        heights[fields[0]] = fields[10][0]
                 elif kind == "measurement" and fields[0] == me:
                     measured = tick, fields
             if measured is None or any(
@@ -127,6 +139,9 @@ def main(run, digest, agent, port, exchange="relayed"):
             inputs[0] = control(
                 payload, states[0], np.mean(others, axis=0) if others else states[0]
             )
+            z = height(payload, states[0])
+            if heights:
+                inputs[0, 0] += 20.0 * (z - np.mean([z, *heights.values()]))
             head, key = [f"agent{me}", 0, tick, tick], f"plan/{me}"
             fields = [
                 me,
@@ -138,6 +153,8 @@ def main(run, digest, agent, port, exchange="relayed"):
                 pack(inputs),
                 pack(np.zeros((0, 4))),
                 "solved",
+                0.0,  # no part of the inputs is by the control law of a UAV alone
+                pack(np.array([z])),  # own data, which classes of the user find as plan.data
             ]
             data = message("plan", *head, *fields)
             if exchange == "relayed":

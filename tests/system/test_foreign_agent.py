@@ -5,19 +5,27 @@ The protocol page suffices.
 
 import ast
 import json
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+import transport
 from tests.support.commands import command, free_base, settings
 from tests.support.runs import ready
 from tests.test_architecture import LAYERS
 from transport.model.parameters import table_1
 from transport.protocol.scenario.file import find_scenario, read_scenario
 from transport.protocol.wire.codec import VERSION
+from transport.protocol.wire.messages import Note, Plan, PlantState
+
+# Height of a UAV as the agent computes it from its measurement, and as the plant has it.
+SAME_HEIGHT_M = 1e-12
+SAME_THRUST_N = 1e-9
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "foreign_agent.py"
 
@@ -64,6 +72,67 @@ def test_a_foreign_agent_flies_the_maneuver(tmp_path: Path) -> None:
     assert summary["ticks"] == 500
     assert summary["attitude_max_deg"] < 5.0
     assert summary["separation_min_m"] > 0.35
+
+
+HEIGHTS = """
+import numpy as np
+
+class Heights:
+    version = "1"
+    def start(self, run):
+        self.run = run
+        run.share(1)
+        self.heard = {}
+    def step(self, measurement, messages):
+        run = self.run
+        uav = run.owned[0]
+        numbers = {}
+        for plan in messages:
+            numbers[f"heard{plan.agent}"] = plan.data[0] if plan.data.size else np.pi
+        e, theta = run.rod_direction(uav, measurement), run.attitude(uav, measurement)
+        turn = 100.0 * theta + 16.0 * run.body_rate(uav, measurement)
+        thrust = run.u_hover[4 * uav] + 0.1 * (uav - 1)  # the team tilts: heights differ
+        u = np.append(thrust, -run.system.uavs[uav].inertia @ turn)
+        return u, [run.position(uav, measurement)[2]], numbers
+    def stop(self):
+        pass
+"""
+
+
+@pytest.mark.slow
+def test_own_data_between_languages(tmp_path: Path) -> None:
+    """The data of the foreign agent reach classes of the user bit for bit, and theirs reach it.
+
+    It shares the height of its UAV, which the plant knows, and steers to the mean of all.
+    """
+    (tmp_path / "heights.py").write_text(HEIGHTS, encoding="utf-8")
+    hover = "maneuver.phase=[{name='hover',duration_s=1.5,displacement_m=[0,0,0]}]"
+    simulate(tmp_path, hover, "agents.controller=heights:Heights")
+    run = transport.load(tmp_path / "recorded")
+
+    shared = {(plan.agent, plan.tick): plan.data for plan in run.log.of(Plan)}
+    assert {data.shape for data in shared.values()} == {(1,)}
+    heights = run.series["uav_position_m"][:, 2, 2]
+    own = [shared[3, tick][0] for tick in range(30)]
+    np.testing.assert_allclose(own, heights[:30], rtol=0.0, atol=SAME_HEIGHT_M)
+
+    notes = [note for note in run.log.of(Note) if note.agent == 1 and "heard3" in note.names]
+    assert len(notes) == 29
+    for note in notes:
+        heard = note.values[note.names.index("heard3")]
+        assert heard == shared[3, note.tick - 1][0]
+
+    # Its thrust has the part that pulls it to the mean height of all, by data of the tick before.
+    plans = {(plan.agent, plan.tick): plan for plan in run.log.of(Plan)}
+    x = {state.tick: state.x for state in run.log.of(PlantState)}
+    control = runpy.run_path(str(EXAMPLE))["control"]
+    for tick in (10, 20):
+        before = [plans[agent, tick - 1] for agent in (1, 2, 4)]
+        rods = np.mean([plan.uav_states[0] for plan in before], axis=0)
+        without_data = control(x[tick][:12], x[tick][36:48], rods)
+        apart = own[tick] - np.mean([own[tick], *(plan.data[0] for plan in before)])
+        thrust_N = plans[3, tick].inputs[0, 0]
+        assert thrust_N == pytest.approx(without_data[0] + 20.0 * apart, abs=SAME_THRUST_N)
 
 
 def test_it_imports_nothing_of_the_project() -> None:
