@@ -14,8 +14,11 @@ import transport
 from tests.support.commands import SHORT, settings
 from tests.support.commands import transport as command
 from tests.support.own_classes import Chain
-from transport.protocol.wire.exit_codes import EXIT_FAILED, EXIT_SCENARIO
+from transport.protocol.wire.exit_codes import EXIT_FAILED, EXIT_SCENARIO, EXIT_UNREACHABLE
 from transport.protocol.wire.messages import Note, Plan, PlantState
+
+# Plans of an agent that takes four periods a step, of 25 ticks: most are late on any machine.
+MISSED_PLANS = 5
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 FAILS = """
@@ -182,3 +185,44 @@ def test_the_allowed_share_of_failed_steps_is_a_key(tmp_path: Path) -> None:
     summary = json.loads(done.stdout)
     assert summary["outcome"] == "completed"
     assert summary["solver"]["failures"] == 60
+
+
+SLOW = """
+import time
+class Slow:
+    version = "1"
+    def start(self, run):
+        self.run = run
+    def step(self, measurement, messages):
+        if self.run.agent == 3 and self.run.tick >= 5:
+            time.sleep({sleep_s})
+        return self.run.u_hover[4 * self.run.owned[0] :][:4]
+    def stop(self):
+        pass
+"""
+
+
+@pytest.mark.slow
+def test_a_class_that_is_too_slow(tmp_path: Path) -> None:
+    """In lockstep the team waits as long as the barrier: exit code 4, with the agent in one line.
+
+    In real time its plans miss their deadlines, which the summary counts.
+    """
+    (tmp_path / "mine.py").write_text(SLOW.replace("{sleep_s}", "6.0"), encoding="utf-8")
+    options = settings(SHORT, "agents.controller=mine:Slow", "clock.barrier_timeout_s=2.0")
+    done = command("run", "paper", *options, "--out", "out", "--no-figures", cwd=tmp_path)
+    assert done.returncode == EXIT_UNREACHABLE
+    why = "agent3 did not answer tick 5 in time at t = 0.25 s"
+    assert done.stderr.splitlines()[-1] == f"transport: {why}"  # after processes that were killed
+    assert done.stdout.startswith(f"paper aborted: {why}")
+
+    (tmp_path / "late.py").write_text(SLOW.replace("{sleep_s}", "0.2"), encoding="utf-8")
+    realtime = ("clock.mode=realtime", "clock.actuation=next_tick", "clock.speed=1.0")
+    options = settings(SHORT, "agents.controller=late:Slow", *realtime)
+    done = command(
+        "run", "paper", *options, "--out", "late", "--no-figures", "--format", "json", cwd=tmp_path
+    )
+    summary = json.loads(done.stdout)
+    assert summary["outcome"] == "completed"
+    assert summary["deadline"]["missed"] >= MISSED_PLANS
+    assert summary["solver"]["failures"] == 0
