@@ -17,7 +17,9 @@ from transport.model.arrays import Array
 from transport.protocol.wire.messages import Plan
 
 CONTROLLERS = Path(__file__).resolve().parents[1] / "examples" / "controllers"
-MODULES = ("prediction", "program", "paper", "sequential", "admm", "event_triggered")
+MODULES = (
+    *("prediction", "program", "paper", "sequential", "admm", "event_triggered", "alone", "nmpc"),
+)
 MOST_LINES = 120
 
 # Two solvers of one program end in the same optimum; what is left is rounding, over 500 steps.
@@ -29,6 +31,11 @@ ITERATIONS = 60  # by then ADMM is there, from a start without any information
 SEQUENTIAL_EXCESS = 0.25
 # ADMM with ten exchanges a tick against the built-in centralized controller, which has rate limits.
 ADMM_EXCESS = 0.01
+
+# The gains and equations of `alone` are those of the built-in one, over 100 steps of hover.
+SAME_LAW = 1e-9
+# Nonlinear model against one linearised anew at each tick, over a maneuver of small angles.
+NONLINEAR = 0.05
 
 HOVER_AND_CLIMB = [
     {"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]},
@@ -215,3 +222,27 @@ def test_events(delay_s: float, loss: float) -> None:
         flights[gust_mps] = [plan.shared for plan in run.log.of(Plan)]
     assert sum(flights[0.0]) == 4
     assert 4 < sum(flights[0.5]) < 0.5 * len(flights[0.5])
+
+
+@pytest.mark.parametrize("settings", [{}, {"links.loss": 1.0}], ids=["perfect", "no message"])
+def test_alone(settings: dict[str, Any]) -> None:
+    """In a gusty hover it is the built-in law of a UAV alone, and it sends the first plan only."""
+    gusts = {"gust_mps": [1.0] * 3, "phases": HOVER_AND_CLIMB[:1] * 4, "progress": False}
+    flights = [
+        transport.fly("alone", {"agents.controller": name, **settings}, **gusts)
+        for name in ("alone", "alone:Alone")
+    ]
+    built_in, own = (run.summary["cost"]["mean"] for run in flights)
+    assert own == pytest.approx(built_in, rel=SAME_LAW)
+    assert sum(plan.shared for plan in flights[1].log.of(Plan)) == 4
+
+
+@pytest.mark.slow
+@pytest.mark.pages
+def test_the_nonlinear_optimum() -> None:
+    """On the nonlinear model the centralized controller costs as much as on the linearised one."""
+    pytest.importorskip("do_mpc", reason="needs the extra nmpc")
+    settings = {"maneuver.phase": HOVER_AND_CLIMB}
+    linearised = cost("centralized", "mpc", **settings)
+    nonlinear = cost("centralized", "nmpc:NMPC", **settings)
+    assert nonlinear == pytest.approx(linearised, rel=NONLINEAR)

@@ -17,11 +17,14 @@ line-search algorithm for large-scale nonlinear programming, Math. Program. 106 
 """
 
 import contextlib
-import os
+import io
+import warnings
 
 import casadi as ca
-import do_mpc
 import numpy as np
+
+with warnings.catch_warnings(action="ignore"):  # of parts of do-mpc that are not used
+    import do_mpc
 
 from transport.model.dynamics import Symbols, motion, outputs
 
@@ -39,9 +42,10 @@ class NMPC:
     arena = {"tuned": "nothing: the cost is the task's", "centralized": True}
 
     def start(self, run):
-        """State the problem; do-mpc talks while it does."""
+        """State the problem; what do-mpc and CasADi say about each other is silenced."""
         self.run = run
-        with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):  # noqa: PTH123
+        silent = warnings.catch_warnings(action="ignore", category=FutureWarning)
+        with silent, contextlib.redirect_stdout(io.StringIO()):
             self.state_problem()
         self.mpc.x0 = run.reference(0)
         self.mpc.u0 = run.u_hover
@@ -70,9 +74,9 @@ class NMPC:
         self.mpc.settings.supress_ipopt_output()
 
         error = self.h(x) - y_ref
-        effort = u - run.u_hover
-        stage = ca.dot(Q, error**2)
-        effort_cost = ca.dot(weights.R(run.system), effort**2)
+        effort = u - ca.DM(run.u_hover)
+        stage = ca.dot(ca.DM(Q), error**2)
+        effort_cost = ca.dot(ca.DM(weights.R(run.system)), effort**2)
         self.mpc.set_objective(lterm=stage + effort_cost, mterm=weights.terminal * stage)
         self.mpc.set_rterm(u=0.0)  # changes of inputs cost nothing
         self.mpc.bounds["lower", "_u", "u"] = run.lower

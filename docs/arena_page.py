@@ -1,0 +1,72 @@
+"""Fly the arena with all ready algorithms and renew docs/arena.md.
+
+Part of `make figures`. Results are kept for each commit. Further arguments go to
+`transport arena`.
+"""
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from tables import ROOT, commit, put, table
+
+from transport.experiments.arena_tasks import NETWORK_TEXTS, NETWORKS, TASKS
+
+PAGE = ROOT / "docs" / "arena.md"
+IMAGES = ROOT / "docs" / "images"
+FOLDER = ROOT / "examples" / "controllers"
+
+# The paper's algorithm as a class is left out: its numbers are those of `paper`.
+ENTERED = (
+    "alone:Alone",
+    "sequential:Sequential",
+    "event_triggered:EventTriggered",
+    "admm:ADMM",
+    "nmpc:NMPC",
+)
+
+
+def tasks() -> str:
+    """Return the table of the tasks."""
+    rows = [
+        [f"`{name}`", str(task.version), str(task.uavs), task.text] for name, task in TASKS.items()
+    ]
+    return table(["task", "version", "UAVs", ""], rows)
+
+
+def networks() -> str:
+    """Return the table of the networks."""
+    rows = [
+        [f"`{name}`", NETWORK_TEXTS[name], ", ".join(f"`{one}`" for one in settings)]
+        for name, settings in NETWORKS.items()
+    ]
+    return table(["network", "", "settings"], rows)
+
+
+def results(arguments: Sequence[str]) -> str:
+    """Fly the arena as far as this commit has not, copy the figure and return the report."""
+    folder = ROOT / "runs" / "figures" / commit() / "arena"
+    entered = [word for name in ENTERED for word in ("--controller", name)]
+    command = [sys.executable, "-P", "-m", "transport", "arena", *entered, *arguments]
+    if "--out" in arguments:
+        folder = Path(arguments[arguments.index("--out") + 1])
+    else:
+        command += ["--out", str(folder)]
+    subprocess.run(command, stdout=subprocess.DEVNULL, check=True, cwd=FOLDER)
+    shutil.copy(folder / "figure.png", IMAGES / "arena.png")
+    report = (folder / "report.md").read_text(encoding="utf-8").strip()
+    figure = "![Completion of each task, and the other measures, by algorithm](images/arena.png)"
+    return f"{figure}\n\n{report}"
+
+
+def main() -> None:
+    """Renew the tables of the page."""
+    put(PAGE, "tasks", tasks())
+    put(PAGE, "networks", networks())
+    put(PAGE, "results", results(sys.argv[1:]))
+
+
+if __name__ == "__main__":
+    main()
