@@ -71,4 +71,4 @@ def test_notebooks_are_small_and_show_something(path: Path) -> None:
     assert re.search(r"\D/(home|tmp|root|work)/", text) is None
     code = [cell for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"]
     assert all(cell["execution_count"] for cell in code)
-    assert len(NOTEBOOKS) == 3
+    assert len(NOTEBOOKS) == 4
