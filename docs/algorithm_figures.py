@@ -15,11 +15,12 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+import orjson
 import threadpoolctl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from tables import ROOT, put, table
+from tables import ROOT, commit, put, table
 
 from transport.agent.own_run import run_of
 from transport.analysis.analysed_run import AnalysedRun
@@ -34,7 +35,7 @@ from transport.model.arrays import Array
 from transport.protocol.scenario.file import find_scenario, read_scenario
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import PlantState
-from transport.report.column import column_panels, head
+from transport.report.column import Room, column_panels, head
 from transport.report.style import CURVES, DIVERGED, MARKER, RC, save
 
 FOLDER = ROOT / "examples" / "controllers"
@@ -55,6 +56,8 @@ STYLES = dict(zip(SHOWN, CURVES, strict=False))
 LEAST = 1e-12  # of what is drawn on a logarithmic axis
 
 ITERATIONS = 60
+NEAR = 1e-4
+HOVER_S = 5.0  # of the maneuver, in which nothing has to be agreed upon
 # A state near hover, at rest, displaced and tilted so that limits are active.
 DISPLACED_M = (0.5, -0.25, 0.4)
 TILTED_RAD = (0.1, -0.05, 0.05)
@@ -200,7 +203,7 @@ def draw_admm(runs: Mapping[str, Flight]) -> tuple[Path, str]:
             Line2D([], [], label=TEXTS[net], color=STYLES[net][0], linestyle=STYLES[net][2])
             for net in runs
         ]
-        over, during = column_panels(figure, [1.0, 1.0], legend=legend)
+        over, during = column_panels(figure, [1.0, 1.0], legend=legend, room=Room(gap_in=0.42))
         colour, marker, _ = STYLES[PERFECT]
         over.semilogy(
             range(1, len(iterated) + 1), iterated, color=colour, marker=marker, markersize=1.5
@@ -216,11 +219,19 @@ def draw_admm(runs: Mapping[str, Flight]) -> tuple[Path, str]:
         head(during, "the same of the applied inputs, ten iterations a tick", legend=False)
         file = saved(figure, "own_admm_distance.png")
 
-    reached = int(np.argmax(iterated < 1e-4)) + 1
-    texts = [f"below 1e-4 from iteration {reached} on, {iterated[-1]:.0e} after {ITERATIONS}"]
-    for network, (_, distances) in in_flight.items():
-        texts.append(f"in flight, {TEXTS[network]}: median {np.median(distances):.1e}")
-    return file, "; ".join(texts)
+    return file, in_words(iterated, in_flight)
+
+
+def in_words(iterated: Array, in_flight: Mapping[str, tuple[Array, Array]]) -> str:
+    """Return what the distances show."""
+    reached = int(np.argmax(iterated < NEAR)) + 1
+    texts = [f"below {NEAR:g} from iteration {reached} on, {iterated[-1]:.0e} after {ITERATIONS}"]
+    for network, (times_s, distances) in in_flight.items():
+        moving = distances[times_s > HOVER_S]
+        until = f"from {HOVER_S:g} s until {times_s[-1]:.1f} s"
+        spread = f"median {np.median(moving):.0e}, largest {moving.max():.0e}"
+        texts.append(f"in flight, {TEXTS[network]}, {until}: {spread}")
+    return "; ".join(texts)
 
 
 def row_of(name: str, runs: Mapping[str, Flight]) -> list[str]:
@@ -241,27 +252,34 @@ def row_of(name: str, runs: Mapping[str, Flight]) -> list[str]:
     return cells
 
 
+def flown_and_drawn(name: str) -> Any:
+    """Return row and note of an algorithm, flown and drawn as far as this commit has not."""
+    file = ROOT / "runs" / "figures" / commit() / "algorithms" / f"{name.partition(':')[0]}.json"
+    if not file.exists():
+        networks = [PERFECT] if entered(name).centralized else list(SHOWN)
+        runs = {network: flown(name, network) for network in networks}
+        draw(name, runs)
+        note = draw_admm(runs)[1] if name == "admm:ADMM" else ""
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(orjson.dumps({"row": row_of(name, runs), "note": note}))
+    return orjson.loads(file.read_bytes())
+
+
 def main(names: Sequence[str]) -> None:
     """Draw the figures; with all algorithms also renew the table."""
     os.chdir(FOLDER)
     sys.path.append(str(FOLDER))
-    rows = []
-    distance = ""
-    for name in names or ALGORITHMS:
-        networks = [PERFECT] if entered(name).centralized else list(SHOWN)
-        runs = {network: flown(name, network) for network in networks}
-        draw(name, runs)
-        rows.append(row_of(name, runs))
-        if name == "admm:ADMM":
-            _, distance = draw_admm(runs)
-            sys.stderr.write(f"{distance}\n")
+    made = [flown_and_drawn(name) for name in names or ALGORITHMS]
     if not names:
         headings = ["over the paper's maneuver", *TEXTS.values(), "payload error, rms", "step"]
+        note = " ".join(one["note"] for one in made if one["note"])
         origin = f"Mean cost; step: median. Machine: {machine()}."
-        content = (
-            f"{table(headings, rows)}\n\n{origin} ADMM's distance from the optimum: {distance}."
+        rows = table(headings, [one["row"] for one in made])
+        put(
+            PAGE,
+            "ready algorithms",
+            f"{rows}\n\n{origin} ADMM's distance from the optimum: {note}.",
         )
-        put(PAGE, "ready algorithms", content)
 
 
 if __name__ == "__main__":

@@ -80,5 +80,6 @@ def arena(
     files = [str(file) for file in result.write(folder)]
     lines = ["", *result.sentences(), "", *(f" {file}" for file in files)]
     content = {**result.content(), "files": files}
-    show(options.output, content, Group(*result.tables()), *lines, width=_WIDTH)
+    tables = [part for table in result.tables() for part in (table, "")]
+    show(options.output, content, Group(*tables), *lines, width=_WIDTH)
     result.swept.check()

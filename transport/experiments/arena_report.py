@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import orjson
+import tomli_w
 from rich.console import Console
 from rich.table import Table
 
@@ -22,6 +23,9 @@ from transport.report.report import write_whole
 RESULTS = "arena.json"
 _MISSING = "-"
 _REFUSED = "no"
+_TITLE_WIDTH = 60  # characters, of the longest title
+# Folder of the scenarios that were not completed.
+_ENDED = "ended"
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +39,7 @@ class Axis:
 
 
 AXES: Sequence[Axis] = (
-    Axis("Completed runs", ""),
+    Axis("Completed runs; earliest end of the others", ""),
     Axis(f"Mean cost over that of `{REFERENCE}` on a perfect network", COST_RATIO),
     Axis("Payload error, cm rms", "payload_rms_m", 100.0, 1),
     Axis("Smallest distance of two UAVs, m", "separation_min_m", 1.0, 3),
@@ -75,7 +79,8 @@ class ArenaResult:
 
     def _table(self, axis: Axis) -> Table | None:
         """Return the table of an axis: a row for each algorithm, in each cell a line per network."""
-        table = Table(box=None, title=axis.title, title_justify="left", padding=(0, 1, 0, 0))
+        table = Table(box=None, title=axis.title, padding=(0, 1, 0, 0), min_width=_TITLE_WIDTH)
+        table.title_justify = "left"
         for heading in ("algorithm", "network", *self.tasks):
             table.add_column(heading, no_wrap=True)
 
@@ -98,7 +103,8 @@ class ArenaResult:
         if refused:
             return _REFUSED
         if not axis.number:
-            return f"{one.completed}/{one.runs}" + f" {one.errors}!" * bool(one.errors)
+            end = f" {min(one.diverged_s):.1f} s" if one.diverged_s else ""
+            return f"{one.completed}/{one.runs}{end}" + f" {one.errors}!" * bool(one.errors)
         if axis.number != COST_RATIO and axis.number not in one.numbers:
             return _MISSING
         mean = one.mean(axis.number)
@@ -144,7 +150,23 @@ class ArenaResult:
         write_whole(results, text + b"\n")
         report = folder / "report.md"
         write_whole(report, self.markdown().encode())
-        return [results, *files, report]
+        return [results, *files, report, *self._write_ended(folder / _ENDED)]
+
+    def _write_ended(self, folder: Path) -> list[Path]:
+        """Write the first run of each point that was not completed as a scenario; return the files.
+
+        `transport run` flies it again, with figures and log.
+        """
+        files: dict[int, Path] = {}
+        for case, result in zip(self.swept.cases, self.swept.results, strict=True):
+            if result.outcome == "completed" or case.point in files:
+                continue
+            words = "-".join(map(str, self.arena.experiment.points[case.point].labels.values()))
+            name = "".join(letter if letter.isalnum() else "-" for letter in words)
+            folder.mkdir(exist_ok=True)
+            files[case.point] = folder / f"{name}.toml"
+            write_whole(files[case.point], tomli_w.dumps(case.scenario.tree()).encode())
+        return list(files.values())
 
     def markdown(self) -> str:
         """Return tables and sentences in Markdown."""

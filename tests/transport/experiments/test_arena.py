@@ -1,7 +1,7 @@
 """The arena: its combinations, entries of the user, tables, and resumption."""
 
-import sys
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -65,7 +65,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         "eight UAVs": Task(text="0.6 s of eight", settings=(SHORT,), uavs=8),
     }
     for module in ("arena", "arena_report", "arena_tasks"):
-        monkeypatch.setattr(sys.modules[f"transport.experiments.{module}"], "TASKS", tasks)
+        monkeypatch.setattr(import_module(f"transport.experiments.{module}"), "TASKS", tasks)
     return iter(())
 
 
@@ -178,6 +178,10 @@ def test_the_whole_command(short: None, tmp_path: Path) -> None:
     report = (tmp_path / "report.md").read_text(encoding="utf-8")
     assert "| algorithm | network | short | eight UAVs |" in report
 
+    # Its step returns no data: every one fails.
+    ended = [file.name for file in sorted((tmp_path / "ended").iterdir())]
+    assert [name.partition("-tests-")[0] for name in ended] == ["short-late", "short-perfect"]
+    assert all(name.endswith("test-arena-Large.toml") for name in ended)
     again = here(*options, *chosen, *out)
     runs = sum(row["flights"] for row in content["points"])
     assert f"{runs} of {runs} runs are done already" in again.stderr
@@ -208,3 +212,28 @@ def test_from_python(short: None) -> None:
 def test_the_project_says_what_was_tuned() -> None:
     """Every algorithm of the project states it."""
     assert all(len(one.tuned) > 10 for one in BUILT_IN.values())
+
+
+class Falling(Steady):
+    """No thrust: the team falls out of the allowed distance from the reference."""
+
+    def start(self, run: Run) -> None:
+        """Switch the motors off."""
+        super().start(run)
+        self.u = 0.0 * self.u
+
+
+def test_a_run_that_ends_early_can_be_flown_again(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Its scenario is in the folder, and ends at the same time with the same reason."""
+    result = transport.arena(
+        Falling, tasks=["gusts"], networks=[PERFECT], algorithms=[REFERENCE], seeds=1, workers=1,
+        folder=tmp_path, progress=False,
+    )  # fmt: skip
+    (row,) = (row for row in result.rows("runs") if row["outcome"] != "completed")
+    (file,) = (tmp_path / "ended").iterdir()
+    again = transport.fly(file, progress=False)
+    assert again.outcome == row["outcome"] == "diverged"
+    assert again.summary["reason"] == row["reason"]
+    assert f"0/1 {row['lost_s']:.1f} s" in str(result)
