@@ -227,9 +227,14 @@ def test_events(delay_s: float, loss: float) -> None:
 @pytest.mark.parametrize("settings", [{}, {"links.loss": 1.0}], ids=["perfect", "no message"])
 def test_alone(settings: dict[str, Any]) -> None:
     """In a gusty hover it is the built-in law of a UAV alone, and it sends the first plan only."""
-    gusts = {"gust_mps": [1.0] * 3, "phases": HOVER_AND_CLIMB[:1] * 4, "progress": False}
     flights = [
-        transport.fly("alone", {"agents.controller": name, **settings}, **gusts)
+        transport.fly(
+            "alone",
+            {"agents.controller": name, **settings},
+            gust_mps=[1.0] * 3,
+            phases=HOVER_AND_CLIMB[:1] * 4,
+            progress=False,
+        )
         for name in ("alone", "alone:Alone")
     ]
     built_in, own = (run.summary["cost"]["mean"] for run in flights)

@@ -6,7 +6,14 @@ from typing import Any
 
 from transport.experiments.arena_entries import REFERENCE, Algorithm, algorithms_of
 from transport.experiments.arena_tasks import NETWORKS, PERFECT, SCENARIO, TASKS
-from transport.experiments.cases import Case, Point, cases_of_point, refused, resource_use
+from transport.experiments.cases import (
+    Case,
+    Point,
+    cases_of_point,
+    check,
+    refused,
+    resource_use,
+)
 from transport.experiments.declaration import Experiment
 from transport.log.run_log import RunLog
 from transport.protocol.scenario.errors import ScenarioError
@@ -121,7 +128,9 @@ def _point(task: str, network: str, algorithm: Algorithm) -> Point:
 def _cases(index: int, point: Point, seeds: int) -> list[Case]:
     """Return the runs of a point. Raises: ScenarioError: it cannot be flown."""
     scenario = point.read()
-    return cases_of_point(index, scenario, find_scenario(SCENARIO), seeds, more=axes)
+    path = find_scenario(SCENARIO)
+    check(scenario, path)
+    return cases_of_point(index, scenario, path, seeds, more=axes)
 
 
 def axes(setup: Setup, summary: Any, log: RunLog) -> Mapping[str, float | None]:

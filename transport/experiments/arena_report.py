@@ -18,7 +18,7 @@ from transport.experiments.arena_tasks import NETWORK_TEXTS, NETWORKS, TASKS
 from transport.experiments.statistics import COST_RATIO, PointStatistics
 from transport.experiments.sweep import Results, Simulate, Swept, markdown_of, sweep
 from transport.flight.run_files import machine, versions
-from transport.report.report import write_whole
+from transport.log.whole_files import write_whole
 
 RESULTS = "arena.json"
 _MISSING = "-"
