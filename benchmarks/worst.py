@@ -97,7 +97,11 @@ READY = {
     "windy": Case(scenario="windy", over=("silence", "deaths")),
     "eight": Case(scenario="eight", over=("silence", "links")),
     "gap": Case(scenario="gap", over=("links", "gusts")),
-    "playground": Case(scenario="playground", over=("silence", "links", "targets")),
+    "playground": Case(
+        scenario="playground",
+        settings=("maneuver.phase=[{name='hover',duration_s=15.0,displacement_m=[0,0,0]}]",),
+        over=("silence", "links", "targets"),
+    ),
     "paper": Case(scenario="paper", over=("gusts", "mass")),
 }
 

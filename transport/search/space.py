@@ -185,6 +185,10 @@ class Space:
             events=tuple(slice(begin, end) for begin, end in itertools.pairwise(ends)),
             severe=np.array([mark == "+" for slot in slots for mark in slot.severe]),
         )
+        corners = (np.full(self.dimension, end) for end in (0.0, 1.0))
+        if not any(self.candidate(corner).events for corner in corners):
+            problem = f"expected bounds that allow an event of {', '.join(kinds)}, got none"
+            raise ScenarioError("bounds", "", problem)
 
     def candidate(self, point: Array) -> Candidate:
         """Return the candidate at a point of the unit cube, (dimension,)."""
@@ -245,13 +249,14 @@ def _deaths(bounds: DeathBounds, agents: int) -> list[Slot]:
 
 
 def _links(bounds: LinksBounds, _: int) -> list[Slot]:
-    def event(point: Array) -> Links:
+    def event(point: Array) -> Links | None:
         delay, jitter, loss = point
-        return Links(
+        links = Links(
             delay_s=_between(bounds.delay_s, delay),
             jitter_s=_between(bounds.jitter_s, jitter),
             loss=_between(bounds.loss, loss),
         )
+        return links if any([links.delay_s, links.jitter_s, links.loss]) else None
 
     return [Slot("+++", event)]
 
@@ -265,12 +270,13 @@ def _gusts(bounds: GustsBounds, _: int) -> list[Slot]:
 
 
 def _mass(bounds: MassBounds, _: int) -> list[Slot]:
-    def event(point: Array) -> ModelError:
+    def event(point: Array) -> ModelError | None:
         mass, lag = point
-        return ModelError(
+        error = ModelError(
             mass_factor=_between(bounds.mass_factor, mass),
             motor_lag_s=_between(bounds.motor_lag_s, lag),
         )
+        return error if error != ModelError() else None
 
     return [Slot(".+", event)]
 

@@ -1,6 +1,7 @@
 """Events change a scenario as their words say, alone and together."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from transport.protocol.scenario.links import Link
 from transport.protocol.scenario.schema import Scenario
 from transport.search.candidate import Base, Candidate
 from transport.search.events import Death, Gusts, Silence, TargetEvent
-from transport.search.space import KINDS, Space, read_bounds
+from transport.search.space import KINDS, Bounds, Space, read_bounds
 
 PERIOD_S = 0.05
 TICKS = 120  # instants at which losses are compared: those of 6 s
@@ -80,6 +81,20 @@ def test_every_point_of_the_space_is_a_valid_scenario(seed: int) -> None:
     for point in (inside, corner):
         candidate = space.candidate(point)
         assert candidate.scenario(BASE).name == "resilient"
+
+
+@pytest.mark.parametrize(
+    "bounds",
+    [
+        {"gusts": {"speed_mps": (0.0, 0.0)}},
+        {"links": {"delay_s": (0.0, 0.0), "jitter_s": (0.0, 0.0), "loss": (0.0, 0.0)}},
+        {"mass": {"mass_factor": (1.0, 1.0)}},
+    ],
+)
+def test_bounds_that_allow_no_event_are_refused(bounds: dict[str, Any]) -> None:
+    """A space in which no candidate has an event is an error of one line."""
+    with pytest.raises(ScenarioError, match="expected bounds that allow an event"):
+        Space(list(bounds), Bounds.model_validate(bounds), BASE.scenario)
 
 
 @settings(max_examples=25)
