@@ -14,6 +14,7 @@ from rich.console import Console
 from transport.flight import live
 from transport.flight.fault_script import FaultScript
 from transport.flight.harness import Child, Harness, keys_setting, reserved_ports
+from transport.flight.priority import below_the_team
 from transport.flight.progress import RunProgress, compile_model
 from transport.flight.recorder import Recorder
 from transport.flight.run_files import (
@@ -146,7 +147,8 @@ def simulate(
                 progress.say(_invitation(name, addresses, setup.scenario.digest()))
             started()
 
-            _watch(recorder, progress, harness, FaultScript(setup, harness, recorder))
+            with below_the_team():
+                _watch(recorder, progress, harness, FaultScript(setup, harness, recorder))
             if recorder.control is not None:
                 harness.wait(_LEAVE_S)
     return _finished(folder, recorder)
