@@ -1,7 +1,7 @@
 """What an agent knows of the team's radio: which plans and proposals have come through the air."""
 
 from transport.protocol.admission.arrivals import Arrivals
-from transport.protocol.wire.messages import NO_NEWS, Airtime, Plan
+from transport.protocol.wire.messages import NO_NEWS, REPLACED, Airtime, Plan
 from transport.protocol.wire.names import agent_name
 
 Iteration = tuple[int, int]  # tick, and exchanges that follow within it
@@ -23,7 +23,9 @@ class AirNews:
         for sender, tick, exchange, arrival_s in rows:
             if arrival_s == NO_NEWS:
                 continue
-            if exchange == 0:
+            if arrival_s == REPLACED:
+                plans.withdraw(agent_name(sender), tick)
+            elif exchange == 0:
                 plans.air(agent_name(sender), tick, arrival_s if arrival_s >= 0.0 else None)
             elif (tick, exchange) == (news.tick, news.negotiation) and arrival_s >= 0.0:
                 heard.add(sender)

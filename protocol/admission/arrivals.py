@@ -31,6 +31,7 @@ class Arrivals(Generic[M]):
         # With a radio: when each message had come through the air, s after its tick, by sender and
         # tick; None: it was lost there.
         self._aired: dict[tuple[str, int], float | None] | None = {} if aired else None
+        self._withdrawn: set[tuple[str, int]] = set()  # by sender and tick
 
     def put(self, message: M, now_ns: int) -> None:
         """Take in a message that has physically arrived."""
@@ -46,6 +47,10 @@ class Arrivals(Generic[M]):
         """Note when a message has come through the air, s after its tick; None: it was lost."""
         if self._aired is not None:
             self._aired[sender, tick] = arrival_s
+
+    def withdraw(self, sender: str, tick: int) -> None:
+        """Forget a message that its sender never put on the air; it does not count as lost."""
+        self._withdrawn.add((sender, tick))
 
     def take(self, tick: int, now_ns: int) -> tuple[list[M], int]:
         """Return the messages that have become usable, and the number of newly lost ones.
@@ -73,6 +78,10 @@ class Arrivals(Generic[M]):
         """Let the links decide about the messages sent, in lockstep, until a tick."""
         waiting: list[M] = []
         for message in self._sent:
+            sent = message.sender, message.tick
+            if sent in self._withdrawn:
+                self._withdrawn.remove(sent)
+                continue
             if message.tick + self._after > tick or not self._is_through(message):
                 waiting.append(message)
                 continue

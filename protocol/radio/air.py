@@ -3,9 +3,12 @@
 Sets of stations are bit masks: station 3 is the bit of value 8.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import NamedTuple
+
+_SETS_KEPT = 4096  # saves only time
 
 Powers = Sequence[Sequence[float]]
 
@@ -88,14 +91,17 @@ def _latest_end_first(transmission: Transmission) -> tuple[int, int]:
     return -transmission.end_ns, transmission.sender
 
 
-def mask_of(flags: Iterable[bool]) -> int:
-    """Return the set of the places that are true."""
-    return sum([1 << place for place, flag in enumerate(flags) if flag])
+def at_least(threshold_mw: float, powers_mw: Iterable[float]) -> int:
+    """Return the set of the stations whose power is not below a threshold."""
+    return sum([1 << place for place, power in enumerate(powers_mw) if power >= threshold_mw])
 
 
-def members(mask: int) -> Iterator[int]:
-    """Yield the stations of a set in ascending order."""
+@lru_cache(maxsize=_SETS_KEPT)
+def members(mask: int) -> tuple[int, ...]:
+    """Return the stations of a set in ascending order."""
+    found = []
     while mask:
         lowest = mask & -mask
-        yield lowest.bit_length() - 1
+        found.append(lowest.bit_length() - 1)
         mask ^= lowest
+    return tuple(found)

@@ -1,6 +1,5 @@
 """Traffic of others on the channel: one more station, which all stations of the team hear."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from transport.protocol.radio.draws import exponential
@@ -46,9 +45,9 @@ class Background:
             next_ns += round(mean_ns * exponential(self.seed, self.station, "background", number))
         return frames, BackgroundState(number, next_ns)
 
-    def heard(self, powers: Sequence[Sequence[float]]) -> Powers:
+    def heard(self, powers: Powers) -> Powers:
         """Return the powers of the team with those of this station behind them, if it sends."""
         if self.share == 0.0:
-            return [list(row) for row in powers]
-        team = [[*row, self.power_mw] for row in powers]
-        return [*team, [self.power_mw] * (len(powers) + 1)]
+            return powers
+        team = [(*row, self.power_mw) for row in powers]
+        return [*team, (self.power_mw,) * (len(powers) + 1)]

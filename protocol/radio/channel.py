@@ -9,7 +9,14 @@ from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 from typing import NamedTuple
 
-from transport.protocol.radio.air import Powers, Transmission, enter, mask_of, members, sensed_until
+from transport.protocol.radio.air import (
+    Powers,
+    Transmission,
+    at_least,
+    enter,
+    members,
+    sensed_until,
+)
 from transport.protocol.radio.draws import uniform
 from transport.protocol.radio.frames import Frame, Outcome, Result
 from transport.protocol.radio.reception import CERTAIN_MARGIN, Interference, Signal, success
@@ -112,6 +119,8 @@ class _Window:
         thresholds: Thresholds,
         state: ChannelState,
         powers: Powers,
+        *,
+        near: bool,
     ) -> None:
         self._parameters = parameters
         self._thresholds = thresholds
@@ -123,19 +132,23 @@ class _Window:
         self.outcomes: list[Outcome] = []
         self.counts = ChannelCounts()
 
+        self._until_ns = state.time_ns  # end of the window
         self._busy_from = state.time_ns
         self._everyone = (1 << len(self.stations)) - 1
         self._seed = parameters.seed
         self._redraw_seed = parameters.seed if parameters.interrupted_wait_draws else None
 
         # On an idle channel: stations that detect a sender, and that certainly decode its payload.
-        detected_mw = thresholds.detected_mw
-        certain_mw = thresholds.certain_mw
-        self._detecting = [mask_of([power >= detected_mw for power in row]) for row in powers]
-        self._certain = [mask_of([power >= certain_mw for power in row]) for row in powers]
+        others = [self._everyone & ~(1 << number) for number in range(len(self.stations))]
+        self._detecting = self._certain = others
+        if not near:
+            self._detecting = [at_least(thresholds.detected_mw, row) for row in powers]
+            self._certain = [at_least(thresholds.certain_mw, row) for row in powers]
+        self._is_shared_by_all = near and not parameters.unicast
 
     def run(self, frames: Iterable[Frame], until_ns: int) -> None:
         """Process all events before an instant."""
+        self._until_ns = until_ns
         events = self.events
         events.extend(
             [Event(frame.sent_ns, _SEND, frame.sender, frame.sequence, frame) for frame in frames]
@@ -164,16 +177,58 @@ class _Window:
     # Sends and attempts
 
     def _send(self, station: Station, frame: Frame, now: int) -> None:
-        was_empty = not station.queue
-        receivers = frame.receivers if self._parameters.unicast else (BROADCAST,)
-        for receiver in receivers:
+        """Take a frame into the queue of its sender, and ask for the medium if it is the first."""
+        was_idle = not station.queue and not station.sending
+        if was_idle:
+            station.request(self._seed, now)
+            if self._is_shared_by_all and self._carry_alone(station, frame):
+                return
+
+        is_unicast = self._parameters.unicast and frame.receivers
+        for receiver in frame.receivers if is_unicast else (BROADCAST,):
             if len(station.queue) < self._parameters.queue_length:
                 station.queue.append(Pending(frame, receiver))
             else:
                 lost = frame.receivers if receiver == BROADCAST else (receiver,)
                 self.outcomes.extend([Outcome(frame, loser, Result.QUEUE, now) for loser in lost])
-        if was_empty and station.queue and not station.sending:
-            station.request(self._seed, now)
+        if was_idle:
+            self._transmit_when_due(station)
+
+    def _carry_alone(self, sender: Station, frame: Frame) -> bool:
+        """Carry a broadcast that all stations decode, if nothing else happens until its end.
+
+        The result is that of `_transmit`, `_detect` and `_end`, in fewer steps.
+        """
+        begin = sender.due()
+        frame_bytes = frame.message_bytes + OVERHEAD_BYTES
+        airtime_ns = self._standard.airtime_ns(frame_bytes, self._parameters.rate_mbps)
+        end = begin + airtime_ns
+        if self.air or not self._is_next(end):
+            return False
+
+        self.counts.transmissions += 1
+        self.counts.busy_ns += airtime_ns
+        detected = begin + self._standard.cca_ns
+        for station in self.stations:
+            station.error_until = 0
+            if station is not sender:
+                station.sense(end, detected, redraw_seed=self._redraw_seed)
+
+        sender.transmissions += 1
+        sender.busy_until = end
+        sender.window = self._standard.cw_min
+        sender.draw_backoff(self._seed, end)
+        self.outcomes += [
+            Outcome(frame, receiver, Result.DELIVERED, end) for receiver in frame.receivers
+        ]
+        return True
+
+    def _transmit_when_due(self, station: Station) -> None:
+        """Transmit at the end of the backoff, at once if nothing happens until then."""
+        due = station.due()
+        if self._is_next(due):
+            self._transmit(station, due)
+        else:
             self._schedule_attempt(station)
 
     def _schedule_attempt(self, station: Station) -> None:
@@ -237,8 +292,19 @@ class _Window:
         for number in members(missed):
             self._sense_power(number, now)
 
-        heappush(self.events, Event(now + self._standard.cca_ns, _DETECT, new.sender))
+        # Nothing else happens until the end: preamble and end are decided at once.
+        detected_ns = now + self._standard.cca_ns
+        if not new.overlaps and self._is_next(new.end_ns):
+            self._detect(new, detected_ns)
+            self._end(new, new.end_ns)
+            return
+        heappush(self.events, Event(detected_ns, _DETECT, new.sender))
         heappush(self.events, Event(new.end_ns, _END, new.sender))
+
+    def _is_next(self, time_ns: int) -> bool:
+        """Return whether an instant is in this window, and before all events that are known."""
+        is_before_all = not self.events or time_ns < self.events[0].time_ns
+        return is_before_all and time_ns < self._until_ns
 
     # Preambles and carrier sense
 
@@ -311,10 +377,10 @@ class _Window:
         if transmission.acknowledged >= 0:
             if decoded >> transmission.acknowledged & 1:
                 self._acknowledged(self.stations[transmission.acknowledged], now)
-        elif self._parameters.unicast:
-            self._end_unicast(sender, decoded, now)
-        else:
+        elif sender.queue[0].receiver == BROADCAST:
             self._end_broadcast(sender, transmission, decoded, now)
+        else:
+            self._end_unicast(sender, decoded, now)
 
     def _decoded(self, transmission: Transmission) -> int:
         """Return the stations that decode the payload."""
@@ -363,12 +429,10 @@ class _Window:
     ) -> None:
         frame = sender.queue.pop(0).frame
         for receiver in frame.receivers:
-            if decoded >> receiver & 1:
-                result = Result.DELIVERED
-            elif self._is_weak(transmission, receiver):
-                result = Result.WEAK
-            else:
-                result = Result.COLLISION
+            result = Result.DELIVERED
+            if not decoded >> receiver & 1:
+                is_weak = self._is_weak(transmission, receiver)
+                result = Result.WEAK if is_weak else Result.COLLISION
             self.outcomes.append(Outcome(frame, receiver, result, now))
         self._release(sender, now)
 
@@ -443,7 +507,11 @@ class _Window:
             self._schedule_attempt(station)
 
     def _transmission_of(self, number: int) -> Transmission:
-        return next(transmission for transmission in self.air if transmission.sender == number)
+        """Return the transmission of a station that is on the air; a station has one at most."""
+        for transmission in self.air:
+            if transmission.sender == number:
+                return transmission
+        raise LookupError(f"station {number}: expected a transmission on the air, got none")
 
 
 class Channel:
@@ -453,8 +521,19 @@ class Channel:
         self.parameters = parameters
         self._thresholds = parameters.thresholds()
 
+    def is_near(self, power_mw: float) -> bool:
+        """Return whether a station certainly decodes a sender on an idle channel."""
+        thresholds = self._thresholds
+        return power_mw >= max(thresholds.detected_mw, thresholds.certain_mw)
+
     def advance(
-        self, state: ChannelState, powers: Powers, frames: Iterable[Frame], until_ns: int
+        self,
+        state: ChannelState,
+        powers: Powers,
+        frames: Iterable[Frame],
+        until_ns: int,
+        *,
+        near: bool = False,
     ) -> tuple[ChannelState, list[Outcome], ChannelCounts]:
         """Return the channel at a later instant, with what was decided meanwhile.
 
@@ -463,11 +542,13 @@ class Channel:
             powers: Received power, mW, of each sender (row) at each station (column) in the window.
             frames: Frames sent from the state's instant on, in any order, also after `until_ns`.
             until_ns: End of the window; events at this instant belong to the next one.
+            near: Whether the powers of all pairs are known to be near (`is_near`). They are then read
+                only where transmissions overlap. The result is the same.
 
         Returns: The state at `until_ns`, outcomes in the order of their instants, and counts. Each
             frame has one outcome for each of its receivers, in this window or a later one.
         """
-        window = _Window(self.parameters, self._thresholds, state, powers)
+        window = _Window(self.parameters, self._thresholds, state, powers, near=near)
         window.run(frames, until_ns)
         later = ChannelState(
             tuple(window.stations), tuple(window.air), tuple(sorted(window.events)), until_ns

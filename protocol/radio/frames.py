@@ -12,6 +12,7 @@ class Result(IntEnum):
     WEAK = 2  # too weak for the receiver: lost on an idle channel as well
     QUEUE = 3  # the queue of the sender was full
     RETRIES = 4  # no acknowledgement after the last attempt
+    REPLACED = 5  # never sent: a newer one took its place before its slot
 
 
 class Frame(NamedTuple):

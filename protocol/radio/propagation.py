@@ -1,8 +1,9 @@
 """Received power: log-distance path loss with shadowing, and thermal noise."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from transport.protocol.radio.draws import normal
 
@@ -11,7 +12,26 @@ _TEMPERATURE_K = 290.0
 _NEAREST_M = 1.0  # the reference distance: path loss does not fall below its loss there
 
 Positions = Sequence[Sequence[float]]
-Powers = list[list[float]]
+Powers = Sequence[Sequence[float]]
+
+
+class PowersWhenNeeded(Sequence[Sequence[float]]):
+    """Powers that are computed when the first of them is read."""
+
+    def __init__(self, compute: Callable[[], Powers], stations: int) -> None:
+        self._compute = compute
+        self._stations = stations
+        self._powers: Powers | None = None
+
+    def __getitem__(self, place: Any) -> Any:
+        """Return the powers of a sender at each station, mW."""
+        if self._powers is None:
+            self._powers = self._compute()
+        return self._powers[place]
+
+    def __len__(self) -> int:
+        """Return the number of stations."""
+        return self._stations
 
 
 def milliwatts(dbm: float) -> float:
@@ -56,6 +76,11 @@ class Propagation:
             for i in range(stations)
         ]
 
+    def power_mw_at(self, reference_mw: float, squared_m2: float) -> float:
+        """Return the power at the square of a distance, m2, from that at 1 m, mW."""
+        squared_m2 = max(squared_m2, _NEAREST_M * _NEAREST_M)
+        return reference_mw * math.pow(squared_m2, -0.5 * self.exponent)
+
     def powers(self, at_reference: Powers, positions_m: Positions) -> Powers:
         """Return the power of each sender (row) at each station (column), mW.
 
@@ -63,8 +88,7 @@ class Propagation:
             at_reference: Power at 1 m, mW, (N, N).
             positions_m: Positions, m, (N, 3).
         """
-        half = -0.5 * self.exponent
-        powers = [[0.0] * len(positions_m) for _ in positions_m]
+        powers: list[list[float]] = [[0.0] * len(positions_m) for _ in positions_m]
         for i, (x, y, z) in enumerate(positions_m):
             reference = at_reference[i]
             row = powers[i]
@@ -73,8 +97,7 @@ class Propagation:
                 dx = x - other[0]
                 dy = y - other[1]
                 dz = z - other[2]
-                squared = max(dx * dx + dy * dy + dz * dz, _NEAREST_M * _NEAREST_M)
-                power = reference[j] * math.pow(squared, half)
+                power = self.power_mw_at(reference[j], dx * dx + dy * dy + dz * dz)
                 row[j] = power
                 powers[j][i] = power
         return powers

@@ -3,7 +3,7 @@
 The time of computation is a random number, not a measurement: the speed of the host plays no role.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from transport.protocol.radio.draws import normal, uniform
@@ -21,8 +21,10 @@ class SendTimes:
     negotiation. In each, a station sends when its computation has ended and its offset has passed:
 
     none: no offset; all stations send when they are ready.
-    slots: station i of N waits for its own slot. Slots follow a time in which the computation of all
-        stations ends, and share the rest of the exchange evenly. They need no messages.
+    slots: a station waits for its own slot. Slots follow a time in which the computation of all
+        stations ends, and share the rest of the exchange evenly. They need no messages. Where the
+        slots of all stations do not fit into a period, they take turns: station i has its slot in
+        the periods k with k = i (mod `cycle`).
     random: an offset that is uniform over the same rest, drawn for each exchange.
     """
 
@@ -30,26 +32,36 @@ class SendTimes:
     stations: int
     exchanges: int = 1
     offsets: Offsets = "slots"
+    cycle: int = 1  # periods in which each station has one slot; 1 with several exchanges
     computation_mean_ns: int = 0
     computation_deviation_ns: int = 0
     seed: int = 0
 
-    @property
-    def exchange_ns(self) -> int:
-        """Length of an exchange, ns."""
-        return self.period_ns // self.exchanges
+    # Length of an exchange, and in it the time before its first slot and that which slots share.
+    exchange_ns: int = field(init=False)
+    allowance_ns: int = field(init=False)
+    spread_ns: int = field(init=False)  # none if the computation takes the whole exchange
+    slots: int = field(init=False)  # of an exchange: those of the stations whose turn it is
+
+    def __post_init__(self) -> None:
+        """Compute what all sends have in common."""
+        exchange_ns = self.period_ns // self.exchanges
+        deviations_ns = round(_SLOTS_AFTER_DEVIATIONS * self.computation_deviation_ns)
+        allowance_ns = self.computation_mean_ns + deviations_ns
+
+        object.__setattr__(self, "exchange_ns", exchange_ns)
+        object.__setattr__(self, "allowance_ns", allowance_ns)
+        object.__setattr__(self, "spread_ns", max(exchange_ns - allowance_ns, 0))
+        object.__setattr__(self, "slots", -(-self.stations // self.cycle))
 
     @property
-    def computation_allowance_ns(self) -> int:
-        """Time from the start of an exchange to its first slot, ns."""
-        return self.computation_mean_ns + round(
-            _SLOTS_AFTER_DEVIATIONS * self.computation_deviation_ns
-        )
+    def slot_ns(self) -> int:
+        """Length of a slot, ns."""
+        return self.spread_ns // self.slots
 
-    @property
-    def spread_ns(self) -> int:
-        """Time that the slots share, ns; none if the computation takes the whole exchange."""
-        return max(self.exchange_ns - self.computation_allowance_ns, 0)
+    def turn(self, station: int, tick: int) -> int:
+        """Return the tick of the next period, from one on, in which a station has its slot."""
+        return tick + (station - tick) % self.cycle
 
     def computed_ns(self, station: int, tick: int, exchange: int = 0) -> int:
         """Return the time of a computation, ns: normal, and never negative."""
@@ -68,14 +80,18 @@ class SendTimes:
         if self.offsets == "none":
             return 0
         if self.offsets == "slots":
-            return self.computation_allowance_ns + station * self.spread_ns // self.stations
+            place = station // self.cycle
+            return self.allowance_ns + place * self.spread_ns // self.slots
         number = tick * self.exchanges + exchange
-        return self.computation_allowance_ns + int(
+        return self.allowance_ns + int(
             self.spread_ns * uniform(self.seed, station, "offset", number)
         )
 
     def instant_ns(self, station: int, tick: int, exchange: int = 0) -> int:
-        """Return the instant of a send, ns after the start of the run."""
-        start_ns = tick * self.period_ns + exchange * self.exchange_ns
-        ready_ns = self.computed_ns(station, tick, exchange)
-        return start_ns + max(ready_ns, self.offset_ns(station, tick, exchange))
+        """Return the instant at which a station sends what it computes at a tick, ns of the run."""
+        begin_ns = exchange * self.exchange_ns
+        ready_ns = tick * self.period_ns + begin_ns + self.computed_ns(station, tick, exchange)
+
+        turn = self.turn(station, tick)
+        earliest_ns = turn * self.period_ns + begin_ns + self.offset_ns(station, turn, exchange)
+        return max(ready_ns, earliest_ns)

@@ -88,10 +88,13 @@ class Station:
     def count_down(self, now: int) -> None:
         """Subtract the idle slots that have passed."""
         begin = self.count_from()
-        if begin <= now:
-            passed = min((now - begin) // self.slot_ns, self.slots)
-            self.slots -= passed
-            self.backoff_from = begin + passed * self.slot_ns
+        if begin > now:
+            return
+        passed = (now - begin) // self.slot_ns
+        if passed > self.slots:
+            passed = self.slots
+        self.slots -= passed
+        self.backoff_from = begin + passed * self.slot_ns
 
     def sense(self, until_ns: int, now: int, *, redraw_seed: int | None) -> None:
         """Freeze the backoff: the medium is busy until an instant.

@@ -132,12 +132,10 @@ class Link:
         `air_s` after its tick, when the radio of the team has carried it.
         """
         earliest = tick + after
-        if air_s == 0.0 and not self._partitions and self._in_force(tick).is_perfect:
-            return [earliest]
-
+        is_perfect = not self._partitions and self._in_force(tick).is_perfect
+        delays_s = [0.0] if is_perfect else self.delays(tick)
         arrivals = [
-            math.ceil(tick + (air_s + delay_s) / self._period_s - _SLACK)
-            for delay_s in self.delays(tick)
+            math.ceil(tick + (air_s + delay_s) / self._period_s - _SLACK) for delay_s in delays_s
         ]
         return [max(earliest, arrival) for arrival in arrivals]
 

@@ -22,6 +22,8 @@ class RadioSection(Section):
     """frames that wait at a UAV, with the one on the air; a further one is lost"""
     offsets: Annotated[Literal["none", "slots", "random"], Key(label="offsets of sends")] = "slots"
     """when an agent sends: as soon as its plan is computed, in its own slot of the period, or at a random instant"""
+    cycle_ticks: Annotated[int, Interval(ge=1, le=1000)] | None = None
+    """with slots: ticks in which each agent has one slot; if omitted, the fewest in which a plan fits into it"""
     computation_mean_s: Annotated[
         NotNegative, Key(within=LAG_S, label="time of computation", shown="ms")
     ] = 0.005

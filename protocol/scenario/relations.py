@@ -142,6 +142,14 @@ def _radio(scenario: Scenario) -> Problems:
         expected = f"mean and three deviations below {exchange_s:g} s, the time of an exchange"
         yield "radio.computation_mean_s", f"{expected}, with offsets 'slots'", f"{computed_s:g} s"
 
+    if radio.cycle_ticks is not None and radio.offsets != "slots":
+        expected = f"no value with radio.offsets = {radio.offsets!r}, which has no slots"
+        yield "radio.cycle_ticks", expected, str(radio.cycle_ticks)
+    if (radio.cycle_ticks or 1) > 1 and controller.negotiation_iterations > 1:
+        iterations = f"controller.negotiation_iterations = {controller.negotiation_iterations}"
+        expected = f"1 with {iterations}: each exchange has the slots of all agents"
+        yield "radio.cycle_ticks", expected, str(radio.cycle_ticks)
+
 
 def _link_ends(scenario: Scenario) -> Iterator[tuple[str, str | None]]:
     """Yield the fields that name an end of a link, and the names."""

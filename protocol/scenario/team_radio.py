@@ -5,6 +5,8 @@ The coordinator, which has all plans of a tick, computes it once.
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -12,19 +14,24 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.radio.background import Background, BackgroundState
-from transport.protocol.radio.channel import Channel, ChannelParameters, ChannelState
+from transport.protocol.radio.channel import Channel, ChannelState
 from transport.protocol.radio.frames import Frame, Outcome, Result
-from transport.protocol.radio.propagation import Propagation, milliwatts, noise_mw, ratio
-from transport.protocol.radio.sends import SendTimes
-from transport.protocol.radio.standard import MESSAGE_BYTES, STANDARDS
+from transport.protocol.radio.propagation import Powers, PowersWhenNeeded, milliwatts
+from transport.protocol.radio.slots import frame_lengths
+from transport.protocol.radio.standard import STANDARDS
 from transport.protocol.scenario.radio_section import RadioSection
+from transport.protocol.scenario.radio_settings import (
+    NS_PER_S,
+    channel_parameters,
+    propagation_of,
+    send_times,
+)
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.wire.codec import encode
+from transport.protocol.wire.codec import encoded_length
 from transport.protocol.wire.messages import NO_NEWS, Plan
 
-_NS_PER_S = 1e9
 _OTHERS_DB = 20.0  # power of the traffic of others above the sensitivity
-_FREE_SPACE_1M_DB = {"802.11a": 46.7, "802.11b": 40.2}  # 5.15 and 2.44 GHz
+_ROUNDING = 1.01  # of distances: integrated rods are unit vectors only nearly
 
 
 @dataclass(slots=True)
@@ -32,9 +39,28 @@ class _Message:
     """A plan on its way, in one or several frames."""
 
     plan: tuple[int, int, int]  # agent, tick, exchanges that follow
+    begin_ns: int  # of its tick
     sent_ns: int
-    missing: dict[int, int]  # frames without an outcome, by receiving station
-    results: dict[int, Result] = field(default_factory=dict)  # so far, the first loss counts
+    lengths: list[int]  # of its frames, bytes
+    missing: dict[int, int]  # frames without an outcome, by receiving station that lacks some
+    sequences: list[int] = field(default_factory=list)  # numbers of its frames, once on the air
+    losses: dict[int, Result] = field(default_factory=dict)  # the first one, by receiving station
+
+    @property
+    def station(self) -> int:
+        """Station of its sender."""
+        return self.plan[0] - 1
+
+    def decide(self, receiver: int, result: Result) -> Result | None:
+        """Note the fate of a frame at a receiver; return that of the message if it was the last."""
+        if result is not Result.DELIVERED:
+            self.losses.setdefault(receiver, result)
+        left = self.missing[receiver] - 1
+        if left:
+            self.missing[receiver] = left
+            return None
+        del self.missing[receiver]
+        return self.losses.get(receiver, Result.DELIVERED)
 
 
 class TeamRadio:
@@ -56,36 +82,49 @@ class TeamRadio:
         )
         # Ends of the rods in the payload frame, whose distances are those of the UAVs.
         uavs = [setup.system.uavs[owned[0]] for owned in setup.owned]
-        self._first_owned = [owned[0] for owned in setup.owned]
+        e = state.E.start + np.arange(3)
+        # Places of their unit vectors in the state of the plant, (agents, 3).
+        self._e = np.array([state.PAYLOAD + state.PER_UAV * owned[0] + e for owned in setup.owned])
         self._rho_P = np.array([uav.rho for uav in uavs])
         self._rod_m = np.array([[uav.rod_length] for uav in uavs])
 
         stations = self._agents + (section.background > 0.0)
         self._state = ChannelState.idle(stations, self._standard)
+        self._is_near = self._all_are_near()
         self._others = BackgroundState()
-        self._waiting: list[Frame] = []  # frames since the last window
         self._sequence = [0] * self._agents  # frames so far, by station
+        self._waiting: list[_Message] = []  # for the next turns of their stations
+        self._replaced: list[_Message] = []  # since the last window
         self._messages: dict[tuple[int, int], _Message] = {}  # by station and sequence of a frame
 
     def send(self, plan: Plan, members: Collection[int]) -> None:
-        """Put a plan that its sender shares on the air, for the other agents on the roster."""
-        receivers = tuple(sorted(agent - 1 for agent in members if agent != plan.agent))
+        """Take in a plan that its sender shares, for the other agents on the roster.
+
+        It is put on the air at the next turn of its station, unless a newer one replaces it there.
+        """
+        receivers = tuple(sorted([agent - 1 for agent in members if agent != plan.agent]))
         if not plan.shared or not receivers:
             return
         station = plan.agent - 1
         exchange = self._sends.exchanges - 1 - plan.negotiation
-        sent_ns = self._sends.instant_ns(station, plan.tick, exchange)
-        lengths = frame_lengths(len(encode(plan)))
-        message = _Message(
-            plan=(plan.agent, plan.tick, plan.negotiation),
-            sent_ns=sent_ns,
-            missing=dict.fromkeys(receivers, len(lengths)),
+        lengths = frame_lengths(encoded_length(plan))
+        if self._sends.cycle > 1:
+            self._replace(station)
+        self._waiting.append(
+            _Message(
+                plan=(plan.agent, plan.tick, plan.negotiation),
+                begin_ns=plan.tick * self._sends.period_ns,
+                sent_ns=self._sends.instant_ns(station, plan.tick, exchange),
+                lengths=lengths,
+                missing=dict.fromkeys(receivers, len(lengths)),
+            )
         )
-        for length in lengths:
-            sequence = self._sequence[station]
-            self._sequence[station] += 1
-            self._waiting.append(Frame(sent_ns, station, sequence, length, receivers))
-            self._messages[station, sequence] = message
+
+    def _replace(self, station: int) -> None:
+        """Take back the plan of a station that waits for its turn: a newer one is here."""
+        waiting = self._waiting
+        self._waiting = [message for message in waiting if message.station != station]
+        self._replaced += [message for message in waiting if message.station == station]
 
     def advance(self, tick: int, x: Array, *, negotiation: int = 0) -> dict[str, Any]:
         """Return the fields of `Airtime` for the window that ends at a tick, or with an exchange.
@@ -98,122 +137,110 @@ class TeamRadio:
         until_ns = tick * self._sends.period_ns
         if negotiation > 0:
             until_ns += (self._sends.exchanges - negotiation) * self._sends.exchange_ns
-        powers = self._propagation.powers(self._at_reference, self._positions(x))
+        powers = PowersWhenNeeded(partial(self._powers, x), len(self._state.stations))
         others, self._others = self._background.frames(
             self._others, self._standard, self._channel.parameters.rate_mbps, until_ns
         )
-        frames = [*self._waiting, *others]
-        self._waiting = []
+        frames = [*self._put_on_air(tick - 1), *others]
         self._state, outcomes, counts = self._channel.advance(
-            self._state, self._background.heard(powers), frames, until_ns
+            self._state, powers, frames, until_ns, near=self._is_near
         )
         return {
             "tick": tick,
             "negotiation": negotiation,
             **self._news(outcomes),
-            "busy_s": counts.busy_ns / _NS_PER_S,
+            "busy_s": counts.busy_ns / NS_PER_S,
             "transmissions": counts.transmissions,
             "repetitions": counts.repetitions,
         }
 
+    def _put_on_air(self, tick: int) -> list[Frame]:
+        """Return the frames of the plans whose stations have their turn in the period of a tick."""
+        frames = []
+        later = []
+        for message in self._waiting:
+            station = message.station
+            if self._sends.turn(station, tick) > tick:
+                later.append(message)
+                continue
+            receivers = tuple(message.missing)
+            for length in message.lengths:
+                sequence = self._sequence[station]
+                self._sequence[station] += 1
+                self._messages[station, sequence] = message
+                message.sequences.append(sequence)
+                frames.append(Frame(message.sent_ns, station, sequence, length, receivers))
+        self._waiting = later
+        return frames
+
+    def _all_are_near(self) -> bool:
+        """Return whether all stations hear each other well in any state of the team.
+
+        Two UAVs are at most their rods and the distance of their attachment points apart.
+        """
+        powers_mw = [self._background.power_mw] * (self._background.share > 0.0)
+        for one, other in combinations(range(self._agents), 2):
+            apart_m = float(np.linalg.norm(self._rho_P[one] - self._rho_P[other]))
+            farthest_m = _ROUNDING * (apart_m + float(self._rod_m[one, 0] + self._rod_m[other, 0]))
+            reference_mw = self._at_reference[one][other]
+            powers_mw.append(self._propagation.power_mw_at(reference_mw, farthest_m * farthest_m))
+        return all([self._channel.is_near(power_mw) for power_mw in powers_mw])
+
+    def _powers(self, x: Array) -> Powers:
+        """Return the powers of all stations, those of others included, mW."""
+        powers = self._propagation.powers(self._at_reference, self._positions(x))
+        return self._background.heard(powers)
+
     def _positions(self, x: Array) -> list[list[float]]:
         """Return positions of the stations relative to the payload, payload frame, m."""
-        uavs = x[state.PAYLOAD :].reshape(-1, state.PER_UAV)
-        e_P = uavs[self._first_owned, state.E]
-        positions: list[list[float]] = (self._rho_P - self._rod_m * e_P).tolist()
+        positions: list[list[float]] = (self._rho_P - self._rod_m * x[self._e]).tolist()
         return positions
 
     def _news(self, outcomes: Sequence[Outcome]) -> dict[str, Any]:
         """Return the arrivals and losses of plans that the outcomes decide, a row for each plan."""
+        told: dict[tuple[int, int, int], _Message] = {}
         rows: dict[tuple[int, int, int], list[float]] = {}
-        sent_s: dict[tuple[int, int, int], float] = {}
-        for outcome in outcomes:
-            frame = outcome.frame
-            message = self._messages[frame.sender, frame.sequence]
-            result = self._decided(message, outcome)
-            if result is None:
-                continue
-            begin_ns = message.plan[1] * self._sends.period_ns
-            arrivals = rows.setdefault(message.plan, [NO_NEWS] * self._agents)
-            sent_s[message.plan] = (message.sent_ns - begin_ns) / _NS_PER_S
+        for message, receiver, result, time_ns in self._fates(outcomes):
+            plan = message.plan
+            if plan not in rows:
+                told[plan] = message
+                rows[plan] = [NO_NEWS] * self._agents
             if result is Result.DELIVERED:
-                arrivals[outcome.receiver] = (outcome.time_ns - begin_ns) / _NS_PER_S
+                rows[plan][receiver] = (time_ns - message.begin_ns) / NS_PER_S
             else:
-                arrivals[outcome.receiver] = -float(result)  # the codes of `Airtime.arrivals`
-        self._forget(outcomes)
+                rows[plan][receiver] = -float(result)  # the codes of `Airtime.arrivals`
+
         plans = sorted(rows)
         agents, ticks, exchanges = zip(*plans, strict=True) if plans else ((), (), ())
+        sent_s = [(told[plan].sent_ns - told[plan].begin_ns) / NS_PER_S for plan in plans]
         return {
             "agents": agents,
             "plan_ticks": ticks,
             "exchanges": exchanges,
             "receivers": self._setup.agents,
-            "sent": [sent_s[plan] for plan in plans],
-            "arrivals": np.array([rows[plan] for plan in plans]).reshape(-1, self._agents),
+            "sent": sent_s,
+            "arrivals": [rows[plan] for plan in plans] if plans else np.zeros((0, self._agents)),
         }
 
-    @staticmethod
-    def _decided(message: _Message, outcome: Outcome) -> Result | None:
-        """Return the fate of a message at a receiver if this is the last of its frames there."""
-        receiver = outcome.receiver
-        before = message.results.get(receiver, Result.DELIVERED)
-        result = outcome.result if before is Result.DELIVERED else before
-        message.results[receiver] = result
-        message.missing[receiver] -= 1
-        return result if message.missing[receiver] == 0 else None
+    def _fates(self, outcomes: Sequence[Outcome]) -> list[tuple[_Message, int, Result, int]]:
+        """Return the messages decided at a receiver, with their fate there and its instant, ns."""
+        fates = [
+            (message, receiver, Result.REPLACED, message.sent_ns)
+            for message in self._replaced
+            for receiver in message.missing
+        ]
+        self._replaced.clear()
 
-    def _forget(self, outcomes: Sequence[Outcome]) -> None:
-        """Forget the frames that have all their outcomes."""
-        for outcome in outcomes:
-            key = outcome.frame.sender, outcome.frame.sequence
-            message = self._messages.get(key)
-            if message is not None and not any(message.missing.values()):
-                del self._messages[key]
+        for frame, receiver, outcome, time_ns in outcomes:
+            message = self._messages[frame.sender, frame.sequence]
+            result = message.decide(receiver, outcome)
+            if result is not None:
+                fates.append((message, receiver, result, time_ns))
+            if not message.missing:
+                self._forget(message)
+        return fates
 
-
-def frame_lengths(message_bytes: int) -> list[int]:
-    """Return the lengths of the frames that carry a message, bytes."""
-    full, rest = divmod(message_bytes, MESSAGE_BYTES)
-    return [MESSAGE_BYTES] * full + [rest] * (rest > 0)
-
-
-def channel_parameters(section: RadioSection, seed: int) -> ChannelParameters:
-    """Return the settings of the channel."""
-    standard = STANDARDS[section.standard]
-    return ChannelParameters(
-        standard=standard,
-        rate_mbps=section.rate_mbps,
-        unicast=section.delivery == "unicast",
-        queue_length=section.queue_length,
-        attempts=section.attempts,
-        noise_mw=noise_mw(standard.bandwidth_hz, section.noise_figure_db),
-        sensitivity_mw=milliwatts(section.sensitivity_dbm),
-        carrier_sense_mw=milliwatts(section.carrier_sense_dbm),
-        preamble_ratio=ratio(section.capture_db),
-        seed=seed,
-    )
-
-
-def propagation_of(section: RadioSection, seed: int) -> Propagation:
-    """Return the path loss."""
-    given_db = section.path_loss_1m_db
-    return Propagation(
-        power_mw=section.power_mw,
-        exponent=section.path_loss_exponent,
-        reference_loss_db=_FREE_SPACE_1M_DB[section.standard] if given_db is None else given_db,
-        shadowing_db=section.shadowing_db,
-        seed=seed,
-    )
-
-
-def send_times(setup: Setup, section: RadioSection) -> SendTimes:
-    """Return the instants at which the agents send."""
-    return SendTimes(
-        period_ns=setup.period_ns,
-        stations=len(setup.owned),
-        exchanges=setup.scenario.controller.negotiation_iterations,
-        offsets=section.offsets,
-        computation_mean_ns=round(section.computation_mean_s * _NS_PER_S),
-        computation_deviation_ns=round(section.computation_deviation_s * _NS_PER_S),
-        seed=setup.scenario.seed,
-    )
+    def _forget(self, message: _Message) -> None:
+        """Forget the frames of a message that is decided at all receivers."""
+        for sequence in message.sequences:
+            del self._messages[message.station, sequence]

@@ -7,7 +7,7 @@ float64, row by row.
 import math
 import struct
 from contextlib import suppress
-from functools import reduce
+from functools import cache, reduce
 from operator import or_
 from typing import Any, cast
 
@@ -54,6 +54,31 @@ def encode(message: Message) -> bytes:
         fields = [getattr(message, name) for name in _PLAN_WITHOUT_DATA]
         return _VERSION + _ENCODER.encode([message.kind, *fields])
     return _VERSION + _ENCODER.encode(message)
+
+
+def encoded_length(plan: Plan) -> int:
+    """Return the number of bytes of a plan, without making those of its arrays."""
+    arrays = plan.uav_states, plan.inputs, plan.corrections, plan.data
+    length = len(_VERSION) + len(_WITHOUT_ARRAYS.encode(plan)) - _NOTHING * len(arrays)
+    length += sum([_array_length(8 * array.size) for array in arrays])
+    if not plan.data.size:
+        length -= _array_length(0) + _LAST_FIELD
+    return length
+
+
+@cache
+def _array_length(values_bytes: int) -> int:
+    """Return the number of bytes of the extension that carries the values of an array.
+
+    Its type takes one byte, and its length one, two or four behind a marker of one byte; the one of
+    16 bytes has a marker of its own. Source: MessagePack, "ext format family".
+    """
+    content = _HEADER.size + values_bytes
+    if content == _HEADER.size:
+        return 2 + content
+    if content < 1 << 8:
+        return 3 + content
+    return (4 if content < 1 << 16 else 6) + content
 
 
 def decode(data: bytes) -> Message:
@@ -128,6 +153,11 @@ def _pack(value: Any) -> Any:
     return msgspec.msgpack.Ext(_ARRAY, _HEADER.pack(value.ndim, *lengths) + values)
 
 
+def _pack_without_arrays(value: Any) -> Any:
+    """Return None for an array, and a number of NumPy as a number."""
+    return None if isinstance(value, np.ndarray) else _pack(value)
+
+
 def _unpack_array(code: int, data: memoryview) -> Array:
     """Return the array in an extension. Raises: MessageError: it is none."""
     if code != _ARRAY or len(data) < _HEADER.size:
@@ -143,6 +173,10 @@ def _unpack_array(code: int, data: memoryview) -> Array:
 
 
 _ENCODER = msgspec.msgpack.Encoder(enc_hook=_pack)
+_WITHOUT_ARRAYS = msgspec.msgpack.Encoder(enc_hook=_pack_without_arrays)
+_NOTHING = 1  # bytes of None
+# Bytes by which the header of the list of a plan's fields is longer for its last one.
+_LAST_FIELD = 2
 _DECODER: Any = msgspec.msgpack.Decoder(reduce(or_, CLASSES.values()), ext_hook=_unpack_array)
 _HEADER_DECODER = msgspec.msgpack.Decoder(Header)
 _KIND_DECODER = msgspec.msgpack.Decoder(_Kind)

@@ -150,7 +150,9 @@ def _fits(shape: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
     return all(length is None or got == length for got, length in pairs)
 
 
-NO_NEWS = -9.0  # in `Airtime.arrivals`
+# In `Airtime.arrivals`: a newer plan took the place of this one before it was sent.
+REPLACED = -5.0
+NO_NEWS = -9.0
 CONTINUED = "continued"  # in `FaultNote.what`, by which a replay knows the process
 
 Outcome = Literal["completed", "failed", "diverged", "aborted"]
@@ -297,11 +299,17 @@ class Airtime(Message, tag="airtime", frozen=True, kw_only=True):
     receivers: Ids  # the agents of the run, ascending
     sent: Array  # instant at which its sender put it into the queue, (F,), s
     # Instant of its arrival at each agent, (F, receivers), s, or why it was lost: -1 collision, -2 too
-    # weak, -3 queue full, -4 attempts exhausted; -9: nothing new, or the agent is no receiver.
+    # weak, -3 queue full, -4 attempts exhausted; -5: never sent, a newer one has its slot; -9: nothing
+    # new, or the agent is no receiver.
     arrivals: Array
     busy_s: Finite  # air occupied since the last report, s
     transmissions: Count  # of frames since the last report
     repetitions: Count  # those of them that repeat a frame that was not acknowledged
+
+    def of_sent(self) -> Array:
+        """Return the arrivals and losses of plans that were sent, (K,), as in `arrivals`."""
+        is_decided = (self.arrivals != NO_NEWS) & (self.arrivals != REPLACED)
+        return np.asarray(self.arrivals[is_decided])
 
 
 # The control loop

@@ -19,7 +19,15 @@ from tests.support.messages import (
     sample,
     samples,
 )
-from transport.protocol.wire.codec import CLASSES, MAX_BYTES, VERSION, decode, encode, header_of
+from transport.protocol.wire.codec import (
+    CLASSES,
+    MAX_BYTES,
+    VERSION,
+    decode,
+    encode,
+    encoded_length,
+    header_of,
+)
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import MAX_DATA, Measurement, Message, Plan, Tick
 from transport.protocol.wire.node import Outbox
@@ -46,6 +54,8 @@ def test_bytes_are_those_of_another_codec(message: Message) -> None:
     data = encode(message)
     assert data == packed(*content(message))
     assert encode(decode(data)) == data
+    if isinstance(message, Plan):
+        assert encoded_length(message) == len(data)
     head = (message.kind, message.sender, message.incarnation, message.sequence, message.tick)
     assert msgspec.structs.astuple(header_of(data)) == head
 

@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 
 from tests.support.runs import recorded, setup, ticks
+from transport.protocol.radio.slots import frame_lengths
 from transport.protocol.radio.standard import OFDM
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.links import Link
-from transport.protocol.scenario.team_radio import frame_lengths
+from transport.protocol.scenario.radio_settings import plan_length
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import (
     NO_NEWS,
+    REPLACED,
     Airtime,
     Message,
     Plan,
@@ -80,6 +82,16 @@ def lost_of(*settings: str) -> int:
         (
             ("radio={computation_mean_s=0.05}",),
             "radio.computation_mean_s: expected mean and three deviations below 0.05 s",
+        ),
+        (
+            ("radio={offsets='none',cycle_ticks=2}",),
+            "radio.cycle_ticks: expected no value with radio.offsets = 'none', which has no slots, "
+            "got 2",
+        ),
+        (
+            ("radio={cycle_ticks=2}", "controller.negotiation_iterations=3"),
+            "radio.cycle_ticks: expected 1 with controller.negotiation_iterations = 3: each exchange "
+            "has the slots of all agents, got 2",
         ),
     ],
 )
@@ -173,6 +185,43 @@ def test_late_computations_make_plans_late() -> None:
     }
     assert 2 in ages
     assert 1 not in ages
+
+
+SLOW = "radio={standard='802.11b',rate_mbps=1.0}"  # a plan takes 12.2 ms
+
+
+def test_the_length_of_a_plan_is_known_before_the_run() -> None:
+    """Slots are for plans as long as the longest one."""
+    run = setup(ticks(TICKS), *CLOSED_LOOP, "radio={}")
+    plans = [one for one in messages_of("radio={}") if isinstance(one, Plan)]
+    assert plan_length(run) - max(len(encode(plan)) for plan in plans) in range(8)
+
+
+def test_slots_that_do_not_fit_into_a_period_take_turns() -> None:
+    """At 1 Mb/s two agents send in a tick and two in the next; each plan sent arrives."""
+    news = news_of(SLOW)
+    arrivals = np.vstack([one.arrivals for one in news])
+    sent = np.concatenate([one.of_sent() for one in news])
+    replaced = np.count_nonzero(arrivals == REPLACED)
+    assert len(sent) == 2 * (TICKS - 1) * 3
+    assert np.all(sent > 0.0)
+    # At the end two plans wait for their turns.
+    assert len(sent) + replaced == (4 * (TICKS - 1) - 2) * 3
+    assert all(one.transmissions == 2 for one in news)
+
+
+def test_replaced_plans_are_not_lost() -> None:
+    """The others use the newest plan that was sent, at most three ticks old, and count no loss."""
+    reports = [one for one in messages_of(SLOW) if isinstance(one, StepReport)]
+    assert lost_of(SLOW) == 0
+    assert {age for one in reports if one.tick > 3 for age in one.plan_ages} == {1, 2}
+
+
+def test_slots_of_one_tick_overlap_if_they_are_too_short() -> None:
+    """With a cycle of one tick the last plans at 1 Mb/s come after the next tick."""
+    short = "radio={standard='802.11b',rate_mbps=1.0,cycle_ticks=1}"
+    assert REPLACED not in np.vstack([one.arrivals for one in news_of(short)])
+    assert max(one.arrivals.max() for one in news_of(short)) > PERIOD_S
 
 
 def test_a_long_message_takes_several_frames() -> None:

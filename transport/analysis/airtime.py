@@ -8,8 +8,9 @@ import numpy as np
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.protocol.radio.frames import Result
+from transport.protocol.scenario.radio_settings import slot_lengths
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.wire.messages import NO_NEWS, Airtime
+from transport.protocol.wire.messages import NO_NEWS, REPLACED, Airtime
 from transport.protocol.wire.names import agent_name
 
 _MS_PER_S = 1e3
@@ -44,6 +45,8 @@ def radio_of(setup: Setup, log: RunLog) -> dict[str, Any] | None:
         **losses,
         "transmissions": sum(one.transmissions for one in news),
         "repetitions": sum(one.repetitions for one in news),
+        "replaced": fates.replaced,
+        "slots": _slots(setup),
         "links": _links(setup, fates),
     }
 
@@ -53,7 +56,10 @@ class _Fates:
 
     def __init__(self, news: Iterable[Airtime]) -> None:
         rows = [_rows(one) for one in news if one.agents]
-        self.table: Array = np.vstack(rows) if rows else np.zeros((0, 4))
+        told: Array = np.vstack(rows) if rows else np.zeros((0, 4))
+        is_replaced = told[:, 2] == REPLACED
+        self.table: Array = told[~is_replaced]  # of plans that were sent
+        self.replaced = int(np.count_nonzero(is_replaced))
 
     def of_link(self, sender: int, receiver: int) -> "_Fates":
         """Return those of one link."""
@@ -90,6 +96,18 @@ def _rows(news: Airtime) -> Array:
 
     decided: Array = rows[arrivals != NO_NEWS]
     return decided
+
+
+def _slots(setup: Setup) -> dict[str, Any] | None:
+    """Return the slots of the agents and what a plan needs of them, as JSON data; None without."""
+    slots = slot_lengths(setup)
+    if slots is None:
+        return None
+    return {
+        "cycle_ticks": slots.cycle_ticks,
+        "slot_ms": _MS_PER_S * slots.slot_s,
+        "plan_ms": _MS_PER_S * slots.plan_s,
+    }
 
 
 def _links(setup: Setup, fates: _Fates) -> list[dict[str, Any]]:

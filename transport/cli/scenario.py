@@ -16,6 +16,7 @@ from transport.interface.scenario import Scenario
 from transport.model.state import INPUTS
 from transport.protocol.scenario.budget import estimate
 from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.radio_settings import slot_lengths
 from transport.protocol.scenario.team import FEWEST, MOST, Team, given_values
 from transport.protocol.wire.exit_codes import EXIT_CHECK_FAILED
 
@@ -126,6 +127,9 @@ def validate(
     thrusts = hover_thrusts(setup.hover.u[::INPUTS])
     classes = ", ".join(f"{kind} {name}" for kind, name in own_classes.items())
     typer.echo(f"valid: {sizes}, {thrusts}, digest {digest}, {classes}", err=True)
+    slots = slot_lengths(setup)
+    if slots is not None:
+        typer.echo(f"radio{'' if slots.are_enough else ', warning'}: {slots.text()}", err=True)
     typer.echo(f"estimate: {estimate(setup.scenario).text()}", err=True)
 
 

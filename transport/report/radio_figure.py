@@ -1,5 +1,6 @@
 """Figure of the team's radio: airtime, deliveries and delays over time."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +12,7 @@ from transport.analysis.series import Series
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.wire.messages import NO_NEWS, Airtime
+from transport.protocol.wire.messages import Airtime
 from transport.report.column import head
 from transport.report.curves import Panels
 from transport.report.style import COMPONENTS
@@ -74,8 +75,8 @@ def _airtime(news: Sequence[Airtime], period_s: float) -> float:
 
 def _delivered(news: Sequence[Airtime]) -> float:
     """Return the share of plans that arrived, of those that arrived or were lost."""
-    decided = [one.arrivals[one.arrivals != NO_NEWS] for one in news]
-    return float(np.mean(np.concatenate(decided) >= 0.0))
+    sent = np.concatenate([one.of_sent() for one in news])
+    return float(np.mean(sent >= 0.0)) if len(sent) else math.nan
 
 
 def _draw_share(panel: Axes, centres_s: Array, shares: Array, title: str) -> None:

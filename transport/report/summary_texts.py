@@ -100,4 +100,17 @@ def radio_text(radio: Mapping[str, Any]) -> str:
     if delays["p50"] is not None:
         parts.append("delay median {p50:.1f} ms, p99 {p99:.1f} ms".format(**delays))
     parts += [f"{radio[key]} {words}" for key, words in _LOSSES.items() if radio[key]]
-    return "; ".join(parts)
+
+    slots = radio["slots"]
+    if slots is not None and slots["cycle_ticks"] > 1:
+        parts.append(f"a slot for each agent every {slots['cycle_ticks']} ticks")
+    too_short = short_slots_text(radio)
+    return "; ".join([*parts, too_short] if too_short else parts)
+
+
+def short_slots_text(radio: Mapping[str, Any]) -> str:
+    """Return that slots are shorter than a plan on the air; empty if they are not."""
+    slots = radio["slots"]
+    if slots is None or slots["plan_ms"] <= slots["slot_ms"]:
+        return ""
+    return "slots of {slot_ms:.2f} ms are shorter than a plan, {plan_ms:.2f} ms".format(**slots)

@@ -16,7 +16,7 @@ from transport.model.state import INPUTS, StateView
 from transport.plant.actuators import FAIL_SAFE
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.stage_cost import StageCost
-from transport.protocol.wire.messages import NO_NEWS, PlantState, StepReport
+from transport.protocol.wire.messages import PlantState, StepReport
 from transport.scene.history import RunHistory
 from transport.scene.predictions import PredictedPaths, Predictions
 
@@ -148,8 +148,8 @@ class SceneBuilder:
         for shown in range(tick - ticks + 1, tick + 1):
             news += self.history.airtimes.get(shown, [])
 
-        # Arrivals of the messages whose fate is known, negative for lost ones.
-        arrivals = [one.arrivals[one.arrivals != NO_NEWS] for one in news]
+        # Negative for lost ones.
+        arrivals = [one.of_sent() for one in news]
         decided = np.concatenate(arrivals) if arrivals else np.zeros(0)
         return Air(
             airtime_share=sum(one.busy_s for one in news) / (ticks * period_s),

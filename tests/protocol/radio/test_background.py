@@ -47,6 +47,16 @@ def test_background_takes_its_share(share: float) -> None:
     assert abs(airtime - team - share) < SIGMAS * share / math.sqrt(frames)
 
 
+def test_background_is_broadcast_among_unicast_plans() -> None:
+    """Frames of others have no receiver in the team, and take air all the same."""
+    others = [Frame(MS, 2, 0, 1500, ())]
+    _, outcomes, counts = Channel(parameters(unicast=True)).advance(
+        ChannelState.idle(3, OFDM), equal_powers(3), others, PERIOD_NS
+    )
+    assert outcomes == []
+    assert counts.busy_ns == OFDM.message_airtime_ns(1500, 6.0)
+
+
 def test_background_costs_deliveries() -> None:
     """Frames of others collide with those of the team."""
     assert flown(0.0)[1] == 1.0

@@ -269,6 +269,31 @@ def test_windows_do_not_change_the_outcomes(unicast: bool) -> None:
     assert busy_ns == counts.busy_ns
 
 
+@pytest.mark.parametrize("spread_ns", [MS, 10 * MS, 40 * MS])
+@pytest.mark.parametrize("unicast", [False, True])
+def test_a_near_team_has_the_channel_of_its_powers(unicast: bool, spread_ns: int) -> None:
+    """Steps that a near team saves change neither outcomes nor state, whatever the window.
+
+    The slow way has windows that are shorter than a frame: nothing can be decided at once there.
+    """
+    stations = 6
+    frames = random_frames(stations, 6, spread_ns)
+    powers = equal_powers(stations)
+    channel = Channel(parameters(unicast=unicast))
+    assert channel.is_near(NEAR_MW)
+
+    found = channel.advance(ChannelState.idle(stations, OFDM), powers, frames, SECOND_NS, near=True)
+
+    state = ChannelState.idle(stations, OFDM)
+    outcomes: list[Outcome] = []
+    for until_ns in range(500_000, SECOND_NS + 1, 500_000):
+        begin_ns = state.time_ns
+        sent = [frame for frame in frames if begin_ns <= frame.sent_ns < until_ns]
+        state, more, _ = channel.advance(state, powers, sent, until_ns)
+        outcomes += more
+    assert (found[0].stations, found[1]) == (state.stations, outcomes)
+
+
 def test_a_state_is_not_changed_by_its_use() -> None:
     """The same state twice gives the same channel: `advance` has no memory."""
     frames = random_frames(5, 2, MS)

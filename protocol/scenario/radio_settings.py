@@ -1,0 +1,153 @@
+"""Section of the radio and the run around it, as the parts of `protocol/radio` need them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from transport.model.state import INPUTS, PER_UAV, REPORTED, REPORTS
+from transport.protocol.radio.channel import ChannelParameters
+from transport.protocol.radio.propagation import Propagation, milliwatts, noise_mw, ratio
+from transport.protocol.radio.sends import SendTimes
+from transport.protocol.radio.slots import fewest_periods, frame_lengths, occupied_ns
+from transport.protocol.radio.standard import STANDARDS
+from transport.protocol.scenario.radio_section import RadioSection
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.codec import encoded_length
+from transport.protocol.wire.messages import Plan
+from transport.protocol.wire.names import agent_name
+
+NS_PER_S = 1e9
+_FREE_SPACE_1M_DB = {"802.11a": 46.7, "802.11b": 40.2}  # 5.15 and 2.44 GHz
+
+
+def channel_parameters(section: RadioSection, seed: int) -> ChannelParameters:
+    """Return the settings of the channel."""
+    standard = STANDARDS[section.standard]
+    return ChannelParameters(
+        standard=standard,
+        rate_mbps=section.rate_mbps,
+        unicast=section.delivery == "unicast",
+        queue_length=section.queue_length,
+        attempts=section.attempts,
+        noise_mw=noise_mw(standard.bandwidth_hz, section.noise_figure_db),
+        sensitivity_mw=milliwatts(section.sensitivity_dbm),
+        carrier_sense_mw=milliwatts(section.carrier_sense_dbm),
+        preamble_ratio=ratio(section.capture_db),
+        seed=seed,
+    )
+
+
+def propagation_of(section: RadioSection, seed: int) -> Propagation:
+    """Return the path loss."""
+    given_db = section.path_loss_1m_db
+    return Propagation(
+        power_mw=section.power_mw,
+        exponent=section.path_loss_exponent,
+        reference_loss_db=_FREE_SPACE_1M_DB[section.standard] if given_db is None else given_db,
+        shadowing_db=section.shadowing_db,
+        seed=seed,
+    )
+
+
+def send_times(setup: Setup, section: RadioSection) -> SendTimes:
+    """Return the instants at which the agents send, with slots as long as a plan needs.
+
+    Where not all slots fit into a period, agents take turns, unless the section says otherwise or
+    the plans are negotiated: then each exchange has all slots, however short.
+    """
+    exchanges = setup.scenario.controller.negotiation_iterations
+    cycle = section.cycle_ticks
+    if cycle is None and exchanges == 1 and section.offsets == "slots":
+        spread_ns = _send_times(setup, section, 1).spread_ns
+        cycle = fewest_periods(len(setup.owned), spread_ns, slot_need_ns(setup, section))
+    return _send_times(setup, section, cycle or 1)
+
+
+def _send_times(setup: Setup, section: RadioSection, cycle: int) -> SendTimes:
+    return SendTimes(
+        period_ns=setup.period_ns,
+        stations=len(setup.owned),
+        exchanges=setup.scenario.controller.negotiation_iterations,
+        offsets=section.offsets,
+        cycle=cycle,
+        computation_mean_ns=round(section.computation_mean_s * NS_PER_S),
+        computation_deviation_ns=round(section.computation_deviation_s * NS_PER_S),
+        seed=setup.scenario.seed,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlotLengths:
+    """Slots of a run, and what a plan needs of them."""
+
+    plan_bytes: int  # of the longest plan
+    plan_s: float  # for which it occupies an idle channel, with its waits and without repetitions
+    slot_s: float
+    slots: int  # of a tick, or of an exchange of a negotiation
+    cycle_ticks: int  # in which each agent has one slot
+
+    @property
+    def are_enough(self) -> bool:
+        """Whether a plan fits into its slot."""
+        return self.plan_s <= self.slot_s
+
+    def text(self) -> str:
+        """Return the slots in words; if they are too short, with the consequence and a remedy."""
+        ticks = "every tick" if self.cycle_ticks == 1 else f"every {self.cycle_ticks} ticks"
+        plan = f"a plan of {self.plan_bytes} bytes takes {1e3 * self.plan_s:.2f} ms"
+        slots = f"{self.slots} slots of {1e3 * self.slot_s:.2f} ms, one for each agent {ticks}"
+        if self.are_enough:
+            return f"{plan}; {slots}"
+        remedies = "raise radio.rate_mbps, omit radio.cycle_ticks or negotiate less"
+        return f"{plan}, longer than its slot: plans wait for each other and collide; {slots}; {remedies}"
+
+
+def slot_lengths(setup: Setup) -> SlotLengths | None:
+    """Return the slots of a run; None without a radio, and without slots."""
+    section = setup.scenario.radio
+    if section is None or section.offsets != "slots":
+        return None
+    sends = send_times(setup, section)
+    return SlotLengths(
+        plan_bytes=plan_length(setup),
+        plan_s=slot_need_ns(setup, section) / NS_PER_S,
+        slot_s=sends.slot_ns / NS_PER_S,
+        slots=sends.slots,
+        cycle_ticks=sends.cycle,
+    )
+
+
+def slot_need_ns(setup: Setup, section: RadioSection) -> int:
+    """Return the time that the longest plan occupies an idle channel, ns, without repetitions."""
+    receivers = len(setup.owned) - 1 if section.delivery == "unicast" else None
+    standard = STANDARDS[section.standard]
+    lengths = frame_lengths(plan_length(setup))
+    return occupied_ns(lengths, standard, section.rate_mbps, receivers=receivers)
+
+
+def plan_length(setup: Setup) -> int:
+    """Return the bytes of the longest plan of a run, without data of a controller of the user."""
+    owned = max(setup.owned, key=len)
+    agent = setup.agents[-1]
+    tick = setup.ticks
+    horizon = setup.settings.horizon
+    is_corrected = setup.settings.prediction == "closed_loop"
+    reported = REPORTS * REPORTED if setup.scenario.plant.sensors == "vehicle" else PER_UAV
+    inputs = INPUTS * len(owned)
+    return encoded_length(
+        Plan(
+            sender=agent_name(agent),
+            incarnation=0,
+            sequence=tick,
+            tick=tick,
+            agent=agent,
+            start_tick=tick,
+            negotiation=0,
+            shared=True,
+            uavs=tuple(uav + 1 for uav in owned),
+            uav_states=np.zeros((len(owned), reported)),
+            inputs=np.zeros((horizon, inputs)),
+            corrections=np.zeros((horizon if is_corrected else 0, inputs)),
+            status="solved",
+        )
+    )
