@@ -1,6 +1,10 @@
 """What an agent knows of the team's radio: which plans and proposals have come through the air."""
 
+import numpy as np
+from msgspec.structs import replace
+
 from transport.protocol.admission.arrivals import Arrivals
+from transport.protocol.scenario.radio_section import RadioSection
 from transport.protocol.wire.messages import NO_NEWS, REPLACED, Airtime, Plan
 from transport.protocol.wire.names import agent_name
 
@@ -10,9 +14,10 @@ Iteration = tuple[int, int]  # tick, and exchanges that follow within it
 class AirNews:
     """News of the radio for one agent, 1-based. They outlast a new start of the agent."""
 
-    def __init__(self, agent: int) -> None:
+    def __init__(self, agent: int, section: RadioSection) -> None:
         self.tick = 0  # until which news are here
         self._agent = agent
+        self._hears_first_input = section.inputs == "first"
         self._heard: dict[Iteration, set[int]] = {}  # senders of proposals that came in time
 
     def take(self, news: Airtime, plans: Arrivals[Plan]) -> None:
@@ -42,6 +47,12 @@ class AirNews:
     def heard(self, iteration: Iteration) -> set[int]:
         """Return the agents whose proposals came through the air before the end of an exchange."""
         return self._heard.get(iteration, set())
+
+    def heard_plan(self, plan: Plan) -> Plan:
+        """Return a plan as the radio has carried it: with all inputs, or with the first one held."""
+        if not self._hears_first_input:
+            return plan
+        return replace(plan, inputs=np.repeat(plan.inputs[:1], len(plan.inputs), axis=0))
 
     def forget_before(self, tick: int) -> None:
         """Forget the exchanges of earlier ticks."""

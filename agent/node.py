@@ -60,7 +60,8 @@ class AgentNode(Participant):
         self._planner = planner_of(setup, agent, stopwatch)
         # Targets still to come: the tick, and the run with the target.
         self._targets: deque[tuple[int, Setup]] = deque()
-        self._air = None if setup.scenario.radio is None else AirNews(agent)
+        radio = setup.scenario.radio
+        self._air = None if radio is None else AirNews(agent, radio)
         self._hears_by_radio = self._air is not None
         super().__init__(setup, agent_name(agent), incarnation, after=1, own=agent)
 
@@ -118,6 +119,8 @@ class AgentNode(Participant):
     def _take_plan(self, plan: Plan, now_ns: int) -> None:
         if plan.tick < self._membership.since[self._agent]:
             return
+        if self._air is not None:
+            plan = self._air.heard_plan(plan)
         super()._take_plan(plan, now_ns)
         if plan.negotiation > 0:
             iteration = (plan.tick, plan.negotiation)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from msgspec.structs import replace
 
 from transport.model.state import INPUTS, PER_UAV, REPORTED, REPORTS
 from transport.protocol.radio.channel import ChannelParameters
@@ -109,7 +110,7 @@ def slot_lengths(setup: Setup) -> SlotLengths | None:
         return None
     sends = send_times(setup, section)
     return SlotLengths(
-        plan_bytes=plan_length(setup),
+        plan_bytes=plan_length(setup, section),
         plan_s=slot_need_ns(setup, section) / NS_PER_S,
         slot_s=sends.slot_ns / NS_PER_S,
         slots=sends.slots,
@@ -121,12 +122,19 @@ def slot_need_ns(setup: Setup, section: RadioSection) -> int:
     """Return the time that the longest plan occupies an idle channel, ns, without repetitions."""
     receivers = len(setup.owned) - 1 if section.delivery == "unicast" else None
     standard = STANDARDS[section.standard]
-    lengths = frame_lengths(plan_length(setup))
+    lengths = frame_lengths(plan_length(setup, section))
     return occupied_ns(lengths, standard, section.rate_mbps, receivers=receivers)
 
 
-def plan_length(setup: Setup) -> int:
-    """Return the bytes of the longest plan of a run, without data of a controller of the user."""
+def length_on_air(plan: Plan, section: RadioSection) -> int:
+    """Return the bytes of a plan as the radio carries it."""
+    if section.inputs == "all":
+        return encoded_length(plan)
+    return encoded_length(replace(plan, inputs=plan.inputs[:1]))
+
+
+def plan_length(setup: Setup, section: RadioSection) -> int:
+    """Return the bytes of the longest plan on the air, without data of a controller of the user."""
     owned = max(setup.owned, key=len)
     agent = setup.agents[-1]
     tick = setup.ticks
@@ -134,20 +142,19 @@ def plan_length(setup: Setup) -> int:
     is_corrected = setup.settings.prediction == "closed_loop"
     reported = REPORTS * REPORTED if setup.scenario.plant.sensors == "vehicle" else PER_UAV
     inputs = INPUTS * len(owned)
-    return encoded_length(
-        Plan(
-            sender=agent_name(agent),
-            incarnation=0,
-            sequence=tick,
-            tick=tick,
-            agent=agent,
-            start_tick=tick,
-            negotiation=0,
-            shared=True,
-            uavs=tuple(uav + 1 for uav in owned),
-            uav_states=np.zeros((len(owned), reported)),
-            inputs=np.zeros((horizon, inputs)),
-            corrections=np.zeros((horizon if is_corrected else 0, inputs)),
-            status="solved",
-        )
+    longest = Plan(
+        sender=agent_name(agent),
+        incarnation=0,
+        sequence=tick,
+        tick=tick,
+        agent=agent,
+        start_tick=tick,
+        negotiation=0,
+        shared=True,
+        uavs=tuple(uav + 1 for uav in owned),
+        uav_states=np.zeros((len(owned), reported)),
+        inputs=np.zeros((horizon, inputs)),
+        corrections=np.zeros((horizon if is_corrected else 0, inputs)),
+        status="solved",
     )
+    return length_on_air(longest, section)

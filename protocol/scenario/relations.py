@@ -136,6 +136,14 @@ def _radio(scenario: Scenario) -> Problems:
         shown = ", ".join(f"{rate:g}" for rate in rates_mbps)
         yield "radio.rate_mbps", f"one of {shown} with {radio.standard}", f"{radio.rate_mbps:g}"
 
+    if radio.inputs == "first" and controller.prediction != "closed_loop":
+        expected = (
+            "'all' without controller.prediction = 'closed_loop': the others predict with them"
+        )
+        yield "radio.inputs", expected, "'first'"
+    if radio.inputs == "first" and scenario.agents.controller != "mpc":
+        yield "radio.inputs", "'all' with a controller that is not 'mpc'", "'first'"
+
     exchange_s = controller.sampling_period_s / controller.negotiation_iterations
     computed_s = radio.computation_mean_s + 3.0 * radio.computation_deviation_s
     if radio.offsets == "slots" and computed_s >= exchange_s:

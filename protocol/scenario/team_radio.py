@@ -23,11 +23,11 @@ from transport.protocol.scenario.radio_section import RadioSection
 from transport.protocol.scenario.radio_settings import (
     NS_PER_S,
     channel_parameters,
+    length_on_air,
     propagation_of,
     send_times,
 )
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.wire.codec import encoded_length
 from transport.protocol.wire.messages import NO_NEWS, Plan
 
 _OTHERS_DB = 20.0  # power of the traffic of others above the sensitivity
@@ -68,6 +68,7 @@ class TeamRadio:
 
     def __init__(self, setup: Setup, section: RadioSection) -> None:
         self._setup = setup
+        self._section = section
         self._agents = len(setup.owned)
         self._standard = STANDARDS[section.standard]
         self._channel = Channel(channel_parameters(section, setup.scenario.seed))
@@ -107,7 +108,7 @@ class TeamRadio:
             return
         station = plan.agent - 1
         exchange = self._sends.exchanges - 1 - plan.negotiation
-        lengths = frame_lengths(encoded_length(plan))
+        lengths = frame_lengths(length_on_air(plan, self._section))
         if self._sends.cycle > 1:
             self._replace(station)
         self._waiting.append(

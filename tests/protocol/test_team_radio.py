@@ -84,6 +84,11 @@ def lost_of(*settings: str) -> int:
             "radio.computation_mean_s: expected mean and three deviations below 0.05 s",
         ),
         (
+            ("radio={inputs='first'}",),
+            "radio.inputs: expected 'all' without controller.prediction = 'closed_loop': the others "
+            "predict with them, got 'first'",
+        ),
+        (
             ("radio={offsets='none',cycle_ticks=2}",),
             "radio.cycle_ticks: expected no value with radio.offsets = 'none', which has no slots, "
             "got 2",
@@ -193,8 +198,11 @@ SLOW = "radio={standard='802.11b',rate_mbps=1.0}"  # a plan takes 12.2 ms
 def test_the_length_of_a_plan_is_known_before_the_run() -> None:
     """Slots are for plans as long as the longest one."""
     run = setup(ticks(TICKS), *CLOSED_LOOP, "radio={}")
+    assert run.scenario.radio is not None
     plans = [one for one in messages_of("radio={}") if isinstance(one, Plan)]
-    assert plan_length(run) - max(len(encode(plan)) for plan in plans) in range(8)
+    assert plan_length(run, run.scenario.radio) - max(len(encode(plan)) for plan in plans) in range(
+        8
+    )
 
 
 def test_slots_that_do_not_fit_into_a_period_take_turns() -> None:
@@ -222,6 +230,21 @@ def test_slots_of_one_tick_overlap_if_they_are_too_short() -> None:
     short = "radio={standard='802.11b',rate_mbps=1.0,cycle_ticks=1}"
     assert REPLACED not in np.vstack([one.arrivals for one in news_of(short)])
     assert max(one.arrivals.max() for one in news_of(short)) > PERIOD_S
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        ("links.delay_s=0.1", "links.loss=0.3"),
+        ("controller.negotiation_iterations=3", "controller.relaxation=0.25"),
+    ],
+)
+def test_the_first_input_is_enough_under_the_shared_law(changes: tuple[str, ...]) -> None:
+    """Without the later inputs plans are two fifths shorter, and the run has the same bits."""
+    whole, first = "radio={inputs='all'}", "radio={inputs='first'}"
+    assert states_of(first, *changes) == states_of(whole, *changes)
+    busy_s = [sum(one.busy_s for one in news_of(each, *changes)) for each in (whole, first)]
+    assert 0.55 < busy_s[1] / busy_s[0] < 0.62
 
 
 def test_a_long_message_takes_several_frames() -> None:
