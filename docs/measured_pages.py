@@ -421,6 +421,37 @@ RESULTS = (
     ),
 )
 
+
+
+# docs/radio.md
+
+ON_CHANGE = "controller.share=on_change"
+FLIGHTS: Mapping[str, tuple[int | None, tuple[str, ...]]] = {
+    "4 UAVs, no radio": (None, ()),
+    "4 UAVs, 6 Mb/s": (None, ("radio={}",)),
+    "4 UAVs, 6 Mb/s, on change": (None, ("radio={}", ON_CHANGE)),
+    "16 UAVs, no radio": (16, ()),
+    "16 UAVs, 24 Mb/s": (16, ("radio={rate_mbps=24.0}",)),
+    "16 UAVs, 6 Mb/s, on change": (16, ("radio={}", ON_CHANGE)),
+    "32 UAVs, 24 Mb/s": (32, ("radio={rate_mbps=24.0}",)),
+    "32 UAVs, 6 Mb/s, on change": (32, ("radio={}", ON_CHANGE)),
+}
+RADIO = (
+    listed(
+        "flights",
+        "`resilient`",
+        {text: Run("resilient", settings, uavs) for text, (uavs, settings) in FLIGHTS.items()},
+        {
+            "result": outcome,
+            "mean cost": COST,
+            "airtime": cell("airtime_share", "{:.1f} %", 100.0),
+            "delivered": cell("air_delivered_share", "{:.1f} %", 100.0),
+            "delay, 99th percentile": cell("air_delay_p99_ms", "{:.2f} ms"),
+            "largest payload error": cell("payload_max_m", "{:.1f} cm", 100.0),
+        },
+    ),
+)
+
 PAGES = {
     "guarantees.md": GUARANTEES,
     "engines.md": ENGINES,
@@ -428,4 +459,5 @@ PAGES = {
     "scenario.md": SCENARIO,
     "time.md": TIME,
     "results.md": RESULTS,
+    "radio.md": RADIO,
 }

@@ -49,7 +49,10 @@ EXPERIMENTS: Mapping[str, Asked] = {
     **dict.fromkeys(("ablation", "horizon", "hover"), Asked()),
     "agile": Asked({"speed": [5.0, 6.0]}, seeds=1),
     "scaling": Asked({"max": 12}, seeds=3),
+    "radio": Asked({"sharing": ["always", "on_change"]}, seeds=1),
 }
+# Pages of experiments with a page of their own.
+OWN_PAGES = {"radio": ROOT / "docs" / "radio.md"}
 
 
 def swept(experiment: Experiment, cases: Sequence[Case], results: Sequence[Result]) -> Swept:
@@ -76,7 +79,7 @@ def measured(name: str) -> Measured:
 
     return Measured(
         name=name,
-        document=PAGE,
+        document=OWN_PAGES.get(name, PAGE),
         cases=cases,
         texts=_texts(experiment, cases),
         text=text,
