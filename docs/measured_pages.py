@@ -422,7 +422,6 @@ RESULTS = (
 )
 
 
-
 # docs/radio.md
 
 ON_CHANGE = "controller.share=on_change"

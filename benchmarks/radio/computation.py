@@ -1,16 +1,14 @@
 """Computation of the radio: `python -m benchmarks.radio.computation` renews its table in docs/radio.md.
 
-Runs in memory, in turns: without a radio; with one; and with one whose computation is replaced by
-its recorded news. The last two have the same messages, so their difference is the computation
-alone. Processor time of the thread.
+Runs in memory with a radio and without one, in turns. The computation is the processor time of the
+coordinator's radio within the run: sends, channel, and its news. The runs have the same states, so
+their difference is the computation and all messages about it.
 """
 
 import argparse
-import itertools
 import sys
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 from unittest.mock import patch
 
@@ -19,21 +17,19 @@ import numpy as np
 from benchmarks.radio.__main__ import DOCUMENT
 from benchmarks.runs import digits, origin, quiet, setup
 from docs.tables import put, table
-from transport.coordinator import air
+from transport.coordinator.air import TeamAir
 from transport.flight import memory
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team_radio import TeamRadio
 
-UAVS = (4, 16)
-TICKS = {4: 200, 16: 60}
-TURNS = 30
+TICKS = {4: 200, 16: 60}  # by the number of UAVs
+TURNS = 8
 HEADINGS = (
     "UAVs",
-    "tick without a radio, ms",
-    "computation, share of a tick",
-    "with all messages of the radio",
+    "tick, ms",
+    "computation, ms",
+    "share of the tick",
+    "tick over that without a radio",
 )
-News = list[dict[str, Any]]
 
 
 def main() -> None:
@@ -45,12 +41,12 @@ def main() -> None:
     parser.add_argument("--dry", action="store_true", help="write nothing")
     given = parser.parse_args()
 
-    content = table(HEADINGS, [row(uavs, given.turns) for uavs in UAVS])
+    content = table(HEADINGS, [row(uavs, given.turns) for uavs in TICKS])
     sys.stdout.write(f"{content}\n")
     if not given.dry:
         text = (
             "`resilient` resized to N UAVs, 6 Mb/s, slots. Processor time in memory, "
-            f"medians (quartiles) over {given.turns} turns. {origin()}."
+            f"medians (smallest to largest) of {given.turns} runs. {origin()}."
         )
         put(DOCUMENT, "computation", f"{text}\n\n{content}")
 
@@ -63,82 +59,49 @@ def row(uavs: int, turns: int) -> tuple[str, ...]:
     )
     without = setup("resilient", climb, uavs=uavs)
     radio = setup("resilient", climb, "radio={}", uavs=uavs)
-    recorded = news_of(radio)
 
-    times_ms: dict[str, list[float]] = {"without": [], "computed": [], "recorded": []}
+    ticks_ms = []
+    computed_ms = []
+    ratios = []
     for turn in range(turns + 1):
-        found = {
-            "without": lambda: run_ms(without),
-            "computed": lambda: run_ms(radio),
-            "recorded": lambda: with_recorded_ms(radio, recorded),
-        }
-        # Each comes first, second and third equally often.
-        for name in list(itertools.permutations(found))[turn % 6]:
-            times_ms[name].append(found[name]())
+        other_ms = 0.0 if turn % 2 else run_ms(without)[0]
+        tick_ms, own_ms = run_ms(radio)
+        if turn % 2:
+            other_ms = run_ms(without)[0]
+        if turn == 0:
+            continue  # fills caches
+        ticks_ms.append(tick_ms)
+        computed_ms.append(own_ms)
+        ratios.append(tick_ms / other_ms)
 
-    # The first turn fills caches.
-    without_ms, computed_ms, recorded_ms = [np.array(ms[1:]) for ms in times_ms.values()]
+    shares = 100.0 * np.array(computed_ms) / np.array(ticks_ms)
     return (
         str(uavs),
-        digits(float(np.median(without_ms)) / without.ticks),
-        percent((computed_ms - recorded_ms) / computed_ms),
-        percent((computed_ms - without_ms) / without_ms),
+        digits(float(np.median(ticks_ms))),
+        digits(float(np.median(computed_ms))),
+        f"{np.median(shares):.1f} % ({shares.min():.1f} to {shares.max():.1f})",
+        f"{np.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})",
     )
 
 
-def percent(shares: Any) -> str:
-    """Return median and quartiles of shares."""
-    low, middle, high = 100.0 * np.percentile(shares, (25.0, 50.0, 75.0))
-    return f"{middle:.1f} % ({low:.1f} to {high:.1f})"
+def run_ms(run: Setup) -> tuple[float, float]:
+    """Return the processor time of a tick, and of its radio, ms."""
+    spent_ns = [0]
 
+    def timed(method: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            begin_ns = time.thread_time_ns()
+            result = method(*arguments, **options)
+            spent_ns[0] += time.thread_time_ns() - begin_ns
+            return result
 
-def run_ms(run: Setup) -> float:
-    """Return the processor time of a run, ms."""
-    with quiet():
+        return call
+
+    with quiet(), patch.object(TeamAir, "opened", timed(TeamAir.opened)):
         begin_ns = time.thread_time_ns()
         memory.simulate(run)
-        return (time.thread_time_ns() - begin_ns) / 1e6
-
-
-def news_of(run: Setup) -> News:
-    """Return what the radio tells in a run, window by window."""
-    news: News = []
-    advance = TeamRadio.advance
-
-    def observed(radio: TeamRadio, *arguments: Any, **options: Any) -> Mapping[str, Any]:
-        news.append(advance(radio, *arguments, **options))
-        return news[-1]
-
-    with patch.object(TeamRadio, "advance", observed):
-        memory.simulate(run)
-    return news
-
-
-def with_recorded_ms(run: Setup, news: News) -> float:
-    """Return the processor time of a run whose radio tells what was recorded, ms."""
-    with recorded_radio(iter(news)):
-        return run_ms(run)
-
-
-@contextmanager
-def recorded_radio(news: Iterator[dict[str, Any]]) -> Iterator[None]:
-    """Replace the computation of the radio by its recorded news."""
-
-    class Recorded:
-        """Radio without computation."""
-
-        def __init__(self, *_: Any) -> None:
-            pass
-
-        def send(self, *_: Any) -> None:
-            """Take in a plan."""
-
-        def advance(self, *_: Any, **__: Any) -> dict[str, Any]:
-            """Return the next news."""
-            return dict(next(news))
-
-    with patch.object(air, "TeamRadio", Recorded):
-        yield
+        whole_ns = time.thread_time_ns() - begin_ns
+    return whole_ns / run.ticks / 1e6, spent_ns[0] / run.ticks / 1e6
 
 
 if __name__ == "__main__":

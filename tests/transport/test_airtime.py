@@ -42,6 +42,25 @@ def test_numbers_of_slots() -> None:
     assert {link["delivered_share"] for link in radio["links"]} == {1.0}
 
 
+def test_numbers_of_slots_that_take_turns() -> None:
+    """Replaced plans are no losses, and the line says how often each agent has a slot."""
+    run = run_of("radio={standard='802.11b',rate_mbps=1.0}")
+    radio = radio_of(run, run_in_memory(run))
+    assert radio is not None
+    assert radio["delivered_share"] == 1.0
+    assert radio["replaced"] == (4 * (TICKS - 1) - 2 - radio["transmissions"]) * 3
+    assert radio["slots"]["cycle_ticks"] == 2
+    assert radio["slots"]["plan_ms"] <= radio["slots"]["slot_ms"]
+    assert radio_text(radio).endswith("a slot for each agent every 2 ticks")
+
+
+def test_slots_shorter_than_a_plan_are_told() -> None:
+    """The line of a run says that its slots are too short."""
+    run = run_of("radio={standard='802.11b',rate_mbps=1.0,cycle_ticks=1}")
+    text = radio_text(radio_of(run, run_in_memory(run)) or {})
+    assert "slots of 10.50 ms are shorter than a plan, 12.3" in text
+
+
 def test_numbers_at_one_instant() -> None:
     """With all sends at one instant there are collisions, and no delay."""
     run = run_of(AT_ONE_INSTANT)
