@@ -60,6 +60,11 @@ def swept(experiment: Experiment, cases: Sequence[Case], results: Sequence[Resul
     return Swept(experiment=experiment, cases=cases, results=results)
 
 
+def page_of(name: str) -> Path:
+    """Return the page of an experiment."""
+    return OWN_PAGES.get(name, PAGE)
+
+
 def measured(name: str) -> Measured:
     """Return an experiment as a part of the page."""
     if name == PAPER:
@@ -79,7 +84,7 @@ def measured(name: str) -> Measured:
 
     return Measured(
         name=name,
-        document=OWN_PAGES.get(name, PAGE),
+        document=page_of(name),
         cases=cases,
         texts=_texts(experiment, cases),
         text=text,

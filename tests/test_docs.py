@@ -142,7 +142,7 @@ def test_relative_links_resolve(document: Path) -> None:
 
 
 def test_measured_tables_have_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A document has markers for each part that its program renews, and no others.
+    """A document has markers for each part that its program or `benchmarks.radio` renews, and no others.
 
     All runs are scenarios.
     """
@@ -151,9 +151,12 @@ def test_measured_tables_have_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [runs for tables in pages.values() for table in tables for runs in table.rows.values()]
     for run in {run for runs in rows for run in runs if run}:
         run.point().read()
+    experiments = import_module("results_page").EXPERIMENTS
+    page_of = import_module("results_page").page_of
     for document, tables in pages.items():
         names = ["origin", *(table.name for table in tables)]
-        names += import_module("results_page").EXPERIMENTS if document == "results.md" else []
+        names += [name for name in experiments if page_of(name).name == document]
+        names += ["deferral", "validation", "computation", "bytes"] * (document == "radio.md")
         text = (ROOT / "docs" / document).read_text(encoding="utf-8")
         begun = re.findall(r"^<!-- (\w+) -->$", text, re.MULTILINE)
         assert sorted(begun) == sorted(names), document
