@@ -8,7 +8,7 @@ WORKERS := --numprocesses 3 --dist loadfile --no-loadscope-reorder
 # Empty means unset: each process of a run would otherwise compile all sources again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: run test test-slow test-pages test-firmware test-all campaigns bench figures figures-check arena docs reference lint format lock audit licences clean help
+.PHONY: run test test-slow test-pages test-firmware test-all campaigns bench figures figures-check arena archive docs reference lint format lock audit licences clean help
 
 help: ## show this
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1 \t/'
@@ -66,6 +66,9 @@ figures-check: $(VENV)/.installed-test ## compare all tables with kept results, 
 arena: $(VENV)/.installed-test ## fly the arena and the ready algorithms, and renew docs/arena.md and their table (an hour)
 	@$(BIN)/python docs/algorithm_figures.py
 	@$(BIN)/python docs/arena_page.py
+
+archive: $(VENV)/.installed-test ## write the runs behind the README's tables as scenario files with fingerprints into build/
+	@$(BIN)/python docs/archive.py
 
 docs: $(VENV)/.installed-docs ## build the site into build/site; open build/site/index.html (no server, no network)
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

@@ -40,11 +40,12 @@ def run_id(scenario: Scenario) -> str:
 
 def code_id(scenario: Scenario) -> str:
     """Return the fingerprint of what computes a run: sources, packages, engine, own controller."""
+    engine = scenario.plant.engine
     firmware = "betaflight" if scenario.plant.inner_loop == "betaflight" else ""
     parts = [
         _sources(),
         *(f"{package} {metadata.version(package)}" for package in _PACKAGES),
-        engine_version(scenario.plant.engine),
+        "" if engine == "rods" else engine_version(engine),  # that of the package is in the sources
         controller_version(scenario.agents.controller),
         firmware and metadata.version(firmware),
     ]

@@ -25,8 +25,8 @@ FOLDER = ROOT / "docs" / "results"
 
 # Significant digits of numbers; tables show at most four.
 DIGITS = 6
-# Largest difference of two results of a run, relative: kernels for other processors change
-# completed runs by less than 1e-7, and rounding adds one unit of the last digit.
+# Largest difference of two results of a run, relative: kernels for other processors change completed
+# runs by less than 1e-6, plain ones by less than 1e-5, and rounding adds a unit of the last digit.
 TOLERANCE = 2e-5
 # Numbers below it are rounding errors.
 LEAST = 1e-9

@@ -1,5 +1,6 @@
 """Tables of documents against their kept results: what is not today's is told."""
 
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
@@ -10,7 +11,7 @@ from typing import Any
 import pytest
 
 from transport.experiments.cases import simulate
-from transport.protocol.scenario.file import find_scenario
+from transport.protocol.scenario.file import find_scenario, read_scenario
 
 ROOT = Path(__file__).resolve().parent.parent
 SHORT = ("maneuver.phase=[{name='climb',duration_s=0.5,displacement_m=[0,0,-0.1]}]",)
@@ -169,3 +170,18 @@ def test_texts_that_compute_stay(docs: SimpleNamespace) -> None:
     """Texts that are no docstrings stay, with what is within them."""
     source = 'x = "# a"  # b\ny = """c\n# d\n"""\n'
     assert docs.fingerprint.essential(source) == 'x = "# a"\ny = """c\n# d\n"""'
+
+
+def test_the_archive_repeats_runs(
+    docs: SimpleNamespace, short: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A scenario file of the archive has the fingerprint in its name, and is one that can run."""
+    archive = import_module("archive")
+    monkeypatch.setitem(docs.figures.TABLES, "short", lambda: short)
+    archive.write(tmp_path / "runs.zip", ["short"])
+    with zipfile.ZipFile(tmp_path / "runs.zip") as written:
+        written.extractall(tmp_path)
+    files = sorted((tmp_path / "scenarios").glob("*.toml"))
+    assert {file.stem for file in files} == docs.kept.read(docs.kept.file_of("short")).keys()
+    for file in files:
+        assert docs.fingerprint.run_id(read_scenario(file)) == file.stem
