@@ -32,14 +32,15 @@ from transport.experiments.workers import map_on_cores
 from transport.protocol.scenario.budget import most_workers
 
 # Declarations by name: a table is planned only when it is needed, as that reads its scenarios.
-TABLES: Mapping[str, Callable[[], Measured]] = {
-    **{name: (lambda name=name: experiment(name)) for name in EXPERIMENTS},
-    **{
-        one.name: (lambda page=page, one=one: page_table(page, one))
-        for page, tables in PAGES.items()
-        for one in tables
-    },
+_EXPERIMENTS: Mapping[str, Callable[[], Measured]] = {
+    name: (lambda name=name: experiment(name)) for name in EXPERIMENTS
 }
+_OF_PAGES: Mapping[str, Callable[[], Measured]] = {
+    one.name: (lambda page=page, one=one: page_table(page, one))
+    for page, tables in PAGES.items()
+    for one in tables
+}
+TABLES = {**_EXPERIMENTS, **_OF_PAGES}
 
 
 class Task(NamedTuple):

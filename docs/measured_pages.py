@@ -114,7 +114,7 @@ GUARANTEES = (
         FAILURES,
         unless_diverged(ATTITUDE),
     ),
-    listed("deaths", "agent killed", DEATHS, DETAILS),
+    listed("killed", "agent killed", DEATHS, DETAILS),
     listed("returns", "restarted at", RETURNS, DETAILS),
 )
 

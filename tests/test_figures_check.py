@@ -185,3 +185,11 @@ def test_the_archive_repeats_runs(
     assert {file.stem for file in files} == docs.kept.read(docs.kept.file_of("short")).keys()
     for file in files:
         assert docs.fingerprint.run_id(read_scenario(file)) == file.stem
+
+
+def test_each_table_has_its_own_name(docs: SimpleNamespace) -> None:
+    """No two tables have the same kept results."""
+    pages = import_module("measured_pages").PAGES
+    names = [one.name for tables in pages.values() for one in tables]
+    names += import_module("results_page").EXPERIMENTS
+    assert sorted(names) == sorted(docs.figures.TABLES)
