@@ -336,8 +336,7 @@ class AnnouncedInputs:
         for agent, columns in self._columns.items():
             plan = self.newest(agent, before, started=tick)
             if agent in self.off_roster:
-                is_over = plan is not None and tick - plan.start_tick >= len(plan.inputs)
-                untold.by_fail_safe[columns] = is_over
+                untold.by_fail_safe[columns] = plan is not None and self._is_over(plan, tick)
             elif agent != self._own:
                 untold.by_law[columns] = plan is None or plan.start_tick < tick
         return untold
@@ -347,7 +346,7 @@ class AnnouncedInputs:
         played = self._played(plan, tick)
         step = tick - played.start_tick
         is_off = plan.agent in self.off_roster
-        if is_off and step >= len(played.inputs):
+        if is_off and self._is_over(plan, tick):
             return self._by_fail_safe(plan.agent, tick, x)
 
         #   u_a(k) = U_a(min(k - s_a, N_p - 1))    (32)
@@ -370,6 +369,11 @@ class AnnouncedInputs:
         if assumed is not None and tick >= assumed.start_tick:
             return assumed
         return plan
+
+    def _is_over(self, plan: Plan, tick: int) -> bool:
+        """Return whether the actuators have played all of a plan, or of what stands for it."""
+        played = self._played(plan, tick)
+        return tick - played.start_tick >= len(played.inputs)
 
     def _is_under_law(self, plan: Plan, tick: int) -> bool:
         """Return whether the agent followed the present control law at a tick after a plan."""

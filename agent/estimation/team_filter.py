@@ -253,7 +253,7 @@ class TeamFilter:
         return Situation(model=model, x=belief.x[:n], actual=actual, forces=self.forces(belief))
 
     def _discrete(self, place: Situation, u: Array) -> Discrete:
-        """Return the discrete linearisation about a place, (16), with motor lag (56)."""
+        """Return the discrete linearisation about a place, (16), with motor lag (55)."""
         model = place.model
         linear = model.linearise(place.x, place.actual, forces=place.forces)
         if self._lagging:

@@ -67,6 +67,22 @@ def test_hover_before_any_plan() -> None:
     np.testing.assert_array_equal(announced().in_force(0, before=0), U_HOVER)
 
 
+def test_fail_safe_begins_where_the_inputs_in_force_end() -> None:
+    """Inputs assumed in place of the last plan put off the fail-safe, for the filter as well."""
+    inputs = announced(labelled(2, 0))
+    inputs.off_roster = {2}
+    start = 2
+    assumed = np.tile(np.arange(STEPS, dtype=float)[:, None], (1, len(U_HOVER)))
+    inputs.assume(2, start, assumed)
+
+    for tick in range(start, start + STEPS + 2):
+        is_over = tick >= start + STEPS
+        expected = U_HOVER[COLUMNS[2]] if is_over else assumed[tick - start, COLUMNS[2]]
+        np.testing.assert_array_equal(rows(2, inputs.in_force(tick, before=tick)), expected)
+        by_fail_safe = inputs.untold(tick, before=tick).by_fail_safe
+        assert (rows(2, by_fail_safe) == is_over).all()
+
+
 @pytest.mark.parametrize("age", range(STEPS + 3))
 @pytest.mark.parametrize("delay", [0, 1])
 def test_shift_and_hold(age: int, delay: int) -> None:
