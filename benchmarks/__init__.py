@@ -1,4 +1,7 @@
-"""Benchmarks of computation, codec and whole runs.
+"""Measurements too long for tests; each writes tables of a page.
 
-`make bench` writes the tables of docs/performance.md.
+`make bench` measures computation, codec and whole runs (docs/performance.md), `estimates` the
+estimate against the truth (docs/vehicles.md), `silence` teams without news (docs/guarantees.md),
+`worst` the search for failures (docs/worst.md), `radio` the channel against ns-3 (docs/radio.md),
+and `peers` other libraries.
 """

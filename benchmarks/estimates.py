@@ -53,12 +53,21 @@ RETURN: Mapping[str, Any] = {"at_s": 9.0, "do": "restart", "target": "agent3"}
 CASES: Mapping[str, tuple[Mapping[str, Any], int]] = {
     "perfect network": ({}, 10),
     "200 ms and 30 % loss": (LATE, 10),
-    "the same, payload 20 % heavier, gusts of 1 m/s, forces estimated": (WIND, 3),
+    "200 ms and 30 % loss, payload 20 % heavier, gusts of 1 m/s, forces estimated": (WIND, 3),
     "200 ms and 30 % loss, forces estimated": (FORCES, 3),
-    "the same, 30 ms of motor lag that no agent knows": ({**LATE, "plant.motors.lag_s": 0.03}, 2),
-    "the same, sensors as told but 100 ms old": ({**LATE, "plant.noise.delay.position_s": 0.1}, 2),
-    "agent 3 ends at 7 s": ({**LOST, "faults.event": [DEATH]}, 2),
-    "agent 3 ends at 7 s, returns at 9 s": ({**LOST, "faults.event": [DEATH, RETURN]}, 2),
+    "200 ms and 30 % loss, 30 ms of motor lag that no agent knows": (
+        {**LATE, "plant.motors.lag_s": 0.03},
+        2,
+    ),
+    "200 ms and 30 % loss, sensors as told but 100 ms old": (
+        {**LATE, "plant.noise.delay.position_s": 0.1},
+        2,
+    ),
+    "200 ms and 30 % loss, agent 3 ends at 7 s": ({**LOST, "faults.event": [DEATH]}, 2),
+    "200 ms and 30 % loss, agent 3 ends at 7 s, returns at 9 s": (
+        {**LOST, "faults.event": [DEATH, RETURN]},
+        2,
+    ),
 }
 MARKER = "bench: estimates"
 COLUMNS = (

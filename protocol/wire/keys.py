@@ -66,7 +66,10 @@ class Keys:
 
     @classmethod
     def below(cls, prefix: str) -> "Keys":
-        """Return key expressions for several runs, below `transport/*`: nothing is sent there."""
+        """Return key expressions for access rules and routers: nothing is sent there.
+
+        The prefix is that of one run, or `transport/*` for all.
+        """
         keys = cls("any")
         keys.prefix = prefix
         return keys

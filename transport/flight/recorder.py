@@ -26,7 +26,8 @@ from transport.protocol.wire.keys import RECORDER, Keys
 from transport.protocol.wire.names import COORDINATOR, agent_name
 from transport.protocol.wire.node import Outbox, end_without_coordinator
 
-# Kinds of messages that the recorder reads; of the others it reads the header.
+# Kinds of messages that the recorder reads; of the others it reads the header. One that is read is
+# recorded if it passes the gate, the others as they came.
 _READ = (wire.Roster, wire.LinkChange, wire.Target, wire.Control, wire.Rejected)
 _UNREAD = {kind for kind, cls in {**wire.KINDS, **wire.BUNDLES}.items() if cls not in _READ}
 # Kinds among the unread ones that tell of the newest tick, and of the plant's state.
@@ -56,7 +57,7 @@ class Recorder:
     Attributes:
         writer: The log.
         setup: The run, with its targets so far.
-        started_s: Steady-clock time of the first plant state, None before.
+        started_s: Monotonic time of the first plant state, None before.
         control: End of the run, None before.
         error: Why recording ended early, None if it did not.
         received: Number of messages in the log.

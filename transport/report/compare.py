@@ -1,8 +1,6 @@
 """Comparison of recorded runs: quantities with differences from the first run, caveats, figure."""
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial, reduce
-from operator import getitem
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -70,12 +68,20 @@ def _lost(summary: Summary) -> float | None:
 def _exceeded(summary: Summary) -> float | None:
     """Return the largest violation of a limit as a share of its range; 0 if all held."""
     share = summary["constraint_violation_max"]
-    return None if share is None else share * (share >= HELD)
+    if share is None:
+        return None
+    # Below HELD a limit was exceeded within the tolerance of the solver.
+    return share if share >= HELD else 0.0
 
 
-def _radio(key: str) -> Callable[[Summary], Any]:
-    """Return the function that reads a number of the radio from a summary; None without one."""
-    return lambda summary: (summary.get("radio") or {}).get(key)
+def _at(summary: Summary, key: str) -> Any:
+    """Return the value at a dotted key; None below a section that the run does not have."""
+    value: Any = summary
+    for name in key.split("."):
+        if value is None:
+            return None
+        value = value.get(name)
+    return value
 
 
 # Compared quantities: name, unit, dotted key or function of a summary (docs/summary.md);
@@ -103,8 +109,8 @@ _QUANTITIES: tuple[tuple[str, str, str | Callable[[Summary], Any]], ...] = (
     ("plan age, mean", "ticks", "plan_age_ticks.mean"),
     ("plan age, max", "ticks", "plan_age_ticks.max"),
     ("plans lost", "%", _lost),
-    ("radio: airtime", "%", _radio("airtime_share")),
-    ("radio: delivered", "%", _radio("delivered_share")),
+    ("radio: airtime", "%", "radio.airtime_share"),
+    ("radio: delivered", "%", "radio.delivered_share"),
     ("messages rejected", "", "messages.rejected"),
     ("solver fallbacks", "", "solver.fallbacks"),
     ("solver failures", "", "solver.failures"),
@@ -130,8 +136,9 @@ def rows(runs: Sequence[Compared]) -> list[Row]:
     """Return a row for each quantity that any of the runs has; at least one run."""
     table = []
     for name, unit, source in _QUANTITIES:
-        value_of = source if callable(source) else partial(reduce, getitem, source.split("."))
-        values = tuple(value_of(one.summary) for one in runs)
+        values = tuple(
+            source(one.summary) if callable(source) else _at(one.summary, source) for one in runs
+        )
         if unit == "%":
             values = tuple(None if value is None else _PERCENT * value for value in values)
         if all(value is None for value in values):
