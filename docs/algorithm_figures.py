@@ -252,34 +252,36 @@ def row_of(name: str, runs: Mapping[str, Flight]) -> list[str]:
     return cells
 
 
-def flown_and_drawn(name: str) -> Any:
-    """Return row and note of an algorithm, flown and drawn as far as this commit has not."""
-    file = ROOT / "runs" / "figures" / commit() / "algorithms" / f"{name.partition(':')[0]}.json"
-    if not file.exists():
-        networks = [PERFECT] if entered(name).centralized else list(SHOWN)
-        runs = {network: flown(name, network) for network in networks}
-        draw(name, runs)
-        note = draw_admm(runs)[1] if name == "admm:ADMM" else ""
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(orjson.dumps({"row": row_of(name, runs), "note": note}))
-    return orjson.loads(file.read_bytes())
+def file_of(name: str) -> Path:
+    """Return the file in which row and note of an algorithm are kept for this commit."""
+    return ROOT / "runs" / "figures" / commit() / "algorithms" / f"{name.partition(':')[0]}.json"
+
+
+def fly(name: str) -> None:
+    """Fly and draw an algorithm, and keep its row."""
+    networks = [PERFECT] if entered(name).centralized else list(SHOWN)
+    runs = {network: flown(name, network) for network in networks}
+    draw(name, runs)
+    note = draw_admm(runs)[1] if name == "admm:ADMM" else ""
+    file = file_of(name)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(orjson.dumps({"row": row_of(name, runs), "note": note}))
 
 
 def main(names: Sequence[str]) -> None:
-    """Draw the figures; with all algorithms also renew the table."""
+    """Fly algorithms, by default all that this commit has not flown, and renew the table of all flown."""
     os.chdir(FOLDER)
     sys.path.append(str(FOLDER))
-    made = [flown_and_drawn(name) for name in names or ALGORITHMS]
-    if not names:
-        headings = ["over the paper's maneuver", *TEXTS.values(), "payload error, rms", "step"]
-        note = " ".join(one["note"] for one in made if one["note"])
-        origin = f"Mean cost; step: median. Machine: {machine()}."
-        rows = table(headings, [one["row"] for one in made])
-        put(
-            PAGE,
-            "ready algorithms",
-            f"{rows}\n\n{origin} ADMM's distance from the optimum: {note}.",
-        )
+    for name in names or [name for name in ALGORITHMS if not file_of(name).exists()]:
+        fly(name)
+
+    files = [file for file in map(file_of, ALGORITHMS) if file.exists()]
+    made = [orjson.loads(file.read_bytes()) for file in files]
+    headings = ["over the paper's maneuver", *TEXTS.values(), "payload error, rms", "step"]
+    rows = table(headings, [one["row"] for one in made])
+    notes = [f"ADMM's distance from the optimum: {one['note']}." for one in made if one["note"]]
+    origin = f"Mean cost; step: median. Machine: {machine()}."
+    put(PAGE, "ready algorithms", f"{rows}\n\n{' '.join([origin, *notes])}")
 
 
 if __name__ == "__main__":
