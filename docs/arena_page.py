@@ -4,6 +4,7 @@ Part of `make figures`. Results are kept for each commit. Further arguments go t
 `transport arena`.
 """
 
+import shlex
 import shutil
 import subprocess
 import sys
@@ -17,6 +18,8 @@ from transport.experiments.arena_tasks import NETWORK_TEXTS, NETWORKS, TASKS
 PAGE = ROOT / "docs" / "arena.md"
 IMAGES = ROOT / "docs" / "images"
 FOLDER = ROOT / "examples" / "controllers"
+
+OUT = "--out"
 
 # The paper's algorithm as a class is left out: its numbers are those of `paper`.
 ENTERED = (
@@ -47,18 +50,21 @@ def networks() -> str:
 
 def results(arguments: Sequence[str]) -> str:
     """Fly the arena as far as this commit has not, copy the figure and return the report."""
-    folder = ROOT / "runs" / "figures" / commit() / "arena"
     entered = [word for name in ENTERED for word in ("--controller", name)]
-    command = [sys.executable, "-P", "-m", "transport", "arena", *entered, *arguments]
-    if "--out" in arguments:
-        folder = Path(arguments[arguments.index("--out") + 1])
-    else:
-        command += ["--out", str(folder)]
+    chosen = [*([] if "--controller" in arguments else entered), *arguments]
+    folder = ROOT / "runs" / "figures" / commit() / "arena"
+    if OUT in chosen:
+        place = chosen.index(OUT)
+        folder = Path(chosen[place + 1])
+        del chosen[place : place + 2]
+    command = [sys.executable, "-m", "transport", "arena", *chosen, OUT, str(folder)]
     subprocess.run(command, stdout=subprocess.DEVNULL, check=True, cwd=FOLDER)
+
     shutil.copy(folder / "figure.png", IMAGES / "arena.png")
     report = (folder / "report.md").read_text(encoding="utf-8").strip()
     figure = "![Completion of each task, and the other measures, by algorithm](images/arena.png)"
-    return f"{figure}\n\n{report}"
+    flown = f"In examples/controllers:\n\n```\ntransport arena {shlex.join(chosen)}\n```"
+    return f"{flown}\n\n{figure}\n\n{report}"
 
 
 def main() -> None:

@@ -176,7 +176,10 @@ class ArenaResult:
         lines += [f"- {sentence}" for sentence in self.sentences()]
         shown = dict.fromkeys(network for _, network, _ in self.by_place)
         lines += [f"- {network}: {NETWORK_TEXTS[network]}" for network in shown]
-        seeds = f"{self.arena.seeds} seeds of each random run, ± half the 95 % interval"
+        count = self.arena.seeds
+        seeds = f"{count} seed{'s' * (count > 1)} of each random run"
+        if count > 1:
+            seeds += ", ± half the 95 % interval"
         origin = f"Arena {arena_tasks.VERSION}, {seeds}; {versions()}; machine: {machine()}"
         return "\n".join([*lines, "", f"*{origin}*", ""])
 

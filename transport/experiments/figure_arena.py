@@ -18,6 +18,7 @@ _MAP_IN, _STRIP_IN = 0.9, 0.62
 _LEFT_IN, _BELOW_IN = 0.62, 0.75
 _SPREAD = 0.8  # of the distance of two algorithms: place of all networks of one
 _SIZE = 2.2  # of a point
+_FEW_DECADES = 1e3
 # Number, title, factor, and whether the axis is logarithmic.
 _STRIPS = (
     (COST_RATIO, "mean cost over centralized, perfect network", 1.0, True),
@@ -54,7 +55,9 @@ def draw_arena(figure: Figure, measured: Sequence[PointStatistics]) -> None:
         head(panel, title, legend=False)
         if is_log and panel.has_data():
             panel.set_yscale("log")
-            label_decades(panel.yaxis)
+            low, high = panel.get_ylim()
+            if high < _FEW_DECADES * low:  # else the numbers would touch
+                label_decades(panel.yaxis)
     for panel in panels:
         panel.set_xlim(-0.5, len(algorithms) - 0.5)
         panel.set_xticks(range(len(algorithms)), [""] * len(algorithms))
