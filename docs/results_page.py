@@ -11,6 +11,7 @@ from typing import Any
 
 from measured import Derived, Measured
 from tables import ROOT, table
+from weather_table import worth
 
 from transport.cli.experiment import EXPERIMENTS as DECLARED
 from transport.cli.experiment import ExperimentOptions
@@ -41,7 +42,7 @@ class Asked:
 
 # Standard deviation of gusts in the comparison, m/s.
 GUST_MPS = 1.0
-PAPER = "paper"
+PAPER, WEATHER = "paper", "weather"
 EXPERIMENTS: Mapping[str, Asked] = {
     **dict.fromkeys(
         ("paper", "latency", "loss", "jitter", "matrix", "kill", "deaths", "sharing"), Asked()
@@ -50,6 +51,7 @@ EXPERIMENTS: Mapping[str, Asked] = {
     "agile": Asked({"speed": [5.0, 6.0]}, seeds=1),
     "scaling": Asked({"max": 12}, seeds=3),
     "radio": Asked({"sharing": ["always", "on_change"]}, seeds=1),
+    WEATHER: Asked(seeds=2),
 }
 # Pages of experiments with a page of their own.
 OWN_PAGES = {"radio": ROOT / "docs" / "radio.md"}
@@ -239,6 +241,12 @@ def claim(results: Mapping[str, Sequence[Result]]) -> str:
 
 
 DERIVED = (
+    Derived(
+        name="worth",
+        document=README,
+        sources=(WEATHER,),
+        text=lambda results: worth(_rows(WEATHER, results[WEATHER])),
+    ),
     Derived(
         name="network",
         document=README,

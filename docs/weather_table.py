@@ -1,0 +1,51 @@
+"""The README's first table: what becomes of the payload without a good network, or without any."""
+
+from collections.abc import Mapping, Sequence
+
+from tables import table
+
+from transport.experiments.weather_experiment import NETWORKS, NONE, PERFECT
+
+Row = Mapping[str, str]  # of points.csv
+ONE_AGENT, TEAM, ALONE, PAPER = "centralized_lq", "resilient", "alone", "paper"
+
+
+def worth(rows: Sequence[Row]) -> str:
+    """Return the table of payload errors, a row for each weather, and a line about `paper`."""
+    headings = [
+        "payload error, rms",
+        *(f"{network} network" if network == PERFECT else network for network in NETWORKS),
+        "one agent, perfect network",
+        "`alone`, no network",
+    ]
+    places = [*((TEAM, network) for network in NETWORKS), (ONE_AGENT, PERFECT), (ALONE, NONE)]
+    lines = [
+        [air, *(_cell(rows, scenario, air, network) for scenario, network in places)]
+        for air in dict.fromkeys(row["weather"] for row in rows)
+    ]
+    return f"{table(headings, lines)}\n\n{_of_paper(rows)}"
+
+
+def _cell(rows: Sequence[Row], scenario: str, air: str, network: str) -> str:
+    """Return the error of a point, or how many of its runs complete."""
+    found = {"scenario": scenario, "weather": air, "network": network}
+    row = next(row for row in rows if row.items() >= found.items())
+    if row["completed"] != row["flights"]:
+        return f"{row['completed']} of {row['flights']} complete"
+    return f"{100.0 * float(row['payload_rms_m']):.0f} cm"
+
+
+def _of_paper(rows: Sequence[Row]) -> str:
+    """Return how many runs of the paper's algorithm complete, on a perfect network and on others."""
+
+    def completed(own: Sequence[Row]) -> str:
+        done, runs = (sum(int(row[name]) for row in own) for name in ("completed", "flights"))
+        return f"{done} of {runs}"
+
+    own = [row for row in rows if row["scenario"] == PAPER]
+    perfect = completed([row for row in own if row["network"] == PERFECT])
+    others = completed([row for row in own if row["network"] != PERFECT])
+    return (
+        "The paper's algorithm with our weights (`paper`), whose agents are told the states, completes "
+        f"{perfect} runs on the perfect network and {others} on the others."
+    )
