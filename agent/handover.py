@@ -19,7 +19,7 @@ FILTERED_S, MEASURED_S = (0.5, 1.0), (1.0, 2.0)
 # Window of the usual age of news, as a multiple of the age at which an agent acts alone wholly.
 _WINDOW = 3.0
 # Time from the team's law to the law alone, and back, s: the return waits for the estimate to take in the news.
-_TO_ALONE_S, _TO_TEAM_S = 0.5, 1.0
+_TO_ALONE_S, _TO_TEAM_S = 0.5, 2.0
 # Correlation of the errors of two agents, until news are older than usual.
 SHARED = OthersErrors().correlation
 _FORGETS_S = 0.3  # time constant in which own measurements replace what both know

@@ -1,5 +1,6 @@
 """Payload error over networks: a panel for each weather, a curve for each controller."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -55,16 +56,16 @@ def _draw(panel: Axes, points: Sequence[PointStatistics], style: tuple[str, str,
     for one in points:
         place = networks.index(str(one.point.labels["network"]))
         estimate = one.numbers[_NUMBER]
-        if estimate is not None:
-            places.append(place)
-            means.append(estimate.mean)
-            halves.append(estimate.half_width or 0.0)
+        # No line leads over a point without a completed run.
+        places.append(place)
+        means.append(math.nan if estimate is None else estimate.mean)
+        halves.append((estimate and estimate.half_width) or 0.0)
         if one.completed < one.runs:
             panel.plot(
                 place, _BESIDE, marker, color=colour, markersize=MARKER,
                 transform=panel.get_xaxis_transform(), clip_on=False, **DIVERGED,
             )  # fmt: skip
-    if len(points) == 1 and means:
+    if len(points) == 1 and math.isfinite(means[0]):
         panel.axhline(means[0], color=colour, linestyle=line, linewidth=0.8)
     panel.errorbar(
         places, means, yerr=halves, color=colour, marker=marker, linestyle=line,
