@@ -21,7 +21,7 @@ from transport.model.arrays import Array
 
 BATCH = 8  # points asked at a time; the population of CMA-ES
 _LEAST_RANDOM = 16  # points before the first generation, one for each dimension, at least these
-_SEVERITY = 3.0  # a severe coordinate is u^(1/3): above one half with probability 7/8
+_SEVERITY = 6.0  # a severe coordinate is u^(1/6): above one half with probability 0.98
 _SIGMA = 0.25  # first step of CMA-ES, in sides of the cube
 _STALL = 4  # generations of CMA-ES without progress after which it starts anew
 _APART = 0.3  # distance of starts, in sides of the cube and root of the dimension
