@@ -3,7 +3,9 @@
 `python -m benchmarks.worst --planted` counts the runs until a planted fault is found, by the search
 and by random draws, over several seeds. `python -m benchmarks.worst --runs 1000` searches in the
 ready scenarios within the bounds that docs/guarantees.md claims for how far each is from failing.
-With `--write` the table takes its place in docs/worst.md.
+`python -m benchmarks.worst --together` simulates deaths with silences that the search has found.
+With `--write` the table takes its place in docs/worst.md, that of `--together` in
+docs/guarantees.md.
 """
 
 import argparse
@@ -20,8 +22,9 @@ from benchmarks.runs import origin
 from docs.tables import ROOT, put, table
 from transport.experiments.workers import Workers
 from transport.protocol.scenario.file import find_scenario, read_scenario
-from transport.search.candidate import Base
+from transport.search.candidate import Base, Candidate
 from transport.search.evaluation import Problem
+from transport.search.events import Death, Event, Silence
 from transport.search.objective import Objective
 from transport.search.options import SearchOptions, search
 from transport.search.progress import SearchProgress
@@ -30,6 +33,7 @@ from transport.search.search import Evaluations, Search, flying, random_search
 from transport.search.space import Bounds, Space
 
 DOCUMENT = ROOT / "docs" / "worst.md"
+GUARANTEES = ROOT / "docs" / "guarantees.md"
 _CONSOLE = Console(stderr=True)
 
 
@@ -106,6 +110,17 @@ READY = {
 }
 
 
+# Minimal cases of searches on `resilient`, rounded.
+TOGETHER: Sequence[tuple[Event, ...]] = (
+    (Death(agent=1, at_s=3.0),),
+    (Death(agent=4, at_s=1.0), Silence(start_s=4.0, duration_s=2.0, who="cut 2 3")),
+    (Death(agent=4, at_s=1.5), Silence(start_s=2.0, duration_s=5.5)),
+    (Death(agent=3, at_s=8.0), Silence(start_s=8.5, duration_s=10.0)),
+    (Death(agent=2, at_s=12.0), Silence(start_s=7.5, duration_s=8.5, who="cut 2 4")),
+)
+_UPSET_DEG = 80.0  # limit of the attitude at which these runs end
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
     """Runs until a planted fault was found with one seed, infinite where it was not."""
@@ -171,11 +186,34 @@ def ready(names: Sequence[str], runs: int, jobs: int | None, folder: Path) -> st
     return table(headings, rows)
 
 
+def together() -> str:
+    """Return the table of deaths with silences, with both fail-safes."""
+    path = find_scenario("resilient")
+    rows = []
+    for events in TOGETHER:
+        candidate = Candidate(events)
+        row = [candidate.in_words()]
+        for fail_safe in ("follow", "level"):
+            scenario = read_scenario(path, [f"controller.fail_safe={fail_safe}"])
+            base = Base(scenario=scenario, source=str(path))
+            objective = Objective.of("attitude", _UPSET_DEG, scenario)
+            found = Problem(base=base, objective=objective).evaluate(candidate)
+            row.append(
+                f"{found.value:.1f} deg"
+                if found.outcome == "completed"
+                else f"**diverges** at {found.end_s:g} s"
+            )
+        rows.append(row)
+        _CONSOLE.print(" | ".join(row), highlight=False)
+    return table(["events", "`follow`", "`level`"], rows)
+
+
 def main() -> None:
     """Run what the arguments ask for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help="names of cases; default: all")
     parser.add_argument("--planted", action="store_true", help="planted faults against chance")
+    parser.add_argument("--together", action="store_true", help="deaths with silences")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--runs", type=int, default=300)
     parser.add_argument("--jobs", type=int, default=None, help="default: all cores")
@@ -186,12 +224,16 @@ def main() -> None:
     if arguments.planted:
         with Workers(arguments.jobs) as workers:
             content = planted(arguments.names, arguments.seeds, arguments.runs, workers)
+    elif arguments.together:
+        content = together()
     else:
         content = ready(arguments.names, arguments.runs, arguments.jobs, arguments.out)
 
     content = f"{content}\n\n*{origin()}*"
     sys.stdout.write(f"{content}\n")
-    if arguments.write:
+    if arguments.write and arguments.together:
+        put(GUARANTEES, "together", content)
+    elif arguments.write:
         put(DOCUMENT, "planted" if arguments.planted else "ready", content)
 
 
