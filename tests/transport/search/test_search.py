@@ -1,6 +1,7 @@
 """Searches: deterministic, resumed, better than chance, and minimal in what they hand over."""
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -90,24 +91,33 @@ def test_a_search_does_not_depend_on_the_order_of_results() -> None:
 
 def test_a_search_that_was_killed_gives_the_result_of_one_that_was_not(tmp_path: Path) -> None:
     """What was evaluated before the kill is not flown again, a cut line of the file excepted."""
-    whole = search(160).run(Evaluations(None, {}), fly, Quiet())
+    flown_in_whole, counting = counted()
+    whole = search(160).run(Evaluations(None, {}), counting, Quiet())
     first = Evaluations(tmp_path / "out", {"seed": 0})
     search(80).run(first, fly, Quiet())
     first.close()
     file = tmp_path / "out" / "evaluations.jsonl"
     file.write_bytes(file.read_bytes()[:-20])
+    kept = {json.loads(line)["key"] for line in file.read_bytes().splitlines()[:-1]}
 
-    flown: list[Candidate] = []
-
-    def counting(problem: Problem, candidates: Sequence[Candidate]) -> Iterable[Evaluation]:
-        flown.extend(candidates)
-        return fly(problem, candidates)
-
+    flown, counting = counted()
     second = Evaluations(tmp_path / "out", {"seed": 0})
     resumed = search(160).run(second, counting, Quiet())
     second.close()
     assert resumed == whole
-    assert 0 < len(flown) <= 81
+    assert set(flown) == set(flown_in_whole) - kept
+    assert 0 < len(flown) < len(flown_in_whole)
+
+
+def counted() -> tuple[list[str], Callable[..., Iterable[Evaluation]]]:
+    """Return the keys of what is flown, to be filled, and a function that flies in this process."""
+    keys: list[str] = []
+
+    def counting(problem: Problem, candidates: Sequence[Candidate]) -> Iterable[Evaluation]:
+        keys.extend(problem.key(candidate) for candidate in candidates)
+        return fly(problem, candidates)
+
+    return keys, counting
 
 
 def test_a_folder_of_another_search_is_refused(tmp_path: Path) -> None:
