@@ -162,7 +162,7 @@ def between(values: Sequence[float]) -> str:
     return " to ".join(dict.fromkeys(f"{end:.2f}" for end in (min(values), max(values))))
 
 
-# Rows of the README's table on the network: text, experiment, and labels of the points.
+# Rows of the table on the network at a glance: text, experiment, and labels of the points.
 GLANCE: Sequence[tuple[str, str, Row]] = (
     ("`transport experiment latency`: 100 ms delay", "latency", {"delay_s": "0.1"}),
     ("400 ms delay", "latency", {"delay_s": "0.4"}),
@@ -183,7 +183,7 @@ GLANCE: Sequence[tuple[str, str, Row]] = (
 
 
 def at_a_glance(results: Mapping[str, Sequence[Result]]) -> str:
-    """Return the README's table: effect of the network on the two algorithms."""
+    """Return the table at a glance: effect of the network on the two algorithms."""
     tables = {name: _rows(name, own) for name, own in results.items()}
     rows = [
         [text, *(_effect(tables[name], {"scenario": scenario, **labels}) for scenario in SCENARIOS)]
@@ -249,7 +249,7 @@ DERIVED = (
     ),
     Derived(
         name="network",
-        document=README,
+        document=PAGE,
         sources=("latency", "loss", "kill", "deaths"),
         text=at_a_glance,
     ),

@@ -153,9 +153,11 @@ def test_measured_tables_have_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
         run.point().read()
     experiments = import_module("results_page").EXPERIMENTS
     page_of = import_module("results_page").page_of
+    derived = import_module("results_page").DERIVED
     for document, tables in pages.items():
         names = ["origin", *(table.name for table in tables)]
         names += [name for name in experiments if page_of(name).name == document]
+        names += [one.name for one in derived if one.document.name == document]
         names += ["deferral", "validation", "computation", "bytes"] * (document == "radio.md")
         names += ["together"] * (document == "guarantees.md")
         text = (ROOT / "docs" / document).read_text(encoding="utf-8")
@@ -255,7 +257,7 @@ def test_pictures_and_first_steps_need_no_other_host() -> None:
         assert not re.findall(r"!\[[^\]]*\]\(\w+:", text), document
         assert "git clone" not in text, document
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert len(re.findall(r"!\[[^\]]*\]\(docs/images/[\w.]+\)", readme)) == 2
+    assert len(re.findall(r"!\[[^\]]*\]\(docs/images/[\w.]+\)", readme)) == 1
     steps = subprocess.run(
         ["make", "-n", "run"], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout
