@@ -153,7 +153,7 @@ def test_other_groups_are_refused(groups: Any) -> None:
         ({"settings": {"samples_s": "x.csv"}}, "samples_s: expected a valid list, got 'x.csv'"),
         (
             {"settings": {"delay_s": 1e308}},
-            "delay_s: expected a magnitude of at most 1e+09, got 1e+308",
+            "delay_s: expected a magnitude of at most 10, got 1e+308",
         ),
         (
             {"settings": {"samples_s": [0.125] * 200}},

@@ -121,7 +121,7 @@ def test_the_step_of_mujoco_counts() -> None:
         ("plant.noise.position_m=1e308", "expected a magnitude of at most 10000, got 1e+308"),
         (
             "links.override=[{delay_s=1e300}]",
-            "links.override.1.delay_s: expected a magnitude of at most 1e+09",
+            "links.override.1.delay_s: expected a magnitude of at most 10",
         ),
         ("plant.step_s=1e-11", "expected a magnitude of at least 1e-09, got 1e-11"),
         (

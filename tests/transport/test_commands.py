@@ -79,7 +79,8 @@ def test_help_imports_no_command() -> None:
 def test_processes_of_a_run_import_only_what_they_need(role: str) -> None:
     """The command of a role imports neither reports, viewer, tables nor another command."""
     names = imported(f'import_module("transport.cli.processes"); import_module("{role}.node")')
-    own = {f"transport.cli.{name}" for name in ("lazy", "options", "output", "processes")}
+    modules = ("lazy", "options", "output", "processes", "setting_words")
+    own = {f"transport.cli.{name}" for name in modules}
     assert {name for name in names if name.startswith("transport.cli.")} == own
     assert not names & {"rich", *FOREIGN}
 
