@@ -69,9 +69,9 @@ def _nth(index: int, cell: Cell, *results: Flown | None) -> str:
 
 
 def values(name: str, *results: Flown) -> list[float]:
-    """Return a number of all completed runs."""
+    """Return a number of all completed runs that have it: airtime is one of runs with a radio."""
     numbers = [
-        result.numbers[name]
+        result.numbers.get(name)
         for flown in results
         for result in flown
         if result.outcome == "completed"
