@@ -132,6 +132,8 @@ def _relative(name: str, kept: KeptRun) -> float:
 def _equal(before: float | None, now: float | None, relative: float) -> bool:
     if before is None or now is None:
         return before is now
+    if math.isnan(before) and math.isnan(now):  # no UAV left that could be measured
+        return True
     return math.isclose(before, now, rel_tol=relative, abs_tol=2 * LEAST)
 
 
