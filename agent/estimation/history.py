@@ -59,11 +59,13 @@ class History(Generic[Entry]):
 
     def outdate_after(self, tick: int) -> None:
         """Declare the steps from a tick on outdated."""
-        self._outdated_after = min(self._outdated_after, tick)
+        if tick < self._outdated_after:
+            self._outdated_after = tick
 
     def tell(self, tick: int) -> None:
         """Declare that a message of a tick is to be taken in."""
-        self._told_from = min(self._told_from, tick)
+        if tick < self._told_from:
+            self._told_from = tick
         self.outdate_after(tick)
 
     def advance(self, k: int, recursion: Recursion[Entry]) -> Entry:

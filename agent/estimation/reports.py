@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,8 +15,7 @@ VALUES = slice(1, 1 + state.SENSED)
 INPUTS = slice(1 + state.SENSED, state.REPORTED)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class UavReport:
+class UavReport(NamedTuple):
     """A UAV at a tick."""
 
     values: Array  # its state, (12,), or the measurements of its sensors, (15,), SI
@@ -119,4 +119,4 @@ class News:
 def by_uav(measurement: Measurement) -> Sequence[tuple[int, UavReport]]:
     """Return the reports of a measurement with their UAVs, 0-based."""
     rows = zip(measurement.uavs, measurement.uav_states, measurement.inputs, strict=True)
-    return [(uav - 1, UavReport(values=values, inputs=inputs)) for uav, values, inputs in rows]
+    return [(uav - 1, UavReport(values, inputs)) for uav, values, inputs in rows]

@@ -56,7 +56,7 @@ class StateEstimator:
             return
         self.news.take(plan)
         for uav, values in zip(plan.uavs, plan.uav_states, strict=True):
-            self._tell(plan.tick, uav - 1, UavReport(values=values))
+            self._tell(plan.tick, uav - 1, UavReport(values))
 
     def measure(self, measurement: Measurement) -> None:
         """Take in a measurement of a tick not later than the one to be estimated."""

@@ -133,6 +133,9 @@ class Link:
         """
         earliest = tick + after
         is_perfect = not self._partitions and self._in_force(tick).is_perfect
+        if is_perfect and air_s == 0.0:
+            return [earliest]
+
         delays_s = [0.0] if is_perfect else self.delays(tick)
         arrivals = [
             math.ceil(tick + (air_s + delay_s) / self._period_s - _SLACK) for delay_s in delays_s

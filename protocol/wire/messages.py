@@ -109,12 +109,12 @@ class Message(
 
         Raises: MessageError: with field, expected and got.
         """
-        for field in self.as_long[1:]:
-            self._check_length(self.as_long[0], field)
+        if self.as_long:
+            self._check_lengths()
         for field, shape_of in self.shapes.items():
             value: Array = getattr(self, field)
             expected = shape_of(self)
-            if not _fits(value.shape, expected):
+            if value.shape != expected and not _fits(value.shape, expected):
                 shown = ", ".join("any" if length is None else str(length) for length in expected)
                 text = f"{field}: expected shape ({shown}), got {value.shape}"
                 raise MessageError("wrong_shape", text)
@@ -123,13 +123,15 @@ class Message(
                 text = f"{field}: expected finite numbers, got nan or infinity"
                 raise MessageError("not_finite", text)
 
-    def _check_length(self, first: str, field: str) -> None:
-        """Refuse a list that is not as long as the first one."""
+    def _check_lengths(self) -> None:
+        """Refuse lists that are not as long as the first one."""
+        first, *others = self.as_long
         expected = len(getattr(self, first))
-        got = len(getattr(self, field))
-        if got != expected:
-            text = f"{field}: expected one for each of {expected} {first}, got {got}"
-            raise MessageError("wrong_shape", text)
+        for field in others:
+            got = len(getattr(self, field))
+            if got != expected:
+                text = f"{field}: expected one for each of {expected} {first}, got {got}"
+                raise MessageError("wrong_shape", text)
 
     @property
     def place(self) -> tuple[int, int]:
@@ -146,8 +148,9 @@ def _fits(shape: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
     """Return whether an array has an expected shape, None for any length."""
     if len(shape) != len(expected):
         return False
+    # A list: a generator takes twice as long for one or two axes, and each message comes here.
     pairs = zip(shape, expected, strict=True)
-    return all(length is None or got == length for got, length in pairs)
+    return all([length is None or got == length for got, length in pairs])
 
 
 # In `Airtime.arrivals`: a newer plan took the place of this one before it was sent.
