@@ -63,7 +63,7 @@ figures: $(VENV)/.installed-test ## renew tables and figures of README and docs 
 figures-check: $(VENV)/.installed-test ## compare all tables with kept results, and a run of each, drawn by the commit, with today's numbers
 	@$(BIN)/python docs/figures.py --check $(TABLES)
 
-arena: $(VENV)/.installed-test ## fly the arena and the ready algorithms, and renew docs/arena.md and their table (hours)
+arena: $(VENV)/.installed-test $(VENV)/.installed-nmpc ## fly the arena and the ready algorithms, and renew docs/arena.md and their table (hours)
 	@$(BIN)/python docs/algorithm_figures.py
 	@$(BIN)/python docs/arena_page.py
 
@@ -124,6 +124,9 @@ $(VENV)/.installed-test: pyproject.toml | $(BIN)/python
 
 $(VENV)/.installed-firmware: pyproject.toml | $(BIN)/python
 	$(call install,[firmware])
+
+$(VENV)/.installed-nmpc: pyproject.toml | $(BIN)/python
+	$(call install,[nmpc])
 
 $(VENV)/.installed-bench: pyproject.toml | $(BIN)/python
 	$(call install,[bench])

@@ -15,7 +15,7 @@ from transport.agent.received import Received
 from transport.agent.step import step_report
 from transport.model import state
 from transport.model.arrays import Array
-from transport.mpc.alone import Motion, OwnSensors, ahead, motion_of
+from transport.mpc.alone import Motion, OwnSensors, ahead, motion_of, steps_alone
 from transport.mpc.alone_team import AloneTeam
 from transport.mpc.regulation import Regulation
 from transport.protocol.scenario.setup import Setup
@@ -23,11 +23,6 @@ from transport.protocol.wire.messages import STAGES, Measurement, Message, Plan
 from transport.protocol.wire.node import Outbox
 
 ALONE = "alone"  # the name of this controller in a scenario
-# Time over which a plan repeats its inputs, s. It covers three lost plans in a row at 20 Hz, and is
-# about the time constant of the attitude loop (6 rad/s): moments held for longer tip the UAV. Without
-# a newer plan the actuators continue on `controller.fail_safe`: "follow" is (31a) along the reference
-# itself, by the state of the plant; "level" keeps level.
-_PLAN_S = 0.2
 
 
 @dataclass(slots=True)
@@ -50,8 +45,8 @@ class AlonePlanner:
         # Each UAV follows its part of the motion that the undisturbed team takes under its law, (31f).
         regulation = Regulation(setup.model, setup.hover, setup.settings, setup.reference.sampled)
         self._regulation = regulation
-        self._team = AloneTeam(setup.model, setup.hover, setup.settings, regulation)
-        self._team.follow(setup.X_ref, setup.reference.sampled.track)
+        reference = setup.reference.sampled
+        self._team = AloneTeam(setup.model, setup.hover, setup.settings, regulation, reference)
         self.restart()
 
     def restart(self) -> None:
@@ -82,7 +77,7 @@ class AlonePlanner:
         """Follow the reference of the run with a further target, from that target's tick on."""
         self._setup = setup
         self._regulation.follow(setup.reference.sampled)
-        self._team.follow(setup.X_ref, setup.reference.sampled.track)
+        self._team.follow(setup.reference.sampled)
 
     def warm_up(self) -> None:
         """Do nothing: a step has nothing to compile."""
@@ -108,7 +103,7 @@ class AlonePlanner:
         if measured is not None and measured.tick == k:
             self._inputs = self._controlled(measured)
         self._has_planned = True
-        rows = max(1, round(_PLAN_S / setup.settings.sampling_period_s))
+        rows = steps_alone(setup.settings.sampling_period_s)
         inputs = np.tile(self._inputs, (min(rows, setup.settings.horizon), 1))
         plan = out.stamp(
             Plan,

@@ -1,15 +1,15 @@
 """Inputs announced by all agents: received plans, shifted to any tick and held at their end."""
 
-from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from transport.agent.handover import News, Silence
+from transport.agent.handover import NO_WAIT, SHARED, News, NewsAge, Silence
+from transport.agent.plans import ReceivedPlans
 from transport.model.arrays import Array
 from transport.model.state import input_indices, input_slice
 from transport.mpc.fail_safe import FailSafe
@@ -19,9 +19,6 @@ from transport.protocol.wire.messages import Plan
 # Alignment of a plan with the horizon: shifted by its true age; by one tick whatever its age, as in
 # the paper; or its input for the present tick, held.
 Alignment = Literal["by_age", "by_one", "held"]
-
-# Plans kept per agent: enough for the past inputs over any usable delay.
-KEPT_PLANS = 256
 
 Columns = npt.NDArray[np.intp]
 
@@ -40,10 +37,11 @@ class SharedLaw:
     # from the law holds for later ones. None where the state is not known, or where that difference
     # is mostly the error of the sender's estimate, which changes from tick to tick.
     start_state: Callable[[int], Array | None] = _none
-    # Rule by which the others act alone as their news are overdue, and the inputs of a UAV alone,
-    # (4,), from UAV, tick and state; None: they never do.
+    # Rules by which the others act alone as their news are overdue or late, and that after failures of
+    # UAVs; and the inputs of a UAV alone, (4,), from UAV, tick and state. None: they never do.
     silence: Silence | None = None
-    alone: Callable[[int, int, Array], Array] | None = None
+    silence_after_failures: Silence | None = None
+    inputs_alone: Callable[[int, int, Array], Array] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +74,21 @@ class Assumed:
     """Inputs assumed in place of the last plan of an agent that left."""
 
     start_tick: int  # first tick that they are for
-    inputs: Array  # (N_p, 4 owned)
+    inputs: Array  # (steps, 4 owned), none for an agent that acted alone
+
+
+@dataclass(frozen=True, kw_only=True)
+class Instant:
+    """State at a tick, and what the shared control law says there: the same for all agents."""
+
+    tick: int
+    x: Array  # (n,)
+    law: SharedLaw
+
+    @cached_property
+    def by_law(self) -> Array | None:
+        """Inputs of all UAVs without corrections, (m,); None without a law."""
+        return self.law.inputs(self.tick, self.x)
 
 
 class AnnouncedInputs:
@@ -127,28 +139,24 @@ class AnnouncedInputs:
 
         uavs = sum(map(len, owned))
         self._bounds: tuple[Array, Array] | None = None
+        self._period_s: float | None = None
         if settings is not None:
+            self._period_s = settings.sampling_period_s
             self._bounds = settings.lower(uavs), settings.upper(uavs)
 
-        # By agent: its columns of u; its plans, ascending in the tick they were made at; and where
-        # the last plan of an agent that left has not been received, the inputs assumed for it.
+        # By agent: its columns of u; its plans; and where the last plan of an agent that left has not
+        # been received, the inputs assumed for it.
         self._columns = {agent: input_indices(uavs) for agent, uavs in enumerate(owned, start=1)}
-        self._plans: dict[int, list[Plan]] = {agent: [] for agent in self._columns}
+        self._plans = ReceivedPlans(self._columns)
         self._assumed: dict[int, Assumed] = {}
 
     def add(self, plan: Plan) -> None:
         """Keep a plan, in any order of arrival; a second plan of the same tick is ignored."""
-        plans = self._plans[plan.agent]
-        index = bisect_left(plans, plan.tick, key=attrgetter("tick"))
-        is_new = index == len(plans) or plans[index].tick != plan.tick
-        if is_new:
-            plans.insert(index, plan)
-        if len(plans) > KEPT_PLANS:
-            del plans[0]
+        self._plans.add(plan)
 
     def forget(self, agent: int) -> None:
         """Discard the plans of an agent that starts anew."""
-        self._plans[agent].clear()
+        self._plans.forget(agent)
         self._assumed.pop(agent, None)
 
     def assume(self, agent: int, start: int, inputs: Array) -> None:
@@ -161,10 +169,7 @@ class AnnouncedInputs:
 
     def newest(self, agent: int, before: int, started: int | None = None) -> Plan | None:
         """Return an agent's newest plan made before a tick and, if given, started by `started`."""
-        for plan in reversed(self._plans[agent]):
-            if plan.tick < before and (started is None or plan.start_tick <= started):
-                return plan
-        return None
+        return self._plans.newest(agent, before, started)
 
     def under_previous_law(self, before: int) -> list[int]:
         """Return the agents whose newest plan was made under the previous control law."""
@@ -180,7 +185,8 @@ class AnnouncedInputs:
     @property
     def silence(self) -> Silence | None:
         """Rule by which agents act alone; None: they never do."""
-        return self._law.silence
+        has_failures = self.failed_since > 0
+        return self._law.silence_after_failures if has_failures else self._law.silence
 
     def observe_news(self, k: int) -> None:
         """Take in how old the newest plans of the others are at a tick."""
@@ -189,59 +195,67 @@ class AnnouncedInputs:
             if plan is not None and agent != self._own:
                 self.news.observe(agent, k - plan.tick)
 
-    def overdue(self, agent: int, tick: int, before: int) -> float:
-        """Return by how many ticks another agent's news are older than usual; 0 off the roster."""
-        if agent == self._own or agent in self.off_roster:
-            return 0.0
-        plan = self.newest(agent, before, started=tick)
-        newest = self.began - 1 if plan is None else plan.tick
-        return max(0.0, float(tick - newest - self.news.usual(agent)))
+    def age(self, agent: int, tick: int, before: int) -> NewsAge:
+        """Return how old another agent's news are at a tick, also for past ticks by those of now."""
+        return self._age(agent, self.newest(agent, before, started=tick), tick)
 
-    def alone(self, agent: int, tick: int, before: int) -> float:
+    def _age(self, agent: int, plan: Plan | None, tick: int) -> NewsAge:
+        """Return how old an agent's news are at a tick, of which a plan, if any, is the newest."""
+        if agent == self._own or agent in self.off_roster:
+            return NO_WAIT
+        newest = self.began - 1 if plan is None else plan.tick
+        overdue = max(0.0, float(tick - newest - self.news.usual(agent)))
+        return NewsAge(mean=self.news.mean(agent), overdue=overdue)
+
+    def share_alone(self, agent: int, tick: int, before: int) -> float:
         """Return how much another agent is assumed to act alone: as its plan says, by the rule."""
-        if self.silence is None:
+        return self._share_alone(agent, self.newest(agent, before, started=tick), tick)
+
+    def _share_alone(self, agent: int, plan: Plan | None, tick: int) -> float:
+        """Return how much an agent is assumed to act alone at a tick after a plan, if there is one."""
+        silence = self.silence
+        if silence is None:
             return 0.0
-        plan = self.newest(agent, before, started=tick)
         said = 0.0 if plan is None else plan.alone
-        return max(said, self.silence.alone(self.overdue(agent, tick, before)))
+        return max(said, silence.alone(self._age(agent, plan, tick)))
 
     def silent(self, tick: int, before: int) -> Silent | None:
         """Return what is assumed of the others' inputs; None where all news are as usual."""
         if self.silence is None:
             return None
-        as_usual = self.silence.correlation(0.0)
         share = np.zeros(len(self._u_hover))
-        correlation = np.full(len(self._u_hover), as_usual)
+        correlation = np.full(len(self._u_hover), SHARED)
         for agent, columns in self._columns.items():
             if agent != self._own:
-                overdue = self.overdue(agent, tick, before)
-                share[columns] = self.alone(agent, tick, before)
-                correlation[columns] = self.silence.correlation(overdue)
-        if not share.any() and (correlation == as_usual).all():
+                plan = self.newest(agent, before, started=tick)
+                share[columns] = self._share_alone(agent, plan, tick)
+                correlation[columns] = self.silence.correlation(self._age(agent, plan, tick))
+        if not share.any() and (correlation == SHARED).all():
             return None
         return Silent(alone=share, correlation=correlation)
 
-    def _without_plan(self, agent: int, tick: int, before: int, x: Array | None) -> Array:
+    def _without_plan(self, agent: int, instant: Instant | None) -> Array:
         """Return the inputs of an agent without any plan, (4 owned,).
 
         Hover; once its first plan is overdue, by the shared law, and alone. Source: (32c).
         """
         columns = self._columns[agent]
         hover = self._before_any_plan(columns)
-        if x is None or self.silence is None:
+        if instant is None or self.silence is None:
             return hover
-        if self.overdue(agent, tick, before) <= self.silence.begins:
+        if self._age(agent, None, instant.tick).overdue <= self.silence.overdue.begins:
             return hover
-        u = self._law.inputs(tick, x)
-        by_law = hover if u is None else u[columns]
-        return self._mixed(by_law, agent, tick, before, x)
+        by_law = hover if instant.by_law is None else instant.by_law[columns]
+        return self._mixed(by_law, agent, None, instant)
 
-    def _mixed(self, by_law: Array, agent: int, tick: int, before: int, x: Array) -> Array:
+    def _mixed(self, by_law: Array, agent: int, plan: Plan | None, instant: Instant) -> Array:
         """Return inputs between those by the law and those alone, as the agent is assumed to act."""
-        share = self.alone(agent, tick, before)
-        if share == 0.0 or self._law.alone is None:
+        share = self._share_alone(agent, plan, instant.tick)
+        if share == 0.0 or self._law.inputs_alone is None:
             return by_law
-        alone = [self._law.alone(uav, tick, x) for uav in self._owned[agent - 1]]
+        alone = [
+            self._law.inputs_alone(uav, instant.tick, instant.x) for uav in self._owned[agent - 1]
+        ]
         return (1.0 - share) * by_law + share * np.concatenate(alone)
 
     # Over the horizon, (32).
@@ -249,7 +263,7 @@ class AnnouncedInputs:
     def sequence(self, start: int, steps: int, before: int) -> Array:
         """Return the announced inputs over the horizon: the newest plans, held at their ends.
 
-        Hover follows the last plan of an agent off the roster.
+        Hover follows the last plan of an agent off the roster, as far as it is played.
 
         Returns: Inputs over N_p steps from tick `start` on, (N_p, 4 N).
         Source: docs/equations.md (32); paper, section IV-A.
@@ -262,11 +276,14 @@ class AnnouncedInputs:
             #   u_a(s + j) = U_a(min(s + j - s_a, N_p - 1))    (32)
             end = self._before_any_plan(columns)
             if assumed is not None:
-                entries = assumed.inputs[max(start - assumed.start_tick, 0) :][:steps]
+                played = assumed.inputs[: self._steps_played(len(assumed.inputs))]
+                entries = played[max(start - assumed.start_tick, 0) :][:steps]
+            elif plan is not None and agent in self.off_roster:
+                played = plan.inputs[: self._steps_played(len(plan.inputs))]
+                entries = self._aligned(played, plan, start, steps)
             elif plan is not None:
                 entries = self._aligned(plan.inputs, plan, start, steps)
-                if agent not in self.off_roster:
-                    end = plan.inputs[-1]
+                end = plan.inputs[-1]
             else:
                 entries = U[:0, columns]
             U[: len(entries), columns] = entries
@@ -317,12 +334,13 @@ class AnnouncedInputs:
         Source: docs/equations.md (32), (32a).
         """
         u = np.empty_like(self._u_hover)
+        instant = None if x is None else Instant(tick=tick, x=x, law=self._law)
         for agent, columns in self._columns.items():
             plan = self.newest(agent, before, started=tick)
             if plan is None:
-                u[columns] = self._without_plan(agent, tick, before, x)
+                u[columns] = self._without_plan(agent, instant)
             else:
-                u[columns] = self._applied(plan, tick, before, x)
+                u[columns] = self._applied(plan, tick, instant)
 
         if self._bounds is None:
             return u
@@ -330,7 +348,11 @@ class AnnouncedInputs:
         return np.minimum(np.maximum(u, lower), upper)
 
     def untold(self, tick: int, before: int) -> Untold:
-        """Return which of the inputs of `in_force` no plan has told."""
+        """Return which of the inputs of `in_force` no plan has told.
+
+        Without a plan, and after one under a previous control law, `in_force` has hover inputs or
+        the announced ones: the agent may already follow the law, and counts as untold too.
+        """
         m = len(self._u_hover)
         untold = Untold(by_law=np.zeros(m, dtype=bool), by_fail_safe=np.zeros(m, dtype=bool))
         for agent, columns in self._columns.items():
@@ -341,27 +363,28 @@ class AnnouncedInputs:
                 untold.by_law[columns] = plan is None or plan.start_tick < tick
         return untold
 
-    def _applied(self, plan: Plan, tick: int, before: int, x: Array | None) -> Array:
+    def _applied(self, plan: Plan, tick: int, instant: Instant | None) -> Array:
         """Return the inputs that an agent applied after its newest started plan, (4 owned,)."""
         played = self._played(plan, tick)
         step = tick - played.start_tick
         is_off = plan.agent in self.off_roster
         if is_off and self._is_over(plan, tick):
-            return self._by_fail_safe(plan.agent, tick, x)
+            return self._by_fail_safe(plan.agent, instant)
 
         #   u_a(k) = U_a(min(k - s_a, N_p - 1))    (32)
         announced: Array = played.inputs[min(step, len(played.inputs) - 1)]
 
-        # Off the roster the last plan is played to its end; own inputs and first ones are known.
+        # Off the roster the last plan is played; own inputs and first ones are known.
         is_known = is_off or plan.agent == self._own or step <= 0
-        if is_known or x is None or not self._is_under_law(plan, tick):
+        if is_known or instant is None:
             return announced
 
-        # The agent has replaced the later ones by plans not received: by the shared law, (32a).
-        by_law = self._by_law(plan, tick, x)
+        # The agent has replaced the later ones by plans not received: by the shared law, (32a). What it
+        # corrects to a law that came after its plan is not known: it counts as announced.
+        by_law = self._by_law(plan, instant) if self._is_under_law(plan, tick) else announced
         if by_law is None:
             return announced
-        return self._mixed(by_law, plan.agent, tick, before, x)
+        return self._mixed(by_law, plan.agent, plan, instant)
 
     def _played(self, plan: Plan, tick: int) -> Plan | Assumed:
         """Return the plan that the actuators play, or the inputs assumed in its place, (32b)."""
@@ -373,7 +396,13 @@ class AnnouncedInputs:
     def _is_over(self, plan: Plan, tick: int) -> bool:
         """Return whether the actuators have played all of a plan, or of what stands for it."""
         played = self._played(plan, tick)
-        return tick - played.start_tick >= len(played.inputs)
+        return tick - played.start_tick >= self._steps_played(len(played.inputs))
+
+    def _steps_played(self, steps: int) -> int:
+        """Return how many steps of the last plan of an agent that left its actuators play."""
+        if self.fail_safe is None or self._period_s is None:
+            return steps
+        return self.fail_safe.played(steps, self._period_s)
 
     def _is_under_law(self, plan: Plan, tick: int) -> bool:
         """Return whether the agent followed the present control law at a tick after a plan."""
@@ -381,20 +410,20 @@ class AnnouncedInputs:
             return tick >= self.failed_since
         return plan.tick >= self.law_since
 
-    def _by_law(self, plan: Plan, tick: int, x: Array) -> Array | None:
+    def _by_law(self, plan: Plan, instant: Instant) -> Array | None:
         """Return an agent's inputs by the shared law after its plan's first step, (4 owned,).
 
         None where there is no such law. Source: docs/equations.md (32a).
         """
         columns = self._columns[plan.agent]
-        u = self._law.inputs(tick, x)
+        u = instant.by_law
         if u is None:
             return None
         if plan.tick < self.failed_since or not len(plan.corrections):
             return np.asarray(u[columns])
 
         #   lambda_a(k) = K_a (x(k) - x_ref(k)) + c_ff(k) + C_a(k - s_a),    C_a zero after its end
-        step = tick - plan.start_tick
+        step = instant.tick - plan.start_tick
         by_law: Array = u[columns]
         if step < len(plan.corrections):
             by_law = by_law + plan.corrections[step]
@@ -410,9 +439,12 @@ class AnnouncedInputs:
         first_step = plan.inputs[0] - u_start[columns] - plan.corrections[0]
         return np.asarray(by_law + first_step)
 
-    def _by_fail_safe(self, agent: int, tick: int, x: Array | None) -> Array:
+    def _by_fail_safe(self, agent: int, instant: Instant | None) -> Array:
         """Return an agent's inputs by the fail-safe, (4 owned,); hover without a state."""
-        if x is None or self.fail_safe is None:
+        if instant is None or self.fail_safe is None:
             return self._before_any_plan(self._columns[agent])
-        inputs = [self.fail_safe.inputs(uav, x, tick) for uav in self._owned[agent - 1]]
+        # What its integral holds and what pushes it are one to every sensor: neither is assumed.
+        inputs = [
+            self.fail_safe.inputs(uav, instant.x, instant.tick) for uav in self._owned[agent - 1]
+        ]
         return np.concatenate(inputs)

@@ -1,73 +1,139 @@
-"""How much an agent acts alone: news of the others get old, and with them the reason to follow the team's control law.
+"""How much an agent acts alone: as its news of the others get old, the team's law loses its reason.
 
-Each agent decides by the age of its own news, so that agents without any network decide alike, and no agent waits for
-another. Its plan says how much, so that those who hear it predict it. Source: docs/equations.md (32c)-(32e).
+Each agent decides by the age of its own news, so that agents without any network decide alike, and
+no agent waits for another. Its plan says how much, so that those who hear it predict it.
+Source: docs/equations.md (32c)-(32e).
 """
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from transport.agent.estimation.noise import OthersErrors
 from transport.model.arrays import Array
 
-# Age of news beyond the usual one at which an agent begins to act alone, and at which it does so wholly, s. A filter
-# without news errs by centimetres within a second; a measured payload leaves only the others' UAVs to be predicted.
+# Age of news beyond the usual one at which an agent begins to act alone, and at which it does so
+# wholly, s. A filter without news errs by centimetres within a second; a measured payload leaves
+# only the others' UAVs to be predicted.
 FILTERED_S, MEASURED_S = (0.5, 1.0), (1.0, 2.0)
-# Window of the usual age of news, as a multiple of the age at which an agent acts alone wholly.
-_WINDOW = 3.0
-# Time from the team's law to the law alone, and back, s: the return waits for the estimate to take in the news.
+# The same for the mean age, with a filter, s: the others answer to errors of their own estimates,
+# of which an agent learns so late. With a measured payload there are none.
+LATE_S = (0.15, 1.0)
+# Window of the usual age of news, as a multiple of the age at which an agent acts alone wholly; and
+# of the mean age, s.
+_WINDOW, _MEAN_S = 3.0, 1.0
+# Time from the team's law to the law alone, and back, s: the return waits for the estimate to take
+# in the news.
 _TO_ALONE_S, _TO_TEAM_S = 0.5, 2.0
 # Correlation of the errors of two agents, until news are older than usual.
 SHARED = OthersErrors().correlation
 _FORGETS_S = 0.3  # time constant in which own measurements replace what both know
 
 
+class NewsAge(NamedTuple):
+    """Age of the newest plan of another agent, ticks."""
+
+    mean: float  # over the last second
+    overdue: float  # of now, beyond the usual one, which is the smallest of some seconds
+
+
+# Of an agent that is not waited for: the agent itself, and those off the roster.
+NO_WAIT = NewsAge(mean=0.0, overdue=0.0)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Silence:
-    """The rule by which an agent acts alone, in ticks of news beyond their usual age."""
+class Ramp:
+    """A share that grows from 0 to 1 between two ages, ticks."""
 
     begins: float
     complete: float
-    forgets: float  # of the correlation, after the age at which it begins
+
+    @staticmethod
+    def of(ages_s: tuple[float, float], heartbeat_s: float, period_s: float) -> "Ramp":
+        """Return the ramp between two ages, s, of plans that come at the latest after a heartbeat, s."""
+        begins_s, complete_s = ages_s
+        return Ramp(
+            begins=(begins_s + heartbeat_s) / period_s,
+            complete=(complete_s + heartbeat_s) / period_s,
+        )
+
+    def share(self, age: float) -> float:
+        """Return the share at an age, 0 to 1."""
+        return min(max((age - self.begins) / (self.complete - self.begins), 0.0), 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Silence:
+    """The rule by which an agent acts alone, by the age of its news."""
+
+    overdue: Ramp  # by the age beyond the usual one
+    late: Ramp | None  # by the mean age; None where late news are as good as new ones
+    forgets: float  # ticks in which a correlation falls after overdue news make agents act alone
+    window: int  # ticks over which the usual age is the smallest: longer than any ramp
+    recent: int  # ticks over which ages are averaged
 
     @staticmethod
     def of(period_s: float, *, is_filtered: bool, heartbeat_s: float = 0.0) -> "Silence":
         """Return the rule for a sampling period; plans come at the latest after a heartbeat, s."""
-        begins_s, complete_s = FILTERED_S if is_filtered else MEASURED_S
+        overdue = Ramp.of(FILTERED_S if is_filtered else MEASURED_S, heartbeat_s, period_s)
         return Silence(
-            begins=(begins_s + heartbeat_s) / period_s,
-            complete=(complete_s + heartbeat_s) / period_s,
+            overdue=overdue,
+            late=Ramp.of(LATE_S, heartbeat_s, period_s) if is_filtered else None,
             forgets=_FORGETS_S / period_s,
+            window=round(_WINDOW * overdue.complete),
+            recent=max(1, round(_MEAN_S / period_s)),
         )
 
-    def alone(self, overdue: float) -> float:
-        """Return the share of the law alone, 0 to 1, where news are overdue by so many ticks. Source: (32c)."""
-        return min(max((overdue - self.begins) / (self.complete - self.begins), 0.0), 1.0)
+    @property
+    def after_failures(self) -> "Silence":
+        """The rule of a team of which UAVs have failed.
 
-    def correlation(self, overdue: float) -> float:
-        """Return the correlation of two agents' errors where news are overdue by so many ticks. Source: (63c)."""
-        if overdue <= self.begins:
+        No news are late: three UAVs that each follow a reference do not balance a load of four.
+        """
+        return replace(self, late=None)
+
+    def alone(self, age: NewsAge) -> float:
+        """Return the share of the law alone, 0 to 1, by the age of news. Source: (32c)."""
+        late = 0.0 if self.late is None else self.late.share(age.mean)
+        return max(late, self.overdue.share(age.overdue))
+
+    def correlation(self, age: NewsAge) -> float:
+        """Return the correlation of two agents' errors by the age of news. Source: (63c)."""
+        since_begin = age.overdue - self.overdue.begins
+        if since_begin <= 0.0:
             return SHARED
-        return float(SHARED * np.exp((self.begins - overdue) / self.forgets))
+        return float(SHARED * np.exp(-since_begin / self.forgets))
 
 
 class News:
-    """Ages of the newest plans of the others, and how old they usually are."""
+    """Ages of the newest plans of the others, and how old they usually are, ticks."""
 
     def __init__(self, peers: Iterable[int], silence: Silence | None = None) -> None:
-        ticks = 1 if silence is None else round(_WINDOW * silence.complete)
-        self._ages: dict[int, deque[int]] = {agent: deque(maxlen=ticks) for agent in peers}
+        window, recent = (1, 1) if silence is None else (silence.window, silence.recent)
+        self._ages: dict[int, deque[int]] = {agent: deque(maxlen=window) for agent in peers}
+        self._recent: dict[int, deque[int]] = {agent: deque(maxlen=recent) for agent in peers}
+        # Computed once a tick: they are asked for at every tick that an estimator repeats.
+        self._usual: dict[int, int] = {}
+        self._mean: dict[int, float] = {}
 
     def observe(self, agent: int, age: int) -> None:
-        """Take in the age of the newest plan of an agent at the next tick, ticks."""
-        self._ages[agent].append(age)
+        """Take in the age of the newest plan of an agent at the next tick."""
+        ages, recent = self._ages[agent], self._recent[agent]
+        ages.append(age)
+        recent.append(age)
+        self._usual[agent] = min(ages)
+        self._mean[agent] = sum(recent) / len(recent)
 
     def usual(self, agent: int) -> int:
-        """Return the smallest recent age of an agent's news, ticks; 1 where there have been none."""
-        return min(self._ages.get(agent, ()), default=1)
+        """Return the smallest age of an agent's news in the window; 1 where there have been none."""
+        return self._usual.get(agent, 1)
+
+    def mean(self, agent: int) -> float:
+        """Return the mean age of an agent's news over the last second; 1 where there are none."""
+        return self._mean.get(agent, 1.0)
 
 
 class Mixture:
@@ -84,7 +150,10 @@ class Mixture:
 
 
 def mixed(team: Array, alone: Array, share: float, before: Array, step: Array) -> Array:
-    """Return inputs between those of the team and alone, (N_p, 4 owned), that change by a step per period at most."""
+    """Return inputs between those of the team and alone, (steps, 4 owned).
+
+    They change by a step per period at most.
+    """
     inputs = (1.0 - share) * team + share * alone
     for k in range(len(inputs)):
         previous = before if k == 0 else inputs[k - 1]

@@ -10,7 +10,7 @@ from transport.agent.team_estimate import TeamEstimate
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.rotations import rotation
-from transport.mpc.alone import Course, Motion, OwnSensors, motion_of
+from transport.mpc.alone import Course, Motion, OwnSensors, motion_of, steps_alone
 from transport.mpc.prediction import Linear
 from transport.protocol.scenario.setup import Setup
 
@@ -36,17 +36,23 @@ class HandOver:
         """Share of the law alone in the newest inputs."""
         return self._mixture.share
 
+    def advance(self, k: int) -> None:
+        """Follow the rule to tick k: news of the others are in."""
+        self._mixture.advance(self._team.share_alone(k))
+
     def inputs(self, k: int, start: int, linear: Linear, team: Array) -> Array:
-        """Return the inputs to announce and to apply from tick `start` on, (N_p, 4 owned), for those of the team."""
-        silence = self._team.announced.silence
-        if silence is None:
-            return team
-        share = self._mixture.advance(silence.alone(self._team.overdue(k)))
+        """Return the inputs to announce and to apply from tick `start` on, for those of the team, (N_p, 4 owned).
+
+        Wholly alone they are fewer, as a plan of UAVs alone covers less time.
+        """
+        share = self._mixture.share
         if share == 0.0:
             self._held_I.clear()
             self._sensors.clear()
             return team
 
+        if share == 1.0:
+            team = team[: steps_alone(self._period_s)]
         alone = np.hstack([self._alone(uav, k, start, linear.x0, len(team)) for uav in self._owned])
         settings, count = self._setup.settings, len(self._owned)
         before = linear.u0[state.input_indices(self._owned)]
@@ -54,7 +60,7 @@ class HandOver:
         return np.clip(inputs, settings.lower(count), settings.upper(count))
 
     def _alone(self, uav: int, k: int, start: int, x: Array, steps: int) -> Array:
-        """Return the inputs of a UAV alone over the horizon, (N_p, 4): the course, and a deviation that fades."""
+        """Return the inputs of a UAV alone over a plan, (steps, 4): the course, and a deviation that fades."""
         law, course = self._team.alone(uav, start)
         if uav not in self._held_I:
             self._held_I[uav] = self._preload(uav, k)

@@ -11,46 +11,50 @@ _KEPT = 2 * WINDOW
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LawArguments:
-    """Values that the inputs at a tick follow from, beside the control law."""
-
-    x: Array  # estimate, (n,) or (n + m,)
-    x_ref: Array  # reference, (n,)
-    forces: Array | None  # estimated external forces
-
-    def key(self) -> tuple[bytes, bytes, bytes]:
-        """Return the values as bytes, to be compared."""
-        forces = b"" if self.forces is None else self.forces.tobytes()
-        return self.x.tobytes(), self.x_ref.tobytes(), forces
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class _Saved:
-    key: tuple[bytes, bytes, bytes]
+    x: bytes  # of the estimate
+    forces: bytes
     version: object  # of the control law
     inputs: Array | None
 
 
 class LawInputs:
-    """Inputs by a control law, saved by tick while their arguments have the same values.
+    """Inputs by a control law along a reference, (K, n), saved by tick while they follow from the same values.
 
     They are needed once for each of the other agents, and those of past ticks again at later ones.
     """
 
-    def __init__(self, regulation: Regulation) -> None:
+    def __init__(self, regulation: Regulation, X_ref: Array) -> None:
         self._regulation = regulation
+        self.follow(X_ref)
+
+    def follow(self, X_ref: Array) -> None:
+        """Follow another reference."""
+        self._X_ref = X_ref
         self._saved: dict[int, _Saved] = {}
 
-    def inputs(self, tick: int, arguments: LawArguments) -> Array | None:
-        """Return the inputs without corrections, (m,); None with open-loop prediction."""
-        key = arguments.key()
+    def inputs(self, tick: int, x: Array, forces: Array | None) -> Array | None:
+        """Return the inputs without corrections, (m,); None with open-loop prediction.
+
+        Args:
+            tick: Instant of the reference.
+            x: Estimate, (n,) or (n + m,).
+            forces: Estimated external forces.
+        """
+        x_bytes = x.tobytes()
+        forces_bytes = b"" if forces is None else forces.tobytes()
         version = self._regulation.version
         saved = self._saved.get(tick)
-        if saved is not None and saved.version is version and saved.key == key:
+        if (
+            saved is not None
+            and saved.version is version
+            and saved.x == x_bytes
+            and saved.forces == forces_bytes
+        ):
             return saved.inputs
 
-        inputs = self._regulation.inputs(arguments.x, arguments.x_ref, arguments.forces, tick)
-        self._saved[tick] = _Saved(key=key, version=version, inputs=inputs)
+        inputs = self._regulation.inputs(x, self._X_ref[tick], forces, tick)
+        self._saved[tick] = _Saved(x=x_bytes, forces=forces_bytes, version=version, inputs=inputs)
         if len(self._saved) > _KEPT:
             del self._saved[min(self._saved)]
         return inputs

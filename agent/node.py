@@ -160,13 +160,15 @@ class AgentNode(Participant):
         return out
 
     def _open(self, measurement: Measurement, now_ns: int) -> None:
-        """Begin the step of a measurement's tick, towards the newest target that has begun."""
+        """Begin the step of a measurement's tick, towards the newest target that has begun.
+
+        Targets are followed in turn: the motion of the team to the newest one began on the way to
+        those before.
+        """
         self._tick = measurement.tick
-        newest: Setup | None = None
         while self._targets and self._targets[0][0] <= self._tick:
-            _, newest = self._targets.popleft()
-        if newest is not None:
-            self._planner.follow(newest)
+            _, setup = self._targets.popleft()
+            self._planner.follow(setup)
         self._step = self._planner.begin(self._received(measurement, now_ns))
 
     def _plan(self) -> list[Message]:

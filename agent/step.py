@@ -21,6 +21,7 @@ from transport.mpc.controller import Controller, Horizon, StepResult
 from transport.mpc.cost import CostToGo
 from transport.mpc.feedback import FeedbackLaw
 from transport.mpc.prediction import Linear
+from transport.mpc.qp import unsolved
 from transport.mpc.softening import softened_problem
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import STAGES, Message, Note, Plan, StepReport
@@ -28,6 +29,8 @@ from transport.protocol.wire.node import Outbox
 
 # Time between the notes of an estimator for the log, s: the covariance of each tick is work.
 NOTES_EVERY_S = 1.0
+# Solver in the reports of steps without a QP: all UAVs of the agent act wholly alone.
+_ALONE = "alone"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,12 +125,14 @@ class Planner:
         end = controller.end(x0, hover.x, forces)
         controller.step(x0, hover.u, Horizon(U=U, y_ref=y_ref, law=law, end=end), forces)
         self._integrated(x0, hover.u, None)
+        controller.regulation.fail_safe.warm_up()
 
     def begin(self, received: Received) -> Step:
         """Estimate the state at a tick and form the problem that follows from it."""
         self._times.begin(received.started_ns)
         k = received.tick
         x = self._team.update(received)
+        self._handover.advance(k)
         start = self._horizon_start(k, x)
         problem = self._problem(k, start)
         return Step(
@@ -212,7 +217,7 @@ class Planner:
         The step's `negotiation` counts down to 0; the last step's messages took `publish_ns` to
         publish.
         """
-        result = self._solved(step)
+        result = self._undecided(step) if self._handover.share == 1.0 else self._solved(step)
         step.result = result
         step.negotiation -= 1
         if step.negotiation == 0:
@@ -267,8 +272,8 @@ class Planner:
         the share in the plan (32c).
         """
         k = step.received.tick
-        linear = step.problem.linear
-        return replace(result, U=self._handover.inputs(k, step.start_tick, linear, result.U))
+        U = self._handover.inputs(k, step.start_tick, step.problem.linear, result.U)
+        return replace(result, U=U, c=result.c[: len(U)])
 
     def adopt(self, step: Step, proposals: Sequence[Plan]) -> None:
         """Take the others' proposals and the own one into the next iteration of the negotiation.
@@ -329,6 +334,19 @@ class Planner:
             self._team.expected = Expected(
                 start=step.start_tick, prediction=prediction, inputs=result.U
             )
+        return result
+
+    def _undecided(self, step: Step) -> StepResult:
+        """Return the result of a problem of which nothing is used: all UAVs act wholly alone.
+
+        The corrections announced before run out in the 0.2 s of such a plan.
+        """
+        problem = step.problem
+        self._times.resume()
+        solution = replace(unsolved(0, 0, _ALONE), status="solved")
+        result = self._controller.give_up(problem.U, problem.law, solution)
+        self._team.expected = None
+        self._times.lap("solve")
         return result
 
     def _notes(self, tick: int, out: Outbox) -> list[Message]:

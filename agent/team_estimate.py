@@ -9,7 +9,7 @@ from transport.agent.announced import AnnouncedInputs, SharedLaw
 from transport.agent.estimation.estimator import estimator_of
 from transport.agent.estimation.motion import Failure
 from transport.agent.handover import Silence
-from transport.agent.law_inputs import LawArguments, LawInputs
+from transport.agent.law_inputs import LawInputs
 from transport.agent.received import Received
 from transport.model import state
 from transport.model.arrays import Array
@@ -65,8 +65,9 @@ class TeamEstimate:
         setup = self._setup
         regulation = self._controller.regulation
         self.estimator = estimator_of(setup, self._agent, self._reference, regulation.gain)
-        self._law_inputs = LawInputs(regulation)
-        self._alone = AloneTeam(setup.model, setup.hover, setup.settings, regulation)
+        self._law_inputs = LawInputs(regulation, setup.X_ref)
+        reference = setup.reference.sampled
+        self._alone = AloneTeam(setup.model, setup.hover, setup.settings, regulation, reference)
         self.announced = AnnouncedInputs(
             setup.owned,
             setup.hover.u,
@@ -75,9 +76,10 @@ class TeamEstimate:
             law=self._shared_law(),
             settings=setup.settings,
         )
-        self._alone.follow(setup.X_ref, setup.reference.sampled.track)
         self._began = False
-        self.announced.fail_safe = setup.fail_safe
+        # Forces that the integrals of UAVs alone hold, (3 + 3 N,), N; None if not estimated.
+        self._held_forces: Array | None = None
+        self.announced.fail_safe = regulation.fail_safe
         self.expected: Expected | None = None
         self._off = _NO_UAVS  # UAVs whose motors are off, 0-based
         self._released = _NO_UAVS  # those of them that are released
@@ -96,22 +98,30 @@ class TeamEstimate:
             heartbeat_s=section.share_heartbeat_s if section.share == "on_change" else 0.0,
         )
         return SharedLaw(
-            inputs=inputs, start_state=start_state, silence=silence, alone=self._by_law_alone
+            inputs=inputs,
+            start_state=start_state,
+            silence=silence,
+            silence_after_failures=silence.after_failures,
+            inputs_alone=self._by_law_alone,
         )
 
-    def overdue(self, k: int) -> float:
-        """Return by how many ticks the oldest news of the others are older than usual."""
-        return max((self.announced.overdue(agent, k, k) for agent in self.peers), default=0.0)
+    def share_alone(self, k: int) -> float:
+        """Return how much the agent is to act alone, by the oldest news of the others: (32c)."""
+        silence = self.announced.silence
+        if silence is None:
+            return 0.0
+        ages = (self.announced.age(agent, k, before=k) for agent in self.peers)
+        return max(map(silence.alone, ages), default=0.0)
 
     def alone(self, uav: int, tick: int) -> tuple[AloneLaw, OwnCourse]:
         """Return control law and course of a UAV, 0-based, alone."""
         return self._alone.law(uav), self._alone.course(uav, tick)
 
     def _by_law_alone(self, uav: int, tick: int, x: Array) -> Array:
-        """Return the inputs of a UAV alone, (4,): its integral holds its part of the forces."""
+        """Return the inputs of a UAV alone, (4,): its integral has followed its part of the forces."""
         held_I = None
-        if self.forces is not None:
-            forces = self._controller.model.at_rest(self.forces)
+        if self._held_forces is not None:
+            forces = self._held_forces
             own = slice(3 + 3 * uav, 6 + 3 * uav)
             held_I = -(forces[own] + forces[:3] / self._setup.system.N)
         return self._alone.inputs(uav, x[: self._setup.system.n], tick, held_I)
@@ -120,8 +130,9 @@ class TeamEstimate:
         """Take the reference from a run with a further target."""
         self._setup = setup
         reference = setup.reference.sampled
-        self._alone.follow(setup.X_ref, reference.track)
+        self._law_inputs.follow(setup.X_ref)
         completed = self._controller.regulation.follow(reference)
+        self._alone.follow(reference)
         if completed and reference.change is not None:
             self.announced.law_since = reference.change.first
         self.announced.fail_safe = self._controller.regulation.fail_safe
@@ -146,9 +157,26 @@ class TeamEstimate:
             self.estimator.measure(measurement)
 
         x = self.estimator.estimate(k, self.announced)
+        self._hold_forces(k)
         if self._setup.scenario.controller.received_states == "as_received":
             return self._as_received(x, k)
         return x
+
+    def _hold_forces(self, k: int) -> None:
+        """Follow the forces as the integrals of UAVs alone do: (32f).
+
+        A team holds what it estimates; alone, a UAV is first moved by a gust, and then holds it.
+        """
+        if self.forces is None:
+            return
+        forces = self._controller.model.at_rest(self.forces)
+        held = self._held_forces
+        if held is None or self.share_alone(k) == 0.0:
+            self._held_forces = forces
+            return
+        follows_s = self._alone.law(0).follows_s
+        share = self._setup.settings.sampling_period_s / follows_s
+        self._held_forces = held + share * (forces - held)
 
     def _as_received(self, x: Array, k: int) -> Array:
         """Return an estimate of tick k with the others' states as received, whatever their age."""
@@ -166,6 +194,8 @@ class TeamEstimate:
         tick = received.tick
         announced = self.announced
         off_roster = set(self._setup.agents) - received.agents
+        left = off_roster - self._off_roster
+        were_alone = {a for a in left if announced.share_alone(a, tick, before=tick) == 1.0}
         announced.off_roster = off_roster
         if self._controller.regulation.advance(tick):
             announced.law_since = tick
@@ -179,16 +209,17 @@ class TeamEstimate:
             return
         for agent in self._off_roster - off_roster:
             announced.forget(agent)
-        for agent in off_roster - self._off_roster:
-            self._assume_last_plan(agent, tick)
+        for agent in left:
+            self._assume_last_plan(agent, tick, is_alone=agent in were_alone)
         self._off_roster = off_roster
         announced.law_since = tick
         gone = [uav for agent in sorted(off_roster) for uav in self._setup.owned[agent - 1]]
         self._controller.without(gone, since)
 
-    def _assume_last_plan(self, agent: int, tick: int) -> None:
+    def _assume_last_plan(self, agent: int, tick: int, *, is_alone: bool) -> None:
         """Assume inputs for an agent that left at a tick, if its last plan has not been received.
 
+        One that acted alone is assumed on its fail-safe at once: its last plan is short.
         Source: docs/equations.md (32b).
         """
         newest = self.announced.newest(agent, before=tick)
@@ -196,7 +227,7 @@ class TeamEstimate:
         if expected is None or newest is None or newest.tick >= tick - 1:
             return
         U = self._controller.foreseen(expected.prediction, expected.inputs)
-        self.announced.assume(agent, expected.start, U)
+        self.announced.assume(agent, expected.start, U[:0] if is_alone else U)
 
     def _update_failures(self, received: Received, since: int | None) -> None:
         """Switch to model and control law of the remaining UAVs, as further UAVs have failed."""
@@ -228,9 +259,7 @@ class TeamEstimate:
 
         None with open-loop prediction.
         """
-        x_ref = self._setup.X_ref[tick]
-        arguments = LawArguments(x=x, x_ref=x_ref, forces=self.forces)
-        return self._law_inputs.inputs(tick, arguments)
+        return self._law_inputs.inputs(tick, x, self.forces)
 
     def _reference(self, tick: int) -> Array:
         """Return the reference state at a tick, (n,).

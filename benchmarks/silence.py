@@ -152,10 +152,17 @@ def cases() -> Iterator[Case]:
         name="precise, gusts 1 m/s, pairs 10 s", scenario="precise", settings=(*VEHICLE, *gusts(1.0)), silent_s=10.0,
         parts=pairs, compared=False,
     )  # fmt: skip
-    yield Case(
-        name="precise, gusts 1 m/s, 400 ms and 90 % loss", scenario="precise", settings=(*VEHICLE, *gusts(1.0)),
-        links=("links.delay_s=0.4", "links.loss=0.9"), from_start=True, silent_s=FOR_GOOD, compared=False,
-    )  # fmt: skip
+    for delay_s, loss in ((0.4, 0.6), (0.4, 0.9), (0.8, 0.0)):
+        network_words = f"{1e3 * delay_s:.0f} ms and {100.0 * loss:.0f} % loss"
+        yield Case(
+            name=f"precise, gusts 1 m/s, {network_words}",
+            scenario="precise",
+            settings=(*VEHICLE, *gusts(1.0)),
+            links=(f"links.delay_s={delay_s}", f"links.loss={loss}"),
+            from_start=True,
+            silent_s=FOR_GOOD,
+            compared=False,
+        )
 
 
 def _words(silent_s: float) -> str:

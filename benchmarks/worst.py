@@ -2,13 +2,14 @@
 
 `python -m benchmarks.worst --planted` counts the runs until a planted fault is found, by the search
 and by random draws, over several seeds. `python -m benchmarks.worst --runs 1000` searches in the
-ready scenarios within the bounds that docs/guarantees.md claims for how far each is from failing.
+ready scenarios, within the default bounds of docs/worst.md, for how far each is from failing.
 `python -m benchmarks.worst --together` simulates deaths with silences that the search has found.
-With `--write` the table takes its place in docs/worst.md, that of `--together` in
+With `--write` the table of `--planted` takes its place in docs/worst.md, the others theirs in
 docs/guarantees.md.
 """
 
 import argparse
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -39,11 +40,17 @@ _CONSOLE = Console(stderr=True)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """A scenario with changes, and the events that are drawn for it."""
+    """A scenario with changes, and the events that are drawn for it, within default bounds."""
 
     scenario: str
     settings: tuple[str, ...] = ()
     over: tuple[str, ...] = ("silence", "deaths", "gusts")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlantedFault(Case):
+    """A case in which a mended weakness is switched on again, with bounds of its own."""
+
     bounds: Mapping[str, Any] = field(default_factory=dict)  # as a file of bounds has them
 
     def search(self, budget: int, seed: int) -> Search:
@@ -65,7 +72,7 @@ _FLIGHT = (
 # Weaknesses that were mended, switched on again by keys of the scenario, and bounds within which a
 # failure is a rare coincidence.
 PLANTED = {
-    "a law without a fall-back in silence": Case(
+    "a law without a fall-back in silence": PlantedFault(
         scenario="resilient",
         settings=(_FLIGHT, "controller.silence=law"),
         over=("silence", "deaths"),
@@ -74,13 +81,13 @@ PLANTED = {
             "deaths": {"at_s": [1.0, 4.0], "back_after_s": [0.5, 3.0]},
         },
     ),
-    "a fail-safe without height": Case(
+    "a fail-safe without height": PlantedFault(
         scenario="resilient",
         settings=(_FLIGHT, "controller.fail_safe=level"),
         over=("deaths", "gusts"),
         bounds={"deaths": {"count": 2, "at_s": [2.0, 5.0], "back_after_s": [0.5, 3.0]}},
     ),
-    "announced trajectories instead of a shared law": Case(
+    "announced trajectories instead of a shared law": PlantedFault(
         scenario="paper",
         settings=(_FLIGHT,),
         over=("silence",),
@@ -96,9 +103,11 @@ SENSORS = (
     "controller.disturbance.estimate=true",
 )
 READY = {
-    "resilient": Case(scenario="resilient"),
-    "precise, sensors of the vehicles": Case(scenario="precise", settings=SENSORS),
-    "windy": Case(scenario="windy", over=("silence", "deaths")),
+    "resilient": Case(scenario="resilient", over=("silence", "deaths", "links", "gusts")),
+    "precise, sensors of the vehicles": Case(
+        scenario="precise", settings=SENSORS, over=("silence", "deaths", "links", "gusts")
+    ),
+    "windy": Case(scenario="windy", over=("silence", "deaths", "links")),
     "eight": Case(scenario="eight", over=("silence", "links")),
     "gap": Case(scenario="gap", over=("links", "gusts")),
     "playground": Case(
@@ -109,6 +118,9 @@ READY = {
     "paper": Case(scenario="paper", over=("gusts", "mass")),
 }
 
+
+# Attitude at which a team in a ready scenario counts as lost.
+LOST_DEG = 20.0
 
 # Minimal cases of searches on `resilient`, rounded.
 TOGETHER: Sequence[tuple[Event, ...]] = (
@@ -127,10 +139,10 @@ class Found:
 
     by_search: float
     by_chance: float
-    events: int  # of the minimal case
+    events: int  # of the minimal case; 0 without one
 
 
-def find(case: Case, budget: int, seed: int, workers: Workers) -> Found:
+def find(case: PlantedFault, budget: int, seed: int, workers: Workers) -> Found:
     """Search for a planted fault, and draw at random until it is found."""
     fly = flying(workers)
     chosen = case.search(budget, seed)
@@ -148,15 +160,20 @@ def find(case: Case, budget: int, seed: int, workers: Workers) -> Found:
 
 
 def planted(names: Sequence[str], seeds: int, budget: int, workers: Workers) -> str:
-    """Return the table of the runs until each planted fault is found, by search and by chance."""
+    """Return the table of the runs until each planted fault is found, by search and by chance.
+
+    A median is infinite if the fault was not found with at least half of the seeds.
+    """
     rows = []
     for name in names or PLANTED:
         found = [find(PLANTED[name], budget, seed, workers) for seed in range(seeds)]
         by_search = float(np.median([one.by_search for one in found]))
         by_chance = float(np.median([one.by_chance for one in found]))
         most_events = max(one.events for one in found)
-        ratio = by_search / by_chance
-        row = [name, f"{by_search:g}", f"{by_chance:g}", f"{ratio:.2f}", f"{most_events}"]
+        # Without a fault found by either, the ratio of the two infinite medians does not exist.
+        is_found = math.isfinite(min(by_search, by_chance))
+        ratio = f"{by_search / by_chance:.2f}" if is_found else "-"
+        row = [name, f"{by_search:g}", f"{by_chance:g}", ratio, f"{most_events}"]
         rows.append(row)
         _CONSOLE.print(f"{' | '.join(row)}\n{found}", highlight=False)
 
@@ -170,19 +187,26 @@ def ready(names: Sequence[str], runs: int, jobs: int | None, folder: Path) -> st
     for name in names or READY:
         case = READY[name]
         path = find_scenario(case.scenario)
-        options = SearchOptions(over=case.over, budget=runs, jobs=jobs)
+        options = SearchOptions(over=case.over, budget=runs, limit=LOST_DEG, jobs=jobs)
         target = folder / name.split(",")[0]
         scenario = read_scenario(path, case.settings)
         result = search(scenario, str(path), options, target, _CONSOLE)
         text = result.worst.candidate.in_words()
         if result.minimal is not None:
             text = " ".join(in_words(result.minimal))
-        least = result.worst.evaluation.robustness
-        row = [name, f"{len(result.flown)}", f"{result.failures}", f"{least:.2f}", text]
+        attitude = f"{result.worst.evaluation.value:.1f} deg"
+        row = [
+            name,
+            ", ".join(case.over),
+            f"{len(result.flown)}",
+            f"{result.failures}",
+            attitude,
+            text,
+        ]
         rows.append(row)
         _CONSOLE.print(" | ".join(row), highlight=False)
 
-    headings = ["scenario", "runs", "failures", "least robustness", "worst or minimal case"]
+    headings = ["scenario", "over", "runs", "failures", "attitude", "worst or minimal case"]
     return table(headings, rows)
 
 
@@ -218,9 +242,8 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=300)
     parser.add_argument("--jobs", type=int, default=None, help="default: all cores")
     parser.add_argument("--out", type=Path, default=Path("runs/worst"))
-    parser.add_argument("--write", action="store_true", help="put the table into docs/worst.md")
+    parser.add_argument("--write", action="store_true", help="put the table into its page")
     arguments = parser.parse_args()
-
     if arguments.planted:
         with Workers(arguments.jobs) as workers:
             content = planted(arguments.names, arguments.seeds, arguments.runs, workers)
@@ -231,10 +254,10 @@ def main() -> None:
 
     content = f"{content}\n\n*{origin()}*"
     sys.stdout.write(f"{content}\n")
-    if arguments.write and arguments.together:
-        put(GUARANTEES, "together", content)
+    if arguments.write and arguments.planted:
+        put(DOCUMENT, "planted", content)
     elif arguments.write:
-        put(DOCUMENT, "planted" if arguments.planted else "ready", content)
+        put(GUARANTEES, "together" if arguments.together else "ready", content)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from tables import table
 from transport.experiments.weather_experiment import NETWORKS, NONE, PERFECT
 
 Row = Mapping[str, str]  # of points.csv
-ONE_AGENT, TEAM, ALONE, PAPER = "centralized_lq", "resilient", "alone", "paper"
+TEAM, ALONE, PAPER = "precise", "alone", "paper"
 
 
 def worth(rows: Sequence[Row]) -> str:
@@ -15,10 +15,9 @@ def worth(rows: Sequence[Row]) -> str:
     headings = [
         "payload error, rms",
         *(f"{network} network" if network == PERFECT else network for network in NETWORKS),
-        "one agent, perfect network",
         "`alone`, no network",
     ]
-    places = [*((TEAM, network) for network in NETWORKS), (ONE_AGENT, PERFECT), (ALONE, NONE)]
+    places = [*((TEAM, network) for network in NETWORKS), (ALONE, NONE)]
     lines = [
         [air, *(_cell(rows, scenario, air, network) for scenario, network in places)]
         for air in dict.fromkeys(row["weather"] for row in rows)

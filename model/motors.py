@@ -153,13 +153,14 @@ def _held_inputs(
 def _pattern_with_lag(pattern: Pattern, rates: bool) -> tuple[Pattern, npt.NDArray[np.intp]]:
     """Return the pattern of a system [x, a] with motors, and the order of its entries.
 
+    The factors are those of A_c = X + P V_x and B_c = U + P V_u, and C (`model/pattern.py`).
     Entries are those of the system without motors, followed by -1/lambda and 1/lambda, (m,) each:
 
         X = [[X, U], [0, -1/lambda]],    U = [[0], [1/lambda]],
-        P = [[P], [0]],    V_x = [V_x, V_u],    V_u = 0
+        P = [[P], [0]],    V_x = [V_x, V_u],    V_u = 0,    C = [C, 0]
 
-    With commanded body rates the row of a' also is that of the body rate, with -1/lambda on itself.
-    Source: docs/equations.md (55), (58a).
+    With commanded body rates the row of a' also has the entries of the body rate's row.
+    Source: docs/equations.md (15b), (55), (58a).
     """
     factors = _factors_with_lag(pattern, rates)
     numbers = np.concatenate([factor[factor > 0.0] for factor in factors])

@@ -14,12 +14,12 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.parameters import System
-from transport.model.rotations import rotation
+from transport.model.rotations import euler_rates, rotation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AloneGains:
-    """Gains of the position loop and limits; docs/decisions.md has the reasons."""
+    """Gains of the position loop and limits; docs/equations.md (31a)-(31c) has the reasons."""
 
     position: float = 6.0  # 1/s^2
     velocity: float = 5.0  # 1/s; as stiff as the attitude loop allows at 20 Hz
@@ -46,6 +46,11 @@ _HEADING = (
 # Observer of the rod from the specific force: fast enough for the pendulum of a rod, slow enough for the noise.
 _OBSERVER_RAD_S, _OBSERVER_DAMPING = 3.0, 0.7
 _VERTICAL = np.array([0.0, 0.0, 1.0])
+# Time that a plan covers, s: three lost plans in a row at 20 Hz, and about the time constant of the
+# attitude loop. Moments that are held for longer tip the UAV, as nothing predicts its feedback.
+# Without a newer plan the actuators continue on `controller.fail_safe`: "follow" is (31a) along the
+# same motion, by the state of the plant; "level" keeps level.
+_PLAN_S = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +63,11 @@ class Motion:
     omega_B: Array  # body rates, (3,)
     rod_I: Array  # lower end of the rod relative to the UAV, (3,)
     swing_I: Array  # its velocity, (3,)
+
+
+def steps_alone(period_s: float) -> int:
+    """Return how many sampling periods a plan of UAVs alone covers."""
+    return max(1, round(_PLAN_S / period_s))
 
 
 def ahead(
@@ -191,6 +201,38 @@ class AloneLaw:
         own[:, state.OMEGA] -= self._damping + ahead_s * self._stiffness
         return gain
 
+    def gain_along(self, x: Array, course: Course) -> Array:
+        """Return the derivative of `inputs` by the state of the team, (4, n), on the course.
+
+        x is the state of the team there, (n,). Source: docs/equations.md (31g).
+        """
+        by_position, by_velocity, by_swing = _motion_slopes(self._system, self._uav, x)
+        by_swing[2] = 0.0
+        gains = self._gains
+        acceleration = (
+            -gains.position * by_position - gains.velocity * by_velocity - self._swing * by_swing
+        )
+        force_I = self._masses[:, None] * acceleration
+
+        own = state.uav_slice(self._uav)
+        by_force, by_yaw = _attitude_slopes(course.force_I, course.motion.Theta[2])
+        error = np.zeros_like(force_I)
+        error[:2] = -by_force @ force_I
+        error[:, own][:, state.THETA] += np.eye(3)
+        error[:2, own][:, state.THETA][:, 2] -= by_yaw
+
+        # The direction of the thrust is that of the force: only along it does the force count.
+        gain = np.zeros((state.INPUTS, len(x)))
+        gain[0] = -rotation(course.motion.Theta)[:, 2] @ force_I
+        gain[1:] = -self._stiffness @ error
+        gain[1:, own][:, state.OMEGA] -= self._damping
+        return gain
+
+    @property
+    def follows_s(self) -> float:
+        """Time in which the integral follows a steady force, s: position over integral gain."""
+        return self._gains.position / self._gains.integral
+
     @property
     def forgets_s(self) -> float:
         """Time in which the integral forgets, s."""
@@ -298,6 +340,69 @@ def _attitude(force_I: Array, yaw: float) -> tuple[float, float]:
         return 0.0, 0.0
     forward, right = cosine * x + sine * y, cosine * y - sine * x
     return math.asin(right / strength), math.atan2(-forward, -z)
+
+
+def _attitude_slopes(force_I: Array, yaw: float) -> tuple[Array, Array]:
+    """Return the derivatives of roll and pitch of `_attitude` by the force, (2, 3), and by the yaw, (2,)."""
+    x, y, z = (float(component) for component in force_I)
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    forward, right = cosine * x + sine * y, cosine * y - sine * x
+    strength = math.sqrt(x * x + y * y + z * z)
+    by_force = np.zeros((2, 3))
+    by_yaw = np.zeros(2)
+
+    # The sine of the roll is the share of the force to the right.
+    leaning = math.sqrt(strength**2 - right**2)
+    right_by_force = np.array([-sine, cosine, 0.0])
+    by_force[0] = (right_by_force - right / strength**2 * force_I) / leaning
+    by_yaw[0] = -forward / leaning
+
+    # The tangent of the pitch is the backward over the upward part.
+    forward_by_force = np.array([cosine, sine, 0.0])
+    by_force[1] = (z * forward_by_force - forward * _VERTICAL) / (forward**2 + z**2)
+    by_yaw[1] = z * right / (forward**2 + z**2)
+    return by_force, by_yaw
+
+
+def _motion_slopes(system: System, uav: int, x: Array) -> tuple[Array, Array, Array]:
+    """Return the derivatives of position, velocity and swing of `motion_of` by the state, (3, n) each."""
+    rho, length = system.uavs[uav].rho, system.uavs[uav].rod_length
+    own = x[state.uav_slice(uav)]
+    rod_P = length * own[state.E]
+    R0 = rotation(x[state.THETA0])
+    # A change of the payload's Euler angles turns it by this, payload frame.
+    turned = np.linalg.inv(euler_rates(x[state.THETA0]))
+
+    swing_P = _cross(own[state.ROD_RATE], rod_P)
+    velocity_P = x[state.V0] + _cross(x[state.OMEGA0], rho) - swing_P
+
+    # swing_P = Omega x l e
+    swing = np.zeros((3, len(x)))
+    of_uav = swing[:, state.uav_slice(uav)]
+    of_uav[:, state.ROD_RATE] = -_skew(rod_P)
+    of_uav[:, state.E] = length * _skew(own[state.ROD_RATE])
+
+    # velocity_P = v0 + omega0 x rho - swing_P
+    velocity = -swing
+    velocity[:, state.V0] = np.eye(3)
+    velocity[:, state.OMEGA0] = -_skew(rho)
+
+    # position_I = r0 + R0 (rho - l e)
+    position = np.zeros((3, len(x)))
+    position[:, state.uav_slice(uav)][:, state.E] = -length * np.eye(3)
+    slopes = []
+    for slope, vector_P in ((position, rho - rod_P), (velocity, velocity_P), (swing, swing_P)):
+        # d(R0 a) = R0 (da + turn x a)
+        slope[:, state.THETA0] = -_skew(vector_P) @ turned
+        slopes.append(R0 @ slope)
+    slopes[0][:, state.R0] = np.eye(3)
+    return slopes[0], slopes[1], slopes[2]
+
+
+def _skew(a: Array) -> Array:
+    """Return the matrix of a x, (3, 3)."""
+    x, y, z = a
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The fail-safe of a UAV whose plan has run out.
+"""The fail-safe of a UAV whose plan is too old.
 
 Hover thrust and level attitude, or the control law of a UAV alone.
 """
@@ -14,6 +14,7 @@ from transport.model.hover import hover_after_failures, with_released
 from transport.model.identity import digest
 from transport.model.parameters import ParameterError, System
 from transport.mpc.alone import AloneLaw, Course, course_of, motion_of
+from transport.mpc.undisturbed import UndisturbedMotion
 
 # Attitude loop on moments: slow enough for the moment limits of small quadrotors, faster than the
 # pendulum of a rod.
@@ -24,20 +25,30 @@ _DAMPING = 0.8
 # quarter of the inner loop's gain, 1/s, and the largest gain, 1/s.
 _CRITICAL = 0.25
 _LARGEST_GAIN = 6.0
+# Time for which a UAV plays its last plan before it flies alone, s: plans that are
+# lost on their way to the actuators, or late, are bridged.
+_PLAYED_S = 0.4
 
 
 class FailSafe:
     """The fail-safes of all UAVs: hover thrusts u_hover, (4 N,), or the inputs of a flat track.
 
     They follow the states X_ref, (K, n), the last one held, each UAV alone by its own motion;
-    without them they keep level.
+    without them they keep level. With the undisturbed motion of the whole team along X_ref they
+    follow that: its payload does not swing.
     """
 
     def __init__(
-        self, system: System, u_hover: Array, X_ref: Array | None = None, track: Track | None = None
+        self,
+        system: System,
+        u_hover: Array,
+        X_ref: Array | None = None,
+        track: Track | None = None,
+        motion: UndisturbedMotion | None = None,
     ) -> None:
         self.u_hover = u_hover
         self.track = track
+        self.motion = motion
         self._X_ref = X_ref
         self._system = system
         self._gains = [_attitude_gain(system, uav) for uav in range(system.N)]
@@ -51,7 +62,7 @@ class FailSafe:
 
     @property
     def key(self) -> bytes:
-        """Digest of the numbers that the inputs follow from."""
+        """Digest of the numbers that `of_team` follows from."""
         by_track = None if self.track is None else self.track.key
         return digest(self._system, self.u_hover, self._X_ref, by_track)
 
@@ -81,22 +92,37 @@ class FailSafe:
                 X_ref = np.concatenate([X_ref[: track.first], track.X])
         return FailSafe(self._system, u_hover, X_ref, track)
 
+    def warm_up(self) -> None:
+        """Compute what UAVs follow, as far as it has an end."""
+        if self.motion is not None:
+            self.motion.warm_up()
+
+    def played(self, steps: int, period_s: float) -> int:
+        """Return how many of the steps of its last plan a UAV plays before this fail-safe takes over.
+
+        One that follows is soon better than inputs that nothing corrects: in gusts they drift off by
+        decimetres in a second. One that keeps level does not know where it is: it comes at the end.
+        """
+        return min(steps, max(1, round(_PLAYED_S / period_s))) if self.follows else steps
+
     def law(self, uav: int) -> AloneLaw:
         """Return the control law of a UAV, 0-based, alone."""
         return self._laws[uav]
 
     def course(self, uav: int, tick: int) -> Course:
-        """Return the part of the reference of a UAV, 0-based, at a tick.
+        """Return what a UAV, 0-based, follows at a tick.
 
         Raises: ValueError: it keeps level.
         """
         if self._X_ref is None:
             raise ValueError("expected a fail-safe that follows, got one that keeps level")
-        x_ref, u_ref = self._X_ref[min(tick, len(self._X_ref) - 1)], self.u_hover
         if self.track is not None:
             row = rows(tick - self.track.first, 1, len(self.track.U))
-            x_ref, u_ref = self.track.X[row][0], self.track.U[row][0]
-        return course_of(self._system, uav, x_ref, u_ref)
+            return course_of(self._system, uav, self.track.X[row][0], self.track.U[row][0])
+        if self.motion is not None:
+            return course_of(self._system, uav, *self.motion.at(tick))
+        x_ref = self._X_ref[min(tick, len(self._X_ref) - 1)]
+        return course_of(self._system, uav, x_ref, self.u_hover)
 
     def gain(self, uav: int) -> Array:
         """Return the linearised feedback from the state to a UAV's inputs, (4, n).
@@ -108,6 +134,12 @@ class FailSafe:
         gain = np.zeros((state.INPUTS, self._system.n))
         gain[:, state.uav_slice(uav)] = self._gains[uav]
         return gain
+
+    def gain_along(self, uav: int, x: Array, tick: int) -> Array:
+        """Return the linearised feedback at a state of the team on its course, (4, n): (31g)."""
+        if not self.follows:
+            return self.gain(uav)
+        return self._laws[uav].gain_along(x, self.course(uav, tick))
 
     def inputs(self, uav: int, x: Array, tick: int, held_I: Array | None = None) -> Array:
         """Return the inputs of one UAV, 0-based, at a state at t_k, (n,), before limits, (4,).

@@ -89,7 +89,8 @@ def hover_law(crew: Crew, fail_safe: FailSafe, team: Team) -> HoverLaw:
 
     Raises: ParameterError: the team has no hover. FeedbackError: no gain stabilises it.
     """
-    key = digest(crew.key, fail_safe.follows, team)
+    follows = fail_safe.follows if team.gone else None  # UAVs with an agent use none
+    key = digest(crew.key, follows, team)
     return _HOVER_LAWS.get(key, lambda: _hover_law(key, crew, fail_safe, team))
 
 

@@ -24,15 +24,22 @@ class Preview:
     first: int = 0  # number of the first instant
 
 
-def preview(regulator: Regulator, X_ref: Array, pull: Array, first: int = 0) -> Preview:
+def preview(
+    regulator: Regulator,
+    X_ref: Array,
+    pull: Array,
+    on_reference: Array | None = None,
+    first: int = 0,
+) -> Preview:
     """Solve the tracking problem backwards from the reference at rest after the last instant.
 
-        d(k) = A xi_ref(k) - xi_ref(k+1)
+        d(k) = A xi_ref(k) - xi_ref(k+1) + B_u v(k)
         p(k) = A_closed' (p(k+1) + P d(k)) + q(k),   c_ff(k) = -(R + B'PB)^-1 B' (p(k+1) + P d(k))
 
     X_ref are states from the `first` instant on, (K, n); pull is half the slope of the cost there,
-    q = T' pull, (K, n).
-    Source: docs/equations.md (36b), (36c).
+    q = T' pull, (K, n); v are the inputs of UAVs without an agent on the reference, from those at
+    hover, (K, m_u), which are known as well. None: zero, they follow the reference.
+    Source: docs/equations.md (36b), (36c), (45a).
     """
     T = regulator.T
     # Relative to the last instant, which is at rest, so that the attitudes at hover are no
@@ -41,10 +48,14 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array, first: int = 0) -> 
     q = pull @ T
     d = np.zeros_like(xi_ref)
     d[:-1] = xi_ref[:-1] @ regulator.A.T - xi_ref[1:]
+    if on_reference is not None:
+        d += on_reference @ regulator.B_uncontrolled.T
     Pd = d @ regulator.P  # P is symmetric
 
     slope = np.zeros_like(xi_ref)
     feedforward = np.zeros((len(X_ref), len(regulator.K)))
+    if on_reference is not None:
+        feedforward[:, regulator.uncontrolled] = on_reference
     p: Array = at_rest(regulator, q[-1])
 
     # Before an end at rest without pull all is zero: a long hover takes no time when the team

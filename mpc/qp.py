@@ -92,7 +92,7 @@ _NO_RESIDUALS = Residuals(np.inf, np.inf, np.inf)
 class Solution:
     """The result of a solver, also of one that failed."""
 
-    status: Status  # "solved" only if the residuals pass
+    status: Status  # "solved" only if the residuals pass, or if nothing of it is used
     z: Array  # (n,), meaningless unless solved
     bound_multipliers: Array  # (n,), positive when the upper bound pushes
     row_multipliers: Array  # (r,), positive when the upper bound pushes

@@ -10,7 +10,7 @@ from transport.mpc.expressions import UserCosts
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.feedback import FeedbackLaw
 from transport.mpc.hover_law import Crew
-from transport.mpc.reference import Sampled
+from transport.mpc.reference import Change, Sampled
 from transport.mpc.regulator import Team
 from transport.mpc.settings import ControllerSettings
 from transport.mpc.team_law import (
@@ -21,6 +21,24 @@ from transport.mpc.team_law import (
     recursion_of,
 )
 from transport.mpc.tracking import Recursion
+
+
+class WholeTeam:
+    """The law of the team without deaths and failures, whose motion UAVs without plans follow.
+
+    Along a flat reference they follow that, so it has no regulator along it.
+    Raises: FeedbackError: the settings need a regulator and none stabilises the team.
+    """
+
+    def __init__(self, crew: Crew, reference: Sampled | None) -> None:
+        self._crew = crew
+        self.followed = Followed.of(crew, reference)
+        self.law = law_before_tracking(crew, self.followed, Team())
+
+    def follow(self, reference: Sampled, change: Change) -> None:
+        """Follow a reference with a further target, from that target's instant on."""
+        self.followed = Followed.after(self._crew, reference, change, self.law)
+        self.law = law_before_tracking(self._crew, self.followed, Team())
 
 
 class Regulation:
@@ -37,7 +55,8 @@ class Regulation:
         reference: Sampled | None = None,
     ) -> None:
         self.crew = Crew(model, hover, settings)
-        self._followed = Followed.of(self.crew, reference)
+        self._whole = WholeTeam(self.crew, reference)
+        self._followed = self._whole.followed
         # Recursions along the present reference, by team; one of them may still be advancing.
         self._recursions: dict[Team, Recursion] = {}
         self._advancing: Recursion | None = None
@@ -101,10 +120,16 @@ class Regulation:
         if reference.change is None:
             return False
         completed = self._advancing is not None and self.advance(self._advancing.ready)
-        self._followed = Followed.after(self.crew, reference, reference.change, self.current)
+        self._whole.follow(reference, reference.change)
+        self._followed = replace(self._whole.followed, preview_before=self.current.preview)
         self._recursions.clear()
         self.current = led_law(self.current, self._followed)
         return completed
+
+    @property
+    def whole(self) -> TeamLaw:
+        """The law of the team without deaths and failures, without regulator along a flat path."""
+        return self._whole.law
 
     @property
     def user_costs(self) -> UserCosts:

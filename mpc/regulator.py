@@ -64,7 +64,9 @@ class Regulator:
     root: Array  # its square root, |root (x - x_hover)|^2 = xi' P xi, (rank of P, n)
     T: Array  # orthonormal basis of the manifold's directions, (n, r)
     controlled: npt.NDArray[np.intp]  # positions in u of the inputs of UAVs with agents, (m_c,)
-    A: Array  # state matrix without the feedback of the controlled inputs, (r, r)
+    uncontrolled: npt.NDArray[np.intp]  # those of UAVs without an agent, (m_u,)
+    A: Array  # state matrix without any feedback, (r, r)
+    B_uncontrolled: Array  # effect of the uncontrolled inputs, (r, m_u)
     A_closed: Array  # state matrix with all feedback, (r, r)
     # Controlled inputs per slope of the cost-to-go one step later, -(R + B'PB)^-1 B', (m_c, r).
     preview_gain: Array
@@ -97,8 +99,11 @@ class _Problem:
     T: Array  # basis of the manifold's directions, (n, r)
     K_fixed: Array  # feedback of UAVs without agents, (m, n)
     controlled: npt.NDArray[np.intp]  # positions in u of the inputs of UAVs with agents, (m_c,)
-    A: Array  # (r, r)
+    uncontrolled: npt.NDArray[np.intp]  # those of UAVs without, (m_u,)
+    A_open: Array  # without any feedback, (r, r)
+    A: Array  # with the feedback of UAVs without agents, (r, r)
     B: Array  # of the controlled inputs, (r, m_c)
+    B_uncontrolled: Array  # (r, m_u)
     CQC: Array  # C'QC, the stage cost of xi, (r, r)
     R: Array  # diagonal of the weights on the controlled inputs, (m_c,)
 
@@ -123,14 +128,17 @@ def _regulator(
     _check_stable(A_closed, period_s)
     _check_gain(K[:, : len(hovering.hover.x)], hovering.cost)
     root = _root(P) @ T.T
-    frozen(K, P, root, T, problem.controlled, A, A_closed, preview_gain)
+    frozen(K, P, root, T, problem.controlled, problem.uncontrolled)
+    frozen(problem.A_open, problem.B_uncontrolled, A_closed, preview_gain)
     return Regulator(
         K=K,
         P=P,
         root=root,
         T=T,
         controlled=problem.controlled,
-        A=A,
+        uncontrolled=problem.uncontrolled,
+        A=problem.A_open,
+        B_uncontrolled=problem.B_uncontrolled,
         A_closed=A_closed,
         preview_gain=preview_gain,
     )
@@ -148,7 +156,8 @@ def _problem(
     K_fixed: Array = np.zeros((m, len(T)))
     for uav, gain in hovering.uncontrolled.items():
         K_fixed[state.input_slice(uav), : gain.shape[1]] = gain
-    controlled = np.setdiff1d(np.arange(m), input_indices(sorted(hovering.uncontrolled)))
+    uncontrolled = input_indices(sorted(hovering.uncontrolled))
+    controlled = np.setdiff1d(np.arange(m), uncontrolled)
 
     C = linear.C @ T
     CQC = C.T @ (hovering.cost.Q[:, None] * C)
@@ -159,8 +168,11 @@ def _problem(
         T=T,
         K_fixed=K_fixed,
         controlled=controlled,
+        uncontrolled=uncontrolled,
+        A_open=T.T @ discrete.A @ T,
         A=T.T @ (discrete.A + discrete.B @ K_fixed) @ T,
         B=T.T @ discrete.B[:, controlled],
+        B_uncontrolled=T.T @ discrete.B[:, uncontrolled],
         CQC=CQC,
         R=hovering.cost.R[controlled],
     )

@@ -276,8 +276,9 @@ class ControllerSettings(Section):
     ([equations.md](equations.md#prediction-along-the-control-law)). along is valid for long
     horizons and large deviations; no effect with open_loop"""
     fail_safe: Literal["level", "follow"] = "level"
-    """a UAV whose plan has run out keeps level, or follows its part of the reference softly, for
-    which it measures its own position and velocity ([equations.md](equations.md#fail-safe))"""
+    """a UAV without a newer plan plays its last one to the end and then keeps level; or it plays at most
+    0.4 s of it and then follows its part of the motion of the team alone, by its own position and velocity
+    ([equations.md](equations.md#fail-safe))"""
     terminal: Literal["multiple", "riccati"] = "multiple"
     """cost at the end of the horizon: Q_f, or the cost-to-go of the team's linear-quadratic
     regulator, [equations.md](equations.md) (36d). riccati needs

@@ -12,6 +12,7 @@ from transport.model.flat import Track
 from transport.model.hover import Hover
 from transport.model.identity import digest
 from transport.model.parameters import ParameterError
+from transport.model.state import input_indices
 from transport.mpc.cost import Cost, CostToGo
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.feedback import FeedbackError, FeedbackLaw, Gains
@@ -22,6 +23,7 @@ from transport.mpc.regulator import Regulator, Team
 from transport.mpc.shared import SharedResults
 from transport.mpc.steady_state import Target
 from transport.mpc.tracking import Recursion, Tracker
+from transport.mpc.undisturbed import LedTeam, UndisturbedMotion
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -203,7 +205,7 @@ class TeamLaw:
 class Followed:
     """The reference that the laws of all teams follow, from its newest change on."""
 
-    fail_safe: FailSafe  # of the whole team
+    fail_safe: FailSafe  # of the whole team, which follows its undisturbed motion
     ahead: Change | None  # the part whose preview is computed; None without reference
     preview_before: Preview | None = None  # the response to the reference before that part
 
@@ -214,13 +216,60 @@ class Followed:
             return Followed(fail_safe=_fail_safe(crew, crew.hover.x[None], None), ahead=None)
         whole = Change(first=0, X=reference.X, track=reference.track)
         fail_safe = _fail_safe(crew, reference.X, reference.track)
-        return Followed(fail_safe=fail_safe, ahead=whole)
+        followed = Followed(fail_safe=fail_safe, ahead=whole)
+        return followed.led(crew, reference, None)
 
     @staticmethod
-    def after(crew: Crew, reference: Sampled, change: Change, law: TeamLaw) -> "Followed":
-        """Return a reference from its newest change on; before, the preview of a law stays."""
+    def after(crew: Crew, reference: Sampled, change: Change, whole: TeamLaw) -> "Followed":
+        """Return a reference from its newest change on; before, the whole team's law stays."""
         fail_safe = _fail_safe(crew, reference.X, reference.track)
-        return Followed(fail_safe=fail_safe, ahead=change, preview_before=law.preview)
+        followed = Followed(fail_safe=fail_safe, ahead=change, preview_before=whole.preview)
+        return followed.led(crew, reference, whole.fail_safe.motion)
+
+    def led(self, crew: Crew, reference: Sampled, before: UndisturbedMotion | None) -> "Followed":
+        """Return the same with the undisturbed motion of the whole team along a hover reference.
+
+        That before goes on to the newest change of the reference. Source: docs/equations.md (31f).
+        """
+        is_known = crew.settings.prediction == "closed_loop" and not crew.settings.motor_lag_s
+        if not self.fail_safe.follows or reference.track is not None or not is_known:
+            return self
+
+        law = law_before_tracking(crew, self, Team())
+        by_before = None if before is None else before.key
+        key = digest(law.about_hover.key, reference.key, by_before)
+        first = 0 if before is None or reference.change is None else reference.change.first
+        motion = _MOTIONS.get(
+            key, lambda: undisturbed(law, reference, first, before=before, key=key)
+        )
+        return replace(self, fail_safe=_fail_safe(crew, reference.X, None, motion))
+
+
+def undisturbed(
+    law: TeamLaw,
+    reference: Sampled,
+    first: int,
+    *,
+    before: UndisturbedMotion | None = None,
+    key: bytes = b"",
+) -> UndisturbedMotion:
+    """Return the motion that the team of a law takes along a hover reference, undisturbed.
+
+    The motion before goes on to the `first` instant; without one it begins there on the reference.
+    """
+    X_ref = reference.X
+    settings = law.about_hover.crew.settings
+    model = law.about_hover.hovering.model
+    lower, upper = settings.lower(model.system.N), settings.upper(model.system.N)
+
+    def inputs(x: Array, instant: int) -> Array:
+        u = law.inputs(x, X_ref[min(instant, len(X_ref) - 1)], None, instant)
+        if u is None:
+            raise FeedbackError("expected a shared control law, got open-loop prediction")
+        return np.clip(u, lower, upper)
+
+    team = LedTeam(model=model, inputs=inputs, period_s=settings.sampling_period_s)
+    return UndisturbedMotion(team, X_ref, before=before, first=first, key=key)
 
 
 def team_law(crew: Crew, followed: Followed, team: Team) -> TeamLaw:
@@ -257,9 +306,8 @@ def _law_of(crew: Crew, followed: Followed, team: Team) -> TeamLaw:
             key, lambda: followed.fail_safe.of_team(team.off, team.released)
         )
     about_hover = hover_law(crew, fail_safe, team)
-    return TeamLaw(
-        about_hover=about_hover, fail_safe=fail_safe, preview=_preview(about_hover, followed)
-    )
+    response = _preview(about_hover, followed, fail_safe.motion)
+    return TeamLaw(about_hover=about_hover, fail_safe=fail_safe, preview=response)
 
 
 def recursion_of(law: TeamLaw, before: Tracker | None, since: int) -> Recursion:
@@ -304,14 +352,19 @@ def led_law(law: TeamLaw, followed: Followed) -> TeamLaw:
     return replace(changed, tracker=_TRACKERS.get(key, continued_tracker))
 
 
-def _fail_safe(crew: Crew, X: Array, track: Track | None) -> FailSafe:
-    """Return the fail-safe of the whole team, which follows states, or keeps level."""
+def _fail_safe(
+    crew: Crew, X: Array, track: Track | None, motion: UndisturbedMotion | None = None
+) -> FailSafe:
+    """Return the fail-safe of the whole team, which follows states or a motion, or keeps level."""
     follows = crew.settings.fail_safe == "follow"
-    return FailSafe(crew.model.system, crew.hover.u, X if follows else None, track)
+    return FailSafe(crew.model.system, crew.hover.u, X if follows else None, track, motion)
 
 
-def _preview(law: HoverLaw, followed: Followed) -> Preview | None:
-    """Return the response to a hover reference ahead, if the settings ask for it: (36b), (36c)."""
+def _preview(law: HoverLaw, followed: Followed, motion: UndisturbedMotion | None) -> Preview | None:
+    """Return the response to a hover reference ahead, if the settings ask for it: (36b), (36c).
+
+    UAVs without an agent follow a motion, or the reference.
+    """
     ahead = followed.ahead
     if law.regulator is None or ahead is None or ahead.track is not None:
         return None
@@ -321,21 +374,53 @@ def _preview(law: HoverLaw, followed: Followed) -> Preview | None:
 
     before = followed.preview_before
 
+    gone = sorted(law.hovering.uncontrolled)
+    followed_motion = motion if gone else None
+
     def computed() -> Preview:
+        X = ahead.X
+        on_reference = None
+        if followed_motion is not None:
+            # The motion comes to rest after the reference.
+            missing = max(0, followed_motion.last + 1 - ahead.first - len(X))
+            X = np.concatenate([X, np.repeat(X[-1:], missing, axis=0)])
+            on_reference = _inputs_on_reference(law, followed_motion, X, ahead.first)
+
         # On the reference, the output error is zero; the user's terms are not.
         costs = law.crew.user_costs
         states = len(regulator.T)
-        values = np.array([costs.at(x)[0] for x in ahead.X])
+        values = np.array([costs.at(x)[0] for x in X])
         pull = (np.sqrt(costs.weights) * values) @ padded(costs.about(law.hovering.hover.x), states)
         # The actual inputs of the reference are those of hover: their deviation is zero.
-        response = preview(regulator, padded(ahead.X, states), pull, ahead.first)
+        response = preview(regulator, padded(X, states), pull, on_reference, ahead.first)
         return response if before is None else continued(before, response, KEPT)
 
     by_before = None if before is None else (before.feedforward, before.slope, before.first)
-    return _PREVIEWS.get(digest(law.key, ahead.X, ahead.first, by_before), computed)
+    by_motion = None if followed_motion is None else followed_motion.key
+    return _PREVIEWS.get(digest(law.key, ahead.X, ahead.first, by_before, by_motion), computed)
+
+
+def _inputs_on_reference(
+    law: HoverLaw, motion: UndisturbedMotion, X_ref: Array, first: int
+) -> Array:
+    """Return the inputs of UAVs without an agent on the reference, from those at hover, (K, m_u).
+
+    v(k) = K_u (x_ref(k) - x*(k)) + u*_u(k) - u_hov,u, zero once the motion is at rest.
+    Source: docs/equations.md (45a).
+    """
+    hovering = law.hovering
+    uncontrolled = input_indices(sorted(hovering.uncontrolled))
+    K = np.concatenate([hovering.uncontrolled[uav] for uav in sorted(hovering.uncontrolled)])
+    along = motion.over(first, len(X_ref))
+    X = np.array([instant.x for instant in along])
+    U = np.array([instant.u for instant in along])
+    v: Array = (X_ref - X) @ K.T + (U - hovering.hover.u)[:, uncontrolled]
+    v[max(0, motion.last - first) :] = 0.0
+    return v
 
 
 _FAIL_SAFES: SharedResults[FailSafe] = SharedResults()
+_MOTIONS: SharedResults[UndisturbedMotion] = SharedResults()
 _PREVIEWS: SharedResults[Preview] = SharedResults()
 _RECURSIONS: SharedResults[Recursion] = SharedResults()
 _TRACKERS: SharedResults[Tracker] = SharedResults()

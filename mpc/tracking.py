@@ -95,9 +95,9 @@ class Recursion:
             K[state.input_indices(sorted(off))] = 0.0
             for uav in off:
                 K[:, state.uav_slice(uav)] = 0.0
-            for uav, gain in self._law.hovering.uncontrolled.items():
+            for uav in self._law.hovering.uncontrolled:
                 own = state.input_slice(uav)
-                K[own] = gain
+                K[own] = self._fail_safe_gain(uav, k)
                 feedforward[own] = self._on_reference(uav, k) - self._track.U[k, own]
             frozen(K, feedforward)
             gains[k] = replace(gains[k], K=K, feedforward=feedforward)
@@ -119,6 +119,10 @@ class Recursion:
         self.advance()
         gains = [*self._before[: self._since], *reversed(self._computed)]
         return Tracker(gains=gains, key=self._key, first=self._track.first)
+
+    def _fail_safe_gain(self, uav: int, k: int) -> Array:
+        """Return the feedback of a UAV's fail-safe on the reference, (4, n)."""
+        return self._fail_safe.gain_along(uav, self._track.X[k], self._track.first + k)
 
     def _on_reference(self, uav: int, k: int) -> Array:
         """Return the inputs of a UAV's fail-safe on the reference, (4,)."""
@@ -193,9 +197,9 @@ class Recursion:
         hovering = self._law.hovering
         K_fixed = np.zeros((hovering.model.system.m, hovering.model.system.n))
         u_fixed = self._track.U[k].copy()
-        for uav, gain in hovering.uncontrolled.items():
+        for uav in hovering.uncontrolled:
             own = state.input_slice(uav)
-            K_fixed[own] = gain
+            K_fixed[own] = self._fail_safe_gain(uav, k)
             u_fixed[own] = self._on_reference(uav, k)
         return K_fixed, u_fixed
 

@@ -1,6 +1,6 @@
 """Actuators of the plant: schedule of the plans, inner loops, and motors, for any engine.
 
-Each UAV follows the newest plan that has started, and a fail-safe after its end. From commanded
+Each UAV follows the newest plan that has started, and a fail-safe once that has been played. From commanded
 body rates an inner loop makes thrust and moments. Motors round the command's thrust to its steps;
 distribute thrust and moments to the four rotors, limit them there, and sum them up again; follow
 with a first-order lag, or each rotor with a lag for rising and one for falling thrust; and multiply
@@ -36,7 +36,7 @@ INNER_STEP_S = 1e-3
 class ActuatorSchedule:
     """Inputs of all actuators, tick by tick.
 
-    Hover, (4 N,), before any plan, a fail-safe after the end of one.
+    Hover, (4 N,), before any plan, a fail-safe once the newest one has been played.
     """
 
     def __init__(self, u_hover: Array, fail_safe: FailSafe, settings: ControllerSettings) -> None:
@@ -75,7 +75,7 @@ class ActuatorSchedule:
                 continue
             own = state.input_slice(uav)
             step = tick - plan.start_tick
-            if step < len(plan.inputs):
+            if step < self.fail_safe.played(len(plan.inputs), self._period_s):
                 planned = state.input_slice(plan.uavs.index(uav + 1))
                 u[own] = plan.inputs[step, planned]
                 sources[uav] = plan.tick

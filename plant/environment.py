@@ -7,6 +7,7 @@ those of a tick do not depend on the order of calls.
 import math
 from collections import deque
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from transport.model.hover import with_released
 from transport.model.linearisation import Model
 from transport.model.parameters import Payload, System, Uav
 from transport.model.state import SENSED, StateView
-from transport.protocol.scenario.draws import draw_key, generator
+from transport.protocol.scenario.draws import Streams, draw_key
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.names import PLANT
 
@@ -26,7 +27,13 @@ _SAME = 1e-9  # tolerance, in intervals
 
 def drawn(seed: int, purpose: str, tick: int, count: int) -> Array:
     """Return standard normal numbers of the plant for a purpose and a tick, (count,)."""
-    return generator(draw_key(seed, PLANT, purpose), tick).standard_normal(count)
+    return _streams(seed, purpose).at(tick).standard_normal(count)
+
+
+@lru_cache(maxsize=256)
+def _streams(seed: int, purpose: str) -> Streams:
+    """Return the random numbers of the plant for a purpose."""
+    return Streams(draw_key(seed, PLANT, purpose))
 
 
 class Environment:

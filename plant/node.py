@@ -70,7 +70,9 @@ class PlantNode(Participant):
 
         instants_s = self._period_s * np.arange(setup.ticks + 1, dtype=np.float64)
         self._path, _ = setup.maneuver.path(instants_s)
-        self._schedule = ActuatorSchedule(setup.hover.u, setup.fail_safe, setup.settings)
+        self._whole = setup.whole_team()
+        fail_safe = self._whole.law.fail_safe
+        self._schedule = ActuatorSchedule(setup.hover.u, fail_safe, setup.settings)
         of_uavs = [fault for fault in setup.faults if fault.do in OF_UAVS]
         self._faults = deque(of_uavs)  # still to come
         degrades = any(fault.do == "degrade" for fault in of_uavs)
@@ -88,6 +90,11 @@ class PlantNode(Participant):
         self._pending: deque[Tick] = deque()  # open, waiting for the interval before
         self._diverged = False
 
+    def warm_up(self) -> None:
+        """Prepare, so that no period of the run is slower than the others."""
+        self.engine.warm_up(self._setup)
+        self._schedule.fail_safe.warm_up()
+
     def poll(self, now_ns: int) -> Sequence[Message]:  # noqa: ARG002
         """Return nothing: the plant acts on messages only."""
         return ()
@@ -100,7 +107,10 @@ class PlantNode(Participant):
         """Take in a target; path and fail-safe before its tick stay the same, bit for bit."""
         instants = np.arange(target.tick, len(self._path), dtype=np.float64)
         self._path[target.tick :], _ = self._setup.maneuver.path(self._period_s * instants)
-        self._schedule.fail_safe = self._setup.fail_safe.of_team(self._off, self._released)
+        reference = self._setup.reference.sampled
+        if reference.change is not None:
+            self._whole.follow(reference, reference.change)
+        self._renew_fail_safe()
 
     def _work(self, now_ns: int) -> list[Message]:
         """Measure and integrate in turn as far as the messages received allow."""
@@ -184,9 +194,14 @@ class PlantNode(Participant):
             self._x = motor_off_state(self._x, uav)
 
         self.engine.restart(self._x, self.environment.system)
-        self._schedule.fail_safe = self._setup.fail_safe.of_team(self._off, self._released)
+        self._renew_fail_safe()
         if self._inner_loop is not None:
             self._inner_loop.reset(self._x)
+
+    def _renew_fail_safe(self) -> None:
+        """Take the fail-safe of the UAVs left along the newest reference."""
+        whole = self._whole.law.fail_safe
+        self._schedule.fail_safe = whole.of_team(self._off, self._released)
 
     def _integrate(self, now_ns: int) -> list[Message]:
         """Integrate [t_k, t_{k+1}) and return what is recorded of it."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from transport.agent.estimation.forces import PAYLOAD_FORCE, UAV_FORCE
 from transport.agent.estimation.manifold import UAV_BLOCKS
 from transport.model.arrays import Array
 from transport.model.parameters import System
@@ -69,9 +70,10 @@ class LeastSensorNoise:
 class ModelNoise:
     """Errors of the equations of motion."""
 
-    # White accelerations, m/s^2 and rad/s^2, in each sampling period: the only error of a model
-    # without unknown forces, at most; and beside unknown forces.
+    # White accelerations, m/s^2 and rad/s^2, in each sampling period. Without estimated forces they
+    # are all that errs: this much at most, and the level scales it (level.py).
     acceleration: float = 0.01
+    # Beside estimated forces, whatever the level.
     beside_forces: float = 1e-3
     # Lag of motors that agents do not know: what it does after a change of the inputs must not
     # count as a force.
@@ -125,7 +127,9 @@ class ForceNoise:
         deviations = np.sqrt(period_s) * self._scales(system) * change_per_s
 
         correlations = np.eye(len(deviations))
-        for payload, uavs in ((0, 3), (1, 4)):  # along one axis each
+        unknowns = np.arange(len(deviations))
+        along_axes = zip(unknowns[PAYLOAD_FORCE], unknowns[UAV_FORCE], strict=True)
+        for payload, uavs in along_axes:
             correlations[payload, uavs] = self.same_air
             correlations[uavs, payload] = self.same_air
         covariance: Array = correlations * np.outer(deviations, deviations)

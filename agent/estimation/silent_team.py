@@ -1,5 +1,6 @@
-"""Other agents whose news are overdue, in the covariance of a filter: docs/equations.md (63c)."""
+"""Other agents whose news are old, in the covariance of a filter: docs/equations.md (63c), (63e)."""
 
+import math
 from typing import Protocol
 
 import numpy as np
@@ -23,6 +24,11 @@ class Answers(Protocol):
         """Gain of the control law, (m, n)."""
 
 
+# Deviation of the force that the integral of a UAV alone holds from the one assumed, sideways, as a
+# share of what the UAV carries: that of gusts of 1 m/s.
+_HELD = 0.015
+
+
 class SilentTeam:
     """UAVs that act alone: they answer to their own motion, about hover, with their own noise."""
 
@@ -33,9 +39,34 @@ class SilentTeam:
         self._gain = padded(np.vstack([alone.gain(uav) for uav in range(system.N)]), columns)
         slopes = np.vstack([alone.law(uav).by_sensors() for uav in range(system.N)])
         noise = np.repeat(setup.sensors.noise, state.SENSED // len(setup.sensors.noise))
-        self._variance = (
-            slopes**2 @ noise**2
-        )  # of their inputs, by the noise of their sensors, (m,)
+        # Of their inputs, by the noise of their sensors, (m,).
+        self._variance = slopes**2 @ noise**2
+        self._held = self._held_deviations(setup, alone)
+
+    @staticmethod
+    def _held_deviations(setup: Setup, alone: FailSafe) -> Array:
+        """Return how much the forces that integrals hold deviate, sideways, by UAV, (N,), N.
+
+        They do so for the time constant T of the integral; as white noise in each period that is
+        2 T / T_s times the variance. Where forces are not estimated, no wind is assumed.
+        """
+        N, period_s = setup.system.N, setup.settings.sampling_period_s
+        if not setup.scenario.controller.disturbance.estimate:
+            return np.zeros(N)
+        hover_N = setup.hover.u.reshape(N, state.INPUTS)[:, 0]
+        as_white_noise = [math.sqrt(2.0 * alone.law(uav).follows_s / period_s) for uav in range(N)]
+        return np.asarray(_HELD * hover_N * as_white_noise)
+
+    def held(self, silent: Silent, untold: Untold) -> Array:
+        """Return the deviation of the forces on all bodies by integrals of UAVs alone, (3 + 3 N, 2).
+
+        Columns: x, y, inertial frame. One wind moves all UAVs: their integrals err alike.
+        """
+        N = len(self._held)
+        share = (silent.alone * untold.by_law).reshape(N, state.INPUTS)[:, 0]
+        forces = np.zeros((1 + N, 3, 2))  # on the payload and on each UAV
+        forces[1:, :2] = (share * self._held)[:, None, None] * np.eye(2)
+        return forces.reshape(-1, 2)
 
     def gain(self, silent: Silent, period: Answers) -> Array:
         """Return the derivative of the untold inputs by the own error, (m, n).

@@ -242,7 +242,7 @@ class TeamFilter:
         discrete = self._discrete(place, period.u)
 
         A = self._transition(belief, period, place, discrete, after.L)
-        Q = self._period_noise(belief, period, discrete, after.L)
+        Q = self._period_noise(belief, period, place, discrete, after.L)
         P = kalman.predict(belief.covariance.P, A, Q)
         return Covariance(P=P, basis=after)
 
@@ -290,7 +290,22 @@ class TeamFilter:
             A[s:, s:] = np.diag(self.kept_forces(period))
         return A
 
-    def _period_noise(self, belief: Belief, period: Period, discrete: Discrete, L: Array) -> Array:
+    def _by_integrals(self, silent: Silent, period: Period, place: Situation, A: Array) -> Array:
+        """Return the effect of the integrals of UAVs alone on the state over a period, (n, 2).
+
+        Source: docs/equations.md (63e).
+        """
+        model, x, u = place.model, place.x, place.actual
+        still = model.derivative(x, u)
+        E = np.zeros((len(A), 2))
+        for axis, held in enumerate(self._silent.held(silent, period.untold).T):
+            E[: len(x), axis] = model.derivative(x, u, forces=held) - still
+        #   integral of exp(A_c t) E  =  T_s / 2 (E + A E) + O(T_s^3)
+        return np.asarray(self._period_s / 2.0 * (E + A @ E))
+
+    def _period_noise(
+        self, belief: Belief, period: Period, place: Situation, discrete: Discrete, L: Array
+    ) -> Array:
         """Return the covariance of all that errs in a period, (r, r): the last terms of (63)."""
         by_law = period.untold.by_law
         T = belief.covariance.basis.T
@@ -312,6 +327,8 @@ class TeamFilter:
         #   (1 - c^2) B_xi K_o T P T' K_o' B_xi'
         if period.silent is not None and period.K is not None:
             Q[:s, :s] += self._silent.noise(period.silent, period, L.T @ discrete.B, T, P[:s, :s])
+            held = L.T @ self._by_integrals(period.silent, period, place, discrete.A)
+            Q[:s, :s] += held @ held.T
         elif period.K is not None:
             B_xi = L.T @ discrete.B[:, by_law]
             K_T = period.K[by_law] @ T

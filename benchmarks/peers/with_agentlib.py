@@ -38,7 +38,11 @@ _FILE = Path(__file__).resolve()
 
 @dataclass(slots=True)
 class Flight:
-    """The run in this process: AgentLib makes its modules and models itself, from names of classes."""
+    """The run in this process, as modules and models read it.
+
+    AgentLib makes these itself, from names of classes, and cannot pass them a setup: they read
+    `Flight.now`, which `fly` sets.
+    """
 
     setup: Setup
     iterations: int
@@ -55,10 +59,8 @@ class Team(CasadiModel):
     def setup_system(self) -> Any:
         """Return the agent's share of the stage cost."""
         setup = Flight.now.setup
-        symbols, cost = (
-            Symbols.of(setup.system.N),
-            Cost(setup.settings.weights, setup.system, setup.hover),
-        )
+        symbols = Symbols.of(setup.system.N)
+        cost = Cost(setup.settings.weights, setup.system, setup.hover)
         x, u, y_ref = (
             ca.vertcat(*(getattr(self, f"{name}_{k}").sym for k in range(size)))
             for name, size in (
@@ -69,11 +71,14 @@ class Team(CasadiModel):
         )
         values = [x, u, ca.DM(setup.system.vector()), ca.DM.zeros(symbols.F.shape)]
         derivative, y = (
-            ca.Function("of", [symbols.x, symbols.u, symbols.p, symbols.F], [of])(*values)
-            for of in (motion(symbols).derivative, outputs(symbols))
+            ca.Function("value", [symbols.x, symbols.u, symbols.p, symbols.F], [expression])(
+                *values
+            )
+            for expression in (motion(symbols).derivative, outputs(symbols))
         )
         for k in range(len(setup.hover.x)):
             getattr(self, f"x_{k}").ode = derivative[k]
+        # Outputs w equal the own inputs u: ADMM couples an agent's outputs with the others' inputs.
         for j in range(INPUTS * self.agent, INPUTS * (self.agent + 1)):
             getattr(self, f"w_{j}").alg = 1.0 * getattr(self, f"u_{j}")
         effort = u - setup.hover.u
@@ -122,7 +127,9 @@ class Plant(BaseModule):
     def process(self) -> Iterator[Any]:
         """Send the state, wait until shortly before the next instant, integrate."""
         flight = Flight.now
-        setup, model, x = flight.setup, Model(flight.setup.system), flight.setup.initial_state()
+        setup = flight.setup
+        model = Model(setup.system)
+        x = setup.initial_state()
         while True:
             for k, value in enumerate(x):
                 self.set(f"x_{k}", float(value))
@@ -135,11 +142,14 @@ class Plant(BaseModule):
 
 
 def _agents(setup: Setup, iterations: int) -> list[dict[str, Any]]:
-    here, period_s = str(_FILE), setup.settings.sampling_period_s
+    """Return the configurations of all agents, one for each UAV, and of the plant."""
+    here = str(_FILE)
+    period_s = setup.settings.sampling_period_s
     t_s = period_s * np.arange(len(setup.Y_ref))
     y = {f"y_{k}": pd.Series(setup.Y_ref[:, k], index=t_s) for k in range(setup.Y_ref.shape[1])}
-    lower, upper = setup.settings.lower(setup.system.N), setup.settings.upper(setup.system.N)
-    found: list[dict[str, Any]] = []
+    lower = setup.settings.lower(setup.system.N)
+    upper = setup.settings.upper(setup.system.N)
+    agents: list[dict[str, Any]] = []
     for agent in range(setup.system.N):
         own = range(INPUTS * agent, INPUTS * (agent + 1))
         limits = [{"lb": float(lower[j]), "ub": float(upper[j])} for j in range(len(setup.hover.u))]
@@ -160,7 +170,8 @@ def _agents(setup: Setup, iterations: int) -> list[dict[str, Any]]:
             "max_iterations": iterations,
             "penalty_factor": 1e-2,
             "sync_delay": 5e-4,
-            # Of 2 s by default, taken from the period: it would leave time for one iteration.
+            # The default of 2 s is subtracted from the sampling period and would leave time for
+            # one iteration only.
             "registration_period": 0.0,
             "inputs": [{"name": name, "value": series} for name, series in y.items()],
             "controls": [
@@ -179,7 +190,7 @@ def _agents(setup: Setup, iterations: int) -> list[dict[str, Any]]:
                 for j, v in enumerate(setup.hover.u)
             ],
         }
-        found.append(
+        agents.append(
             {"id": f"uav{agent + 1}", "modules": [{"type": "local_broadcast"}, controller]}
         )
     plant = {
@@ -188,14 +199,14 @@ def _agents(setup: Setup, iterations: int) -> list[dict[str, Any]]:
         "x": [{"name": f"x_{k}", "value": float(v)} for k, v in enumerate(setup.initial_state())],
         "u": [{"name": f"u_{j}", "value": float(v)} for j, v in enumerate(setup.hover.u)],
     }
-    return [*found, {"id": "plant", "modules": [{"type": "local_broadcast"}, plant]}]
+    return [*agents, {"id": "plant", "modules": [{"type": "local_broadcast"}, plant]}]
 
 
 def fly(setup: Setup, iterations: int) -> tuple[Array, Array, float]:
     """Return states and inputs at each tick, (ticks, n) and (ticks, m), and the processor time."""
     Flight.now = flight = Flight(setup, iterations)
-    # AgentLib imports the file of a class under a name of its own: it is to find this module, and
-    # the agents' models.
+    # AgentLib imports the file of a class under a module name made from its path. With this module
+    # registered there, it uses this module's `Flight.now` and the agents' models made below.
     sys.modules[".".join([*(folder.name for folder in _FILE.parents[:-1]), _FILE.stem])] = (
         sys.modules[__name__]
     )

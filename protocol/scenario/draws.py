@@ -18,10 +18,22 @@ def draw_key(*purpose: object) -> Key:
     return np.frombuffer(digest[:16], dtype="<u8")
 
 
-def generator(key: Key, tick: int, stream: int = 0) -> Generator:
-    """Return the generator that belongs to a key, a tick and one of the streams of that tick."""
-    counter = np.array([0, 0, stream, tick], dtype=np.uint64)
-    return Generator(Philox(key=key, counter=counter))
+class Streams:
+    """Random numbers of a key: independent streams at every tick.
+
+    One generator is set to each stream; to make one for each takes three times as long.
+    """
+
+    def __init__(self, key: Key) -> None:
+        self._bits = Philox(key=key)
+        self._generator = Generator(self._bits)
+        self._state = self._bits.state  # before any number is drawn
+
+    def at(self, tick: int, stream: int = 0) -> Generator:
+        """Return the generator at the begin of a stream of a tick, valid until the next call."""
+        self._state["state"]["counter"] = np.array([0, 0, stream, tick], dtype=np.uint64)
+        self._bits.state = self._state
+        return self._generator
 
 
 @dataclass(frozen=True, slots=True)

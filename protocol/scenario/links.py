@@ -8,7 +8,7 @@ from operator import attrgetter, itemgetter
 from typing import Any
 
 from transport.model.arrays import Array
-from transport.protocol.scenario.draws import Draw, draw_key, generator
+from transport.protocol.scenario.draws import Draw, Streams, draw_key
 from transport.protocol.scenario.keys import UNITS
 from transport.protocol.scenario.link_sections import (
     GilbertElliottSection,
@@ -57,7 +57,7 @@ class Link:
         self._period_s = period_s
 
         kind = Measurement.kind if sender == PLANT else Plan.kind
-        self._key = draw_key(seed, sender, receiver, kind)
+        self._streams = Streams(draw_key(seed, sender, receiver, kind))
 
         section = _section_of(links, sender, receiver)
         self._epochs = [Epoch(0, section, section.perfect)]
@@ -105,7 +105,7 @@ class Link:
         if self._exceeds_rate(section, tick):
             return []
 
-        draw = Draw(generator(self._key, tick, negotiation).random(Draw.COUNT))
+        draw = Draw(self._streams.at(tick, negotiation).random(Draw.COUNT))
         if draw.loss < section.loss or self._is_lost_in_burst(section, tick, draw):
             return []
 
@@ -165,8 +165,9 @@ class Link:
     def _is_lost_in_burst(self, section: LinkSection, tick: int, draw: Draw) -> bool:
         """Return whether the message of a tick is lost by the Gilbert-Elliott chain."""
         bursts = section.gilbert_elliott
-        is_bad = self._is_bad(tick)
-        return bursts is not None and is_bad and draw.burst < bursts.loss
+        if bursts is None:
+            return False
+        return self._is_bad(tick) and draw.burst < bursts.loss
 
     def _is_bad(self, tick: int) -> bool:
         """Return whether the Gilbert-Elliott chain is bad at a tick, starting in the good state."""
@@ -183,7 +184,7 @@ class Link:
         if bursts is None or not (was_bad or bursts.enter):
             return False
 
-        draw = generator(self._key, tick, _CHAIN).random()
+        draw = self._streams.at(tick, _CHAIN).random()
         return bool(draw >= bursts.leave) if was_bad else bool(draw < bursts.enter)
 
 

@@ -131,9 +131,9 @@ class ControllerSection(ControllerSettings):
     share_heartbeat_s: Annotated[Positive, Key(label="longest time without a plan")] = 1.0
     """with on_change: longest interval between two plans sent, so that a lost plan is replaced"""
     silence: Literal["alone", "law"] = "alone"
-    """with closed_loop, an agent whose news of the others are overdue: each of its UAVs gradually
-    follows the reference alone, by its own sensors ([equations.md](equations.md#silence)), or the
-    shared control law by the agent's estimate"""
+    """with closed_loop, an agent whose news of the others are overdue, or late on average with a
+    filter: each of its UAVs gradually follows its part of the motion of the team alone, by its own sensors
+    ([equations.md](equations.md#silence)), or the shared control law by the agent's estimate"""
     disturbance: DisturbanceSection = DisturbanceSection()
 
 

@@ -17,9 +17,9 @@ from transport.model.obstacles import Obstacle
 from transport.model.parameters import System
 from transport.model.target import Target
 from transport.mpc.expressions import UserCosts, check_constraints
-from transport.mpc.fail_safe import FailSafe
+from transport.mpc.hover_law import Crew
 from transport.mpc.reference import Reference
-from transport.mpc.regulation import Regulation
+from transport.mpc.regulation import Regulation, WholeTeam
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.budget import ticks_of
 from transport.protocol.scenario.built import maneuver_of, obstacle_of, system_of
@@ -178,13 +178,10 @@ class Setup:
                 setup = setup.with_target(target_of(message, period_s))
         return setup
 
-    @property
-    def fail_safe(self) -> FailSafe:
-        """Control law of the UAVs whose plans have run out."""
-        follows = self.settings.fail_safe == "follow"
-        X_ref = self.X_ref if follows else None
-        track = self.track if self.reference.is_flat else None
-        return FailSafe(self.system, self.hover.u, X_ref, track)
+    def whole_team(self) -> WholeTeam:
+        """Return the law of the whole team, with the fail-safe of UAVs whose plans have run out."""
+        crew = Crew(self.model, self.hover, self.settings)
+        return WholeTeam(crew, self.reference.sampled)
 
     @cached_property
     def sensors(self) -> SensorSheet:

@@ -375,8 +375,9 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
     # inputs of the last four ticks, (owned, 80), so that a lost message takes none of them
     # (`model.state.REPORTED`).
     uav_states: Array
-    inputs: Array  # absolute inputs per step from `start_tick`, (N_p, 4 owned), N and N m or rad/s
-    # Corrections of these inputs to the shared control law, (N_p, 4 owned); no rows without one.
+    # Absolute inputs per step from `start_tick` on, (steps, 4 owned), N and N m or rad/s.
+    inputs: Array
+    # Corrections of these inputs to the shared control law, (steps, 4 owned); no rows without one.
     corrections: Array
     status: PlanStatus  # result of the solve; anything but "solved" means the shifted previous plan
     # How much of the inputs is of the control law of a UAV alone, not of the shared one: the agent lacks news.

@@ -11,6 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 from transport.agent.announced import Alignment, AnnouncedInputs, SharedLaw
+from transport.agent.handover import Silence
 from transport.model.arrays import Array
 from transport.model.state import input_indices
 from transport.mpc.settings import ControllerSettings, Limits
@@ -197,6 +198,22 @@ def test_plans_under_another_law_are_played_as_announced() -> None:
     u = inputs.in_force(10, before=12, x=X)
     np.testing.assert_array_equal(rows(1, u), older.inputs[3])
     np.testing.assert_array_equal(rows(2, u), by_law(10, X)[COLUMNS[2]] + newer.corrections[1])
+
+
+def test_after_a_change_of_the_law_silent_agents_act_alone() -> None:
+    """An agent whose news are older than the law acts alone by their age, like any other, (32c)."""
+    rule = Silence.of(0.05, is_filtered=False)
+    shared = SharedLaw(
+        inputs=by_law,
+        silence=rule,
+        inputs_alone=lambda uav, tick, x: np.full(4, 1e4 * uav + tick),
+    )
+    inputs = AnnouncedInputs(OWNED, U_HOVER, law=shared)
+    inputs.add(labelled(1, 7))
+    inputs.law_since = 9
+    silent = 10 + round(rule.overdue.complete)
+    u = rows(1, inputs.in_force(silent, before=silent, x=X))
+    np.testing.assert_array_equal(u, [silent] * 4 + [2e4 + silent] * 4)
 
 
 def test_inputs_taken_to_be_in_force_are_within_limits() -> None:

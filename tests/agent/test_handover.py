@@ -5,30 +5,48 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from transport.agent.handover import SHARED, Mixture, News, Silence, mixed
+from transport.agent.handover import SHARED, Mixture, News, NewsAge, Silence, mixed
 
 PERIOD_S = 0.05
 RULES = [Silence.of(PERIOD_S, is_filtered=filtered) for filtered in (True, False)]
 ROUNDING = 1e-12
 
 
+def _overdue(ticks: float) -> NewsAge:
+    """Return news that come at once, and then are overdue."""
+    return NewsAge(mean=1.0, overdue=ticks)
+
+
 @pytest.mark.parametrize("rule", RULES)
 def test_news_as_usual_change_nothing(rule: Silence) -> None:
     """Until the rule begins no share is alone and the errors of agents are correlated as always."""
-    for overdue in range(int(rule.begins) + 1):
-        assert rule.alone(overdue) == 0.0
-        assert rule.correlation(overdue) == SHARED
+    for overdue in range(int(rule.overdue.begins) + 1):
+        assert rule.alone(_overdue(overdue)) == 0.0
+        assert rule.correlation(_overdue(overdue)) == SHARED
 
 
 @pytest.mark.parametrize("rule", RULES)
 def test_share_grows_and_correlation_falls_with_the_age(rule: Silence) -> None:
     """The share grows steadily to one, the correlation falls to zero."""
-    ages = np.arange(0.0, 40.0 * rule.complete)
-    shares, shared = ([of(age) for age in ages] for of in (rule.alone, rule.correlation))
+    ages = [_overdue(ticks) for ticks in np.arange(0.0, 40.0 * rule.overdue.complete)]
+    shares, shared = (list(map(of, ages)) for of in (rule.alone, rule.correlation))
     assert (np.diff(shares) >= 0.0).all()
     assert shares[-1] == 1.0
     assert (np.diff(shared) <= 0.0).all()
     assert shared[-1] < ROUNDING
+
+
+def test_late_news_count_by_their_mean_age_with_a_filter() -> None:
+    """News within 150 ms are those of a team, news a second old are none; measured, none is late."""
+    filtered, measured = RULES
+    ages = [
+        NewsAge(mean=age_s / PERIOD_S, overdue=0.0) for age_s in (0.1, 0.15, 0.3, 0.6, 1.0, 2.0)
+    ]
+    shares = [filtered.alone(age) for age in ages]
+    assert shares[:2] == [0.0, 0.0]
+    assert 0.0 < shares[2] < shares[3] < 1.0
+    assert shares[4:] == [1.0, 1.0]
+    assert [measured.alone(age) for age in ages] == [0.0] * len(ages)
 
 
 def test_a_heartbeat_is_no_silence() -> None:
@@ -37,17 +55,17 @@ def test_a_heartbeat_is_no_silence() -> None:
         Silence.of(PERIOD_S, is_filtered=False, heartbeat_s=heartbeat_s)
         for heartbeat_s in (0.0, 1.0)
     )
-    assert shared.begins == pytest.approx(plain.begins + 1.0 / PERIOD_S)
+    assert shared.overdue.begins == pytest.approx(plain.overdue.begins + 1.0 / PERIOD_S)
 
 
 @given(st.lists(st.integers(1, 300), min_size=1, max_size=200))
 def test_usual_age_is_the_least_recent_one(ages: list[int]) -> None:
-    """The usual age is the smallest in the window, so that a constant delay is no silence."""
+    """The usual age is the smallest in its window, and the mean one that of the last second."""
     news = News((2,), RULES[0])
     for age in ages:
         news.observe(2, age)
-    window = round(3.0 * RULES[0].complete)
-    assert news.usual(2) == min(ages[-window:])
+    assert news.usual(2) == min(ages[-RULES[0].window :])
+    assert news.mean(2) == pytest.approx(np.mean(ages[-RULES[0].recent :]))
 
 
 @pytest.mark.parametrize("rule", RULES)
@@ -56,7 +74,7 @@ def test_a_silence_for_good_stays_one(rule: Silence) -> None:
     news = News((2,), rule)
     for age in range(1, 5000):
         news.observe(2, age)
-    assert rule.alone(4999 - news.usual(2)) == 1.0
+    assert rule.alone(_overdue(4999 - news.usual(2))) == 1.0
 
 
 @given(st.lists(st.floats(0.0, 1.0), max_size=100))

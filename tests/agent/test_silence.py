@@ -13,7 +13,7 @@ from tests.support.runs import VEHICLE, completed, measurement
 from transport.agent.announced import AnnouncedInputs, SharedLaw, Silent, Untold
 from transport.agent.estimation.estimator import sensor_estimator
 from transport.agent.estimation.team_filter import Period, Sensed, TeamFilter
-from transport.agent.handover import Silence
+from transport.agent.handover import Ramp, Silence
 from transport.model import state
 from transport.model.arrays import Array
 from transport.mpc.controller import Controller
@@ -29,6 +29,8 @@ SAME = 1e-3
 # Most by which the largest deviation of a pass of `eight` exceeds that of the pass before: rounding.
 LAP = 1.05
 ATTITUDE_DEG, APART_M = 10.0, 0.38
+# Payload with a death from that without: what the last plan and the integral of a UAV alone differ by.
+UNFELT_M, UNFELT_DEG = 0.05, 5.0
 
 
 def _silent(agents: int, start_s: float, end_s: float = 1e5) -> str:
@@ -115,7 +117,7 @@ def test_an_estimate_out_of_range_begins_anew() -> None:
 def test_before_a_first_plan_the_others_follow_the_law() -> None:
     """Once the first plan of an agent is overdue, its inputs are those of the shared law, not hover inputs."""
     owned, hover = ((0,), (1,)), np.zeros(8)
-    silence = Silence(begins=5.0, complete=1e6, forgets=1.0)
+    silence = replace(Silence.of(0.05, is_filtered=False), overdue=Ramp(begins=5.0, complete=1e6))
     law = SharedLaw(inputs=lambda _tick, _x: np.arange(8.0), silence=silence)
     announced = AnnouncedInputs(owned, hover, own=1, law=law)
     x = np.zeros(36)
@@ -123,6 +125,91 @@ def test_before_a_first_plan_the_others_follow_the_law() -> None:
     late = announced.in_force(30, before=31, x=x)
     np.testing.assert_allclose(late[4:], np.arange(4.0, 8.0))
     np.testing.assert_array_equal(late[:4], hover[:4])
+
+
+@pytest.mark.parametrize(
+    ("scenario", "dying", "network"),
+    [
+        ("resilient", (3,), ()),
+        ("resilient", (1, 2), ("links.delay_s=0.2", "links.loss=0.3")),
+        ("eight", (1, 2), ()),
+    ],
+)
+def test_a_death_is_hardly_felt(
+    scenario: str, dying: Sequence[int], network: Sequence[str]
+) -> None:
+    """In still air the UAVs without agents fly on, and the others know it, (31f), (31g), (45a)."""
+    deaths = ",".join(f"{{at_s=6.0,do='kill',target='agent{agent}'}}" for agent in dying)
+    changes = ("clock.on_agent_loss=continue", f"faults.event=[{deaths}]")
+    whole, left = (
+        np.array([message.x for message in completed(run) if isinstance(message, PlantState)])
+        for run in (
+            runs.ready(scenario, *network),
+            runs.ready(scenario, *network, *changes),
+        )
+    )
+    assert np.abs(left[:, state.R0] - whole[:, state.R0]).max() < UNFELT_M
+    assert np.degrees(np.abs(left - whole)[:, state.THETA0]).max() < UNFELT_DEG
+
+
+def test_late_news_leave_the_formation_steady() -> None:
+    """A filter's team flies steadily by late and lost news: each agent acts alone in part."""
+    run = runs.ready("precise", *VEHICLE, FORCES, "links.delay_s=0.4", "links.loss=0.6")
+    messages = completed(run)
+    states = [message for message in messages if isinstance(message, PlantState)]
+    attitudes = np.degrees(np.abs([message.x[state.THETA0] for message in states]))
+    assert attitudes.max() < ATTITUDE_DEG / 2.0
+    shares = [plan.alone for plan in _plans(messages, 1)]
+    assert 0.0 < max(shares) < 1.0
+
+
+@pytest.mark.parametrize(
+    "late",
+    [("links.delay_s=0.2", "links.loss=0.3"), ("links.delay_s=0.4",)],
+    ids=["late and lost", "late"],
+)
+def test_a_death_on_a_late_network_is_held(late: Sequence[str]) -> None:
+    """With a filter, late news make agents act alone in part, also after a death."""
+    death = "faults.event=[{at_s=7.0,do='kill',target='agent3'}]"
+    lost = (death, "clock.on_agent_loss=continue")
+    run = runs.ready("precise", *VEHICLE, FORCES, *late, *lost, runs.ticks(300))
+    messages = completed(run)
+    states = [message for message in messages if isinstance(message, PlantState)]
+    attitudes = np.degrees(np.abs([message.x[state.THETA0] for message in states]))
+    assert attitudes.max() < ATTITUDE_DEG
+    last = [plans[-1].alone for plans in (_plans(messages, agent) for agent in (1, 2, 4))]
+    assert min(last) > 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "death", "silence", "ticks"),
+    [
+        ("resilient", (), "at_s=1.5,do='kill',target='agent4'", (2.0, 7.5), 160),
+        ("windy", (), "at_s=12.0,do='kill',target='agent2'", (7.5, 16.0), 340),
+        (
+            "precise",
+            (*VEHICLE, FORCES, "plant.wind.gust_mps=[1,1,1]"),
+            "at_s=1.5,do='kill',target='agent4'",
+            (2.0, 7.5),
+            200,
+        ),
+    ],
+)
+def test_a_death_and_a_silence_at_once_are_held(
+    name: str, settings: Sequence[str], death: str, silence: tuple[float, float], ticks: int
+) -> None:
+    """UAVs alone follow what the whole team would, and the others know what the dead one's UAV does."""
+    run = runs.ready(
+        name,
+        *settings,
+        "clock.on_agent_loss=continue",
+        f"faults.event=[{{{death}}}]",
+        _silent(4, *silence),
+        runs.ticks(ticks),
+    )
+    states = [message for message in completed(run) if isinstance(message, PlantState)]
+    attitudes = np.degrees(np.abs([message.x[state.THETA0] for message in states]))
+    assert attitudes.max() < 1.5 * ATTITUDE_DEG
 
 
 def _plans(messages: Sequence[Message], agent: int) -> list[Plan]:

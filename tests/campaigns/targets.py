@@ -25,8 +25,8 @@ from tests.support.browser import browser
 from tests.support.commands import free_base, processes_of, settings, start, wait_for
 from tests.support.commands import transport as command
 from tests.support.logs import Growing
+from tests.system.test_live_viewer import page_of
 from tests.system.test_ros2 import DOMAIN, Publisher
-from tests.system.test_viewer import page_of
 from transport.analysis.comparison import Comparison
 from transport.analysis.flight_numbers import SETTLED_S
 from transport.analysis.replay import Replay

@@ -51,6 +51,25 @@ def test_its_linearisation_is_its_gain(system: System) -> None:
         np.testing.assert_allclose(slope, follows.gain(UAV) @ (step / STEP), atol=SLOPE_TOLERANCE)
 
 
+@pytest.mark.parametrize("rates", [False, True], ids=["moments", "body rates"])
+def test_its_linearisation_along_a_path_is_its_gain_there(*, rates: bool) -> None:
+    """At full speed along `eight` too, for every direction of the manifold, (31g)."""
+    run = ready("eight")
+    track = run.track
+    assert track is not None
+    system = run.system
+    if rates:
+        system = System(payload=system.payload, uavs=system.uavs, rate_gains=[25.0, 25.0, 10.0])
+    follows = FailSafe(system, run.hover.u, run.X_ref, track)
+    for tick in (0, len(track.X) // 3, len(track.X) // 2):
+        x = track.X[tick]
+        gain = follows.gain_along(UAV, x, tick)
+        for step in STEP * tangent(x).T:
+            ahead, back = (follows.inputs(UAV, x + sign * step, tick) for sign in (1.0, -1.0))
+            slope = (ahead - back) / (2.0 * STEP)
+            np.testing.assert_allclose(slope, gain @ (step / STEP), atol=SLOPE_TOLERANCE)
+
+
 def test_its_derivative_by_the_sensors() -> None:
     """Differences about hover, each sensor by itself but the specific force, which shows the rod."""
     law, course = (

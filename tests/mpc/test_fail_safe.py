@@ -28,3 +28,13 @@ def test_level_has_no_course() -> None:
         level.course(0, 0)
     held = np.array([1.0, 2.0, 3.0])
     np.testing.assert_array_equal(level.held(0, AT_REST.x, 0, held, 0.05), held)
+
+
+@pytest.mark.parametrize(
+    ("period_s", "steps", "expected"), [(0.05, 20, 8), (0.05, 4, 4), (2.0, 3, 1)]
+)
+def test_one_that_follows_takes_over_soon(period_s: float, steps: int, expected: int) -> None:
+    """It comes 0.4 s after the begin of the last plan, or at its end; the one that keeps level at the end."""
+    follows = FailSafe(SYSTEM, AT_REST.u, AT_REST.x[None])
+    assert follows.played(steps, period_s) == expected
+    assert FailSafe(SYSTEM, AT_REST.u).played(steps, period_s) == steps

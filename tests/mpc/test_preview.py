@@ -52,6 +52,8 @@ class Problem:
     Attributes:
         model: Difference equation with the feedback of the UAVs without agents in it.
         controlled: Inputs of those that have agents.
+        drift: What the reference and the UAVs without agents add at each step, (K, n).
+        on_reference: Inputs of the latter on the reference, from those at hover, (K, m_u).
         X_ref: Reference states, (K, n).
         pull: Half the gradient of the stage cost at zero deviation, (K, n).
     """
@@ -64,17 +66,27 @@ class Problem:
     controlled: npt.NDArray[np.intp]
     X_ref: Array
     pull: Array
+    drift: Array
+    on_reference: Array
 
 
 @lru_cache
 def problem(
-    profile: Profile, pulled: str, gone: tuple[int, ...] = (), weights: Weights = PAYLOAD
+    profile: Profile,
+    pulled: str,
+    gone: tuple[int, ...] = (),
+    fail_safe: str = "level",
+    weights: Weights = PAYLOAD,
 ) -> Problem:
-    """The paper's system on a short move, with a pull that passes, one that lasts, or none."""
+    """The paper's system on a short move, with a pull that passes, one that lasts, or none.
+
+    UAVs without agents keep level, follow the reference, or another motion.
+    """
     system = table_1()
     at = hover(system)
     cost, model = Cost(weights, system, at), difference(system, at)
-    uncontrolled = {uav: FailSafe(system, at.u).gain(uav) for uav in gone}
+    safe = FailSafe(system, at.u, None if fail_safe == "level" else at.x[None])
+    uncontrolled = {uav: safe.gain(uav) for uav in gone}
     K = np.zeros((len(at.u), len(at.x)))
     for uav, gain in uncontrolled.items():
         K[state.input_slice(uav)] = gain
@@ -86,6 +98,14 @@ def problem(
         slope = model.C.T @ (cost.Q * np.random.default_rng(2).standard_normal(len(cost.Q)))
         pull = np.sin(np.arange(INSTANTS) / 5.0)[:, None] * slope * 0.05
         pull[-1] = 0.02 * slope if pulled == "lasting" else 0.0
+    others = input_indices(gone)
+    on_reference = np.zeros((INSTANTS, len(others)))
+    if fail_safe == "another motion":
+        passing = np.sin(np.arange(INSTANTS) / 7.0) * np.linspace(1.0, 0.0, INSTANTS)
+        on_reference = passing[:, None] * np.random.default_rng(5).standard_normal(len(others))
+    # x_ref(k+1) is where the team is to be; without deviation it gets to A x_ref(k) + B v(k).
+    reference = np.vstack([X_ref, X_ref[-1:]]) - at.x
+    drift = reference[:-1] @ model.A.T + on_reference @ model.B[:, others].T - reference[1:]
     hovering = HoveringTeam(model=Model(system), hover=at, cost=cost, uncontrolled=uncontrolled)
     return Problem(
         system=system,
@@ -96,6 +116,8 @@ def problem(
         controlled=controlled,
         X_ref=X_ref,
         pull=pull,
+        drift=drift,
+        on_reference=on_reference,
     )
 
 
@@ -114,18 +136,15 @@ def dense(of: Problem, xi0: Array) -> tuple[Array, Array, Array]:
     No recursion, no coordinates of the manifold.
 
     min over du of sum_{k<K} (xi' C'QC xi + 2 pull' xi + du' R du) + xi(K)' P xi(K) + 2 p(K)' xi(K)
-    subject to xi(k+1) = A xi(k) + B du(k) + A x_ref(k) - x_ref(k+1), the deviations of the
-    reference from hover.
+    subject to xi(k+1) = A xi(k) + B du(k) + drift(k).
 
     Returns: du (K, m_c), xi (K + 1, n), and half the derivative of the optimal cost with respect to
         xi0, (n,).
     """
     steps, n = len(of.X_ref), len(of.at.x)
     A, B, C = of.model.A, of.model.B, of.model.C
-    reference = np.vstack([of.X_ref, of.X_ref[-1:]]) - of.at.x
-    drift = reference[:-1] @ A.T - reference[1:]
     G, Gamma = naive.stacked_state(A, steps), naive.stacked_input(A, B, steps)
-    free = naive.simulate(A, np.eye(n), np.zeros(n), drift).reshape(-1) + G @ xi0
+    free = naive.simulate(A, np.eye(n), np.zeros(n), of.drift).reshape(-1) + G @ xi0
     stage = C.T @ (of.cost.Q[:, None] * C)
     weight = np.zeros(((steps + 1) * n, (steps + 1) * n))
     for k in range(steps):
@@ -139,13 +158,15 @@ def dense(of: Problem, xi0: Array) -> tuple[Array, Array, Array]:
     return du.reshape(steps, -1), xi.reshape(steps + 1, n), G.T @ (weight @ xi + linear)
 
 
-CASES: dict[str, tuple[Profile, str, tuple[int, ...]]] = {
-    "lasting pull": ("min_jerk", "lasting", ()),
-    "one gone": ("ramp", "passing", (2,)),
+CASES: dict[str, tuple[Profile, str, tuple[int, ...], str]] = {
+    "lasting pull": ("min_jerk", "lasting", (), "level"),
+    "one gone, level": ("ramp", "passing", (2,), "level"),
+    "one gone, follows": ("ramp", "passing", (2,), "reference"),
+    "one gone, another motion": ("ramp", "passing", (2,), "another motion"),
 }
-SLOW: dict[str, tuple[Profile, str, tuple[int, ...]]] = {
-    "step": ("step", "none", ()),
-    "passing pull": ("ramp", "passing", ()),
+SLOW: dict[str, tuple[Profile, str, tuple[int, ...], str]] = {
+    "step": ("step", "none", (), "level"),
+    "passing pull": ("ramp", "passing", (), "level"),
 }
 PARAMETERS = [
     *(pytest.param(case, id=name) for name, case in CASES.items()),
@@ -155,14 +176,14 @@ PARAMETERS = [
 
 @pytest.mark.parametrize("case", PARAMETERS)
 def test_preview_is_the_optimum_of_the_tracking_problem(
-    case: tuple[Profile, str, tuple[int, ...]],
+    case: tuple[Profile, str, tuple[int, ...], str],
 ) -> None:
     """Along the optimal path every input is K xi + feedforward, from any first deviation, (36b), (36c).
 
     Half the derivative of the optimal cost with respect to that deviation is P xi + p(0).
     """
     of = problem(*case)
-    found, T = preview(of.law, of.X_ref, of.pull), of.law.T
+    found, T = preview(of.law, of.X_ref, of.pull, of.on_reference), of.law.T
     for size in (0.0, 0.1):
         xi0 = small_state(of.at, np.random.default_rng(3), size)
         du, xi, derivative = dense(of, xi0)
@@ -171,7 +192,7 @@ def test_preview_is_the_optimum_of_the_tracking_problem(
         expected, value = T.T @ derivative, of.law.P @ T.T @ xi0 + T.T @ found.slope[0]
         assert np.abs(value - expected).max() < AGREEMENT * np.abs(expected).max()
     others = np.setdiff1d(np.arange(len(of.at.u)), of.controlled)
-    assert not found.feedforward[:, others].any()
+    np.testing.assert_array_equal(found.feedforward[:, others], of.on_reference)
     assert np.abs(found.feedforward).max() > 0.01, "a zero feedforward would compare nothing"
 
 

@@ -84,6 +84,15 @@ def test_plan_is_played_step_by_step() -> None:
         assert sources == (0, 0, 0)
 
 
+def test_a_fail_safe_that_follows_takes_over_before_the_end() -> None:
+    """Where the UAV can follow the reference alone, it does so after 0.4 s of its last plan."""
+    follows = FailSafe(SYSTEM, U_HOVER, X[None])
+    plans = ActuatorSchedule(U_HOVER, follows, ControllerSettings(sampling_period_s=0.2))
+    plans.add(labelled(2, 0))
+    sources = [plans.inputs(k, X, U_HOVER)[1][1] for k in range(STEPS)]
+    assert sources == [0, 0, -2, -2]
+
+
 def test_newest_plan_wins() -> None:
     """A newer plan takes over at its start, not before; a late older one changes nothing."""
     plans = schedule(labelled(2, 0), labelled(2, 2))

@@ -5,11 +5,11 @@ import io
 import json
 import shutil
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import urlparse, urlsplit
 
 import msgpack
@@ -22,11 +22,14 @@ from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver.chrome.options import Options
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.wait import WebDriverWait
 from websockets import Subprotocol
 from websockets.sync.client import ClientConnection, connect
 
 from tests.support.commands import PATIENCE_S, wait_for
 from transport.model.arrays import Array
+
+_Result = TypeVar("_Result")
 
 _CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -176,35 +179,37 @@ class Browser:
         self.leave()  # an open page would report the loss of its server
         self.console()
         self.driver.get(address)
-        assert wait_for(lambda: self.text() is not None and bool(self.sliders()))
+        assert wait_for(lambda: self.text() is not None and bool(self.values()))
 
     def leave(self) -> None:
         """Close the page."""
         self.driver.get("about:blank")
 
+    def settled(self, action: Callable[[], _Result]) -> _Result:
+        """Return what an action on elements returns, once the page does not replace them meanwhile."""
+        wait = WebDriverWait(
+            self.driver, PATIENCE_S, ignored_exceptions=(StaleElementReferenceException,)
+        )
+        return wait.until(lambda _: (action(),))[0]
+
     def click(self, text: str, number: int = 0) -> None:
         """Click a button with this text, by its number among those with the same text."""
-        buttons = [b for b in self.driver.find_elements("css selector", "button") if b.text == text]
-        self.driver.execute_script(
-            "arguments[0].scrollIntoView({block: 'center'})", buttons[number]
-        )
-        buttons[number].click()
+
+        def click() -> None:
+            found = self.driver.find_elements("css selector", "button")
+            button = [b for b in found if b.text == text][number]
+            self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", button)
+            button.click()
+
+        self.settled(click)
 
     def text(self) -> str | None:
         """Return the text of the page; None while it loads or has none."""
-        try:
-            return self.driver.find_element("css selector", "body").text or None
-        except StaleElementReferenceException:
-            return None
+        return self.settled(lambda: self.driver.find_element("css selector", "body").text) or None
 
     def shows(self, text: str) -> bool:
         """Return whether the page has a text."""
         return text in (self.text() or "")
-
-    def sliders(self) -> dict[float, Any]:
-        """Return the handles of the sliders by their largest value."""
-        found = self.driver.find_elements("css selector", "[role=slider]")
-        return {float(slider.get_attribute("aria-valuemax") or "nan"): slider for slider in found}
 
     def values(self) -> set[tuple[float, float]]:
         """Return largest and present value of each slider."""
@@ -215,17 +220,26 @@ class Browser:
 
     def type(self, label: str, text: str) -> None:
         """Replace the text of a field, as fast as the browser takes it."""
-        field = self.driver.find_element(
-            "xpath", f"(//label[text()='{label}']/following::input)[1]"
-        )
-        field.send_keys(Keys.CONTROL, "a")
-        field.send_keys(text)
+
+        def type_() -> None:
+            field = self.driver.find_element(
+                "xpath", f"(//label[text()='{label}']/following::input)[1]"
+            )
+            field.send_keys(Keys.CONTROL, "a")
+            field.send_keys(text)
+
+        self.settled(type_)
 
     def press(self, largest: float, *keys: str) -> None:
         """Move the slider with this largest value by keys."""
-        slider = self.sliders()[largest]
-        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", slider)
-        slider.send_keys(*keys)
+
+        def press() -> None:
+            handle = f"[role=slider][aria-valuemax='{largest:g}']"
+            slider = self.driver.find_element("css selector", handle)
+            self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", slider)
+            slider.send_keys(*keys)
+
+        self.settled(press)
 
     def plots(self) -> list[str]:
         """Return the image of each plot in the panel."""

@@ -95,13 +95,32 @@ def processes_of(run: str) -> dict[str, int]:
 
 
 def _is_of_another_worker(process: Path) -> bool:
-    """Return whether a process of /proc works in the temporary folder of another pytest worker."""
+    """Return whether a process of /proc belongs to another pytest worker.
+
+    It works in that worker's temporary folder, or descends from it.
+    """
+    own = f"popen-{os.environ.get('PYTEST_XDIST_WORKER', '')}"
     try:
-        parts = (process / "cwd").readlink().parts
+        folder = (process / "cwd").readlink()
     except OSError:
         return False
-    own = f"popen-{os.environ.get('PYTEST_XDIST_WORKER', '')}"
-    return any(part.startswith("popen-gw") and part != own for part in parts)
+    if any(part.startswith("popen-gw") and part != own for part in folder.parts):
+        return True
+    ancestors = _ancestors(int(process.name))
+    return os.getppid() in ancestors and os.getpid() not in ancestors
+
+
+def _ancestors(pid: int) -> set[int]:
+    """Return the pids of a process's parent, its parent and so on."""
+    found: set[int] = set()
+    while pid > 1:
+        try:
+            stat = Path(f"/proc/{pid}/stat").read_text()
+        except OSError:
+            break
+        pid = int(stat.rsplit(")", 1)[1].split()[1])
+        found.add(pid)
+    return found
 
 
 def wait_for(condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -> bool:

@@ -77,9 +77,10 @@ def reproducible(messages: list[Message]) -> dict[tuple[str, str], list[bytes]]:
 @pytest.fixture(scope="module")
 def paper(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """Run the paper's whole maneuver; return its folder and summary."""
-    folder = tmp_path_factory.mktemp("paper") / "run"
+    # Another worker's test may fly a "run" from the same current folder at this moment.
+    folder = tmp_path_factory.mktemp("paper") / "across-processes"
     summary = run_json(folder, "paper")
-    assert processes_of("run") == {}
+    assert processes_of(folder.name) == {}
     return folder, summary
 
 

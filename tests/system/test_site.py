@@ -36,7 +36,9 @@ from mkdocs.config import load_config
 import logging
 class Count(logging.Handler):
     texts = []
-    def emit(self, record): self.texts.append(record.getMessage())
+    def emit(self, record):
+        self.texts.append(record.getMessage())
+        print(record.getMessage(), file=sys.stderr)
 logging.getLogger("mkdocs").addHandler(count := Count(logging.WARNING))
 build(load_config("mkdocs.yml", site_dir=sys.argv[1], strict=True))
 used = resource.getrusage(resource.RUSAGE_SELF)

@@ -1,6 +1,7 @@
 """`transport top`: the table follows from the messages, and watching does not change a bit of the run."""
 
 import json
+import os
 import signal
 from collections.abc import Sequence
 from pathlib import Path
@@ -96,6 +97,7 @@ def test_a_run_that_is_watched(tmp_path: Path) -> None:
         assert interrupted.returncode == 130, errors
         assert "Traceback" not in errors
         assert run.poll() is None
+        assert wait_for(lambda: gives_way(to_the_end.pid))
     finally:
         run.send_signal(signal.SIGINT)
         _, errors = run.communicate(timeout=PATIENCE_S)
@@ -110,6 +112,12 @@ def test_a_run_that_is_watched(tmp_path: Path) -> None:
     flown = [entry.message for entry in read_log(folder / "run.mcap").messages]
     assert len(bits(flown)) > 0
     assert bits(flown) == bits(runs.recorded(runs.setup(*LONG)))[: len(bits(flown))]
+
+
+def gives_way(pid: int) -> bool:
+    """Return whether `transport top` has found its run: from then on it has a lower priority."""
+    own = os.getpriority(os.PRIO_PROCESS, 0)
+    return os.getpriority(os.PRIO_PROCESS, pid) > own
 
 
 def bits(messages: Sequence[Message]) -> list[bytes]:

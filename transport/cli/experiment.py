@@ -37,7 +37,7 @@ from transport.protocol.scenario.budget import ADMITTED, MB, MOST_TOTAL_BYTES, m
 from transport.protocol.scenario.file import find_scenario, read_scenario
 from transport.protocol.scenario.schema import Scenario
 
-# Declared when imported.
+# The four modules are imported for their effect: each declares its experiments in `EXPERIMENTS`.
 __all__ = [
     "EXPERIMENTS",
     "ExperimentOptions",

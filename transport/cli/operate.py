@@ -18,7 +18,7 @@ from transport.flight.signals import take_interrupt
 from transport.protocol.network.endpoints import Endpoints, default_mesh, process_names, security_of
 from transport.protocol.network.session import BusError, Reach, ask
 from transport.protocol.scenario.errors import requested
-from transport.protocol.scenario.keys import key_of, meanings
+from transport.protocol.scenario.keys import key_of, meanings, unit_of
 from transport.protocol.scenario.link_changes import PERFECT, link_change
 from transport.protocol.scenario.link_sections import LinkSection
 from transport.protocol.scenario.maneuver_sections import TargetSection
@@ -181,7 +181,9 @@ def _options() -> Iterator[inspect.Parameter]:
 
         kind: Any = str if get_origin(field.annotation) is Literal else float
         sentence = meaning[name]
-        text = f"{sentence[0].upper()}{sentence[1:]}.".replace("`", "")
+        unit = unit_of(name, field)
+        after = f", {unit}" if unit else ""
+        text = f"{sentence[0].upper()}{sentence[1:]}{after}.".replace("`", "")
         yield inspect.Parameter(
             name,
             inspect.Parameter.KEYWORD_ONLY,

@@ -157,7 +157,7 @@ def plant(options: ProcessOptions) -> None:
     setup = options.setup()
     place = options.place(PLANT)
     node = PlantNode(setup, place.incarnation)
-    node.engine.warm_up(setup)
+    node.warm_up()
     raise typer.Exit(run_node(node, place, setup, [COORDINATOR, *map(agent_name, setup.agents)]))
 
 

@@ -42,7 +42,8 @@ GUSTS = "gusts"
 
 # The curves: a controller, and whether its horizon keeps the reference's number of steps or of
 # seconds; with the shortest period over the reference's. Below it an agent computes more than the
-# reference, and the long horizons take more time than all other runs together.
+# reference, and the long horizons take more time than all other runs together. The first is the
+# reference's own: verdicts and figure read the reference from it.
 CURVES = {
     (CENTRALIZED, STEPS): 0.0,
     (CENTRALIZED, SECONDS): 0.5,
@@ -51,7 +52,8 @@ CURVES = {
     (CLOSED_LOOP, SECONDS): 0.4,
 }
 
-# Sampling periods over the reference's: 100 to 15 ms for the paper's 50 ms.
+# Sampling periods over the reference's, falling: 100 to 15 ms for the paper's 50 ms. Both grids
+# have the reference itself, 1.0.
 GRID = (2.0, 1.5, 1.0, 0.7, 0.5, 0.4, 0.3)
 QUICK_GRID = (1.0, 0.5)
 

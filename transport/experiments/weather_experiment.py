@@ -46,7 +46,7 @@ _SILENT_S, _EVERY_S = 5.0, 10.0
 @declared(
     "network",
     drawn_as="weather",
-    scenarios=("alone", "paper", "resilient", "centralized_lq"),
+    scenarios=("alone", "precise", "paper", "resilient", "centralized_lq"),
     seeds=5,
 )
 def weather(scenario: Scenario) -> Iterator[Point]:
@@ -56,7 +56,7 @@ def weather(scenario: Scenario) -> Iterator[Point]:
     by the sensors of the vehicles. UAVs alone need no network, and one agent for all has none to
     impair. `paper` has no estimator: its agents are told the states.
 
-    Example: transport experiment weather --scenario resilient --scenario alone --seeds 2
+    Example: transport experiment weather --scenario precise --scenario alone --seeds 2
     """
     names = list(NETWORKS)
     if scenario.agents.controller == "alone":

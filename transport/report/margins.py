@@ -4,11 +4,12 @@ How far the plant may differ from the controllers' model; table and figure.
 """
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import threadpoolctl
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from transport.mpc.actual_plant import Mismatch
@@ -38,67 +39,84 @@ _FEEDBACK = "closed_loop, riccati, exact"  # prediction, terminal and discretisa
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HoverMargins:
-    """Result of the analysis, for both values of `clock.actuation`, with the plant as known but for `margins`."""
+    """Result of the analysis, by value of `clock.actuation`.
+
+    The plant is as the controllers know it, but for the property that a margin varies.
+    """
 
     scenario: str
     without: tuple[int, ...]  # agents that are gone, 1-based, whose UAVs follow the fail-safe
-    settling_s: dict[
-        str, float | None
-    ]  # in which the slowest deviation decays by e; None: the payload is not held
+    # Time in which the slowest deviation decays by e; None: the payload is not held.
+    settling_s: dict[str, float | None]
     growth_per_s: dict[str, float]  # of the fastest growing mode
-    margins: dict[
-        str, dict[str, Margin]
-    ]  # of the properties of `mpc.margins.Mismatch`; none where it is unstable
+    # By property of `mpc.margins.Mismatch`; empty where the hover is unstable.
+    margins: dict[str, dict[str, Margin]]
 
 
 def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
-    """Return the margins of a scenario about hover, with the fixed delay of its links, some agents, 1-based, gone.
+    """Return the margins of a scenario about hover, with some agents, 1-based, gone.
 
-    Agents know each other's state one sampling period late, or as late as `links.delay_s`. Limits,
-    constraints, packet
-    loss and the disturbance estimate are not part of the analysis. Source: docs/equations.md (60).
+    The links have their fixed delay: agents know each other's state one sampling period late, or as
+    late as `links.delay_s`. Limits, constraints, packet loss and the disturbance estimate are not
+    part of the analysis. Source: docs/equations.md (60).
 
     Raises: ScenarioError: plans are not the shared control law, or the agents that are gone not
         some of several.
     """
-    absent, name, settings = tuple(sorted(set(without))), setup.scenario.name, setup.settings
+    absent = tuple(sorted(set(without)))
     if setup.scenario.agents.controller == "alone" and not absent:
         return _alone(setup)
-    if setup.scenario.agents.controller != "mpc":
-        raise ScenarioError(
-            name, "agents.controller", "expected 'mpc', whose feedback is known, got a class"
-        )
-    if absent and not set(absent) < set(setup.agents):
-        raise ScenarioError(
-            name, "agents", f"expected some of {list(setup.agents)} gone, got {list(absent)}"
-        )
-    got = f"{settings.prediction}, {settings.terminal}, {settings.discretisation}"
-    if got != _FEEDBACK:
-        raise ScenarioError(
-            name, "controller", f"expected {_FEEDBACK}, whose plans are a feedback, got {got}"
-        )
-    gone = [uav for agent in absent for uav in setup.owned[agent - 1]]
-    age = max(1, math.ceil(setup.scenario.links.delay_s / settings.sampling_period_s - 1e-9))
+    _check(setup, absent)
+
     # Several threads are slower than one with matrices of this size.
     with threadpoolctl.threadpool_limits(1):
-        settings = settings.model_copy(
-            update={"linearisation": "present"}
-        )  # about hover both are the same
-        present = [setup.owned[agent - 1] for agent in setup.agents if agent not in absent]
-        team = [
-            Controller(setup.model, setup.hover, settings, owned, Sampled(X=setup.X_ref))
-            for owned in present
-        ]
-        for controller in team if gone else ():
+        return _of(setup.scenario.name, absent, _team_loops(setup, absent))
+
+
+def _check(setup: Setup, absent: Collection[int]) -> None:
+    """Refuse a controller whose plans are not a known feedback, and agents that cannot be gone.
+
+    Raises: ScenarioError.
+    """
+    name = setup.scenario.name
+    if setup.scenario.agents.controller != "mpc":
+        problem = "expected 'mpc', whose feedback is known, got a class"
+        raise ScenarioError(name, "agents.controller", problem)
+    if absent and not set(absent) < set(setup.agents):
+        problem = f"expected some of {list(setup.agents)} gone, got {list(absent)}"
+        raise ScenarioError(name, "agents", problem)
+
+    settings = setup.settings
+    got = f"{settings.prediction}, {settings.terminal}, {settings.discretisation}"
+    if got != _FEEDBACK:
+        problem = f"expected {_FEEDBACK}, whose plans are a feedback, got {got}"
+        raise ScenarioError(name, "controller", problem)
+
+
+def _team_loops(setup: Setup, absent: Collection[int]) -> dict[str, SampledLoop]:
+    """Return the loop of the team without the absent agents, for each actuation."""
+    present = [setup.owned[agent - 1] for agent in setup.agents if agent not in absent]
+    gone = [uav for agent in absent for uav in setup.owned[agent - 1]]
+
+    # About hover both linearisations are the same.
+    settings = setup.settings.model_copy(update={"linearisation": "present"})
+    reference = Sampled(X=setup.X_ref)
+    team = [Controller(setup.model, setup.hover, settings, owned, reference) for owned in present]
+    if gone:
+        for controller in team:
             controller.without(gone)
-        fail_safe = {uav: setup.fail_safe.gain(uav) for uav in gone}
-        loops = {
-            actuation: Loop(
-                team, next_tick=actuation == "next_tick", age=age, uncontrolled=fail_safe
-            )
-            for actuation in ACTUATIONS
-        }
-        return _of(name, absent, loops)
+
+    # Sampling periods from a state to its use by the other agents.
+    delay_in_periods = setup.scenario.links.delay_s / settings.sampling_period_s
+    age = max(1, math.ceil(delay_in_periods - 1e-9))
+    fail_safe = setup.whole_team().law.fail_safe
+    uncontrolled = {uav: fail_safe.gain(uav) for uav in gone}
+    return {
+        actuation: Loop(
+            team, next_tick=actuation == "next_tick", age=age, uncontrolled=uncontrolled
+        )
+        for actuation in ACTUATIONS
+    }
 
 
 def _alone(setup: Setup) -> HoverMargins:
@@ -124,58 +142,68 @@ def _of(name: str, absent: tuple[int, ...], loops: Mapping[str, SampledLoop]) ->
     )
 
 
-def rows(found: HoverMargins) -> Iterator[tuple[str, ...]]:
-    """Yield property and range for each actuation, as text, and first in which time deviations decay."""
-    settling = (found.settling_s[actuation] for actuation in ACTUATIONS)
-    yield (
-        "deviations decay in",
-        *("never" if time_s is None else f"{time_s:.2g} s" for time_s in settling),
-    )
+def rows(result: HoverMargins) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the table as text: a label, then a cell for each actuation.
+
+    The first row has the time in which deviations decay, the others the ranges of the properties.
+    """
+    times_s = [result.settling_s[actuation] for actuation in ACTUATIONS]
+    texts = ["never" if time_s is None else f"{time_s:.2g} s" for time_s in times_s]
+    yield ("deviations decay in", *texts)
+
     for name, label in LABELS.items():
-        yield (
-            label,
-            *(_range(name, found.margins[actuation].get(name)) for actuation in ACTUATIONS),
-        )
+        ranges = [_range(name, result.margins[actuation].get(name)) for actuation in ACTUATIONS]
+        yield (label, *ranges)
 
 
 def _ends(name: str, margin: Margin) -> tuple[float, float]:
     """Return the ends of a range that is drawn and printed, in ms or as factors."""
-    unit, least, most = (
-        (1e3, 0.0, FARTHEST_S) if name.endswith("_s") else (1.0, 1.0 / FARTHEST, FARTHEST)
-    )
+    if name.endswith("_s"):
+        unit = 1e3
+        least = 0.0
+        most = FARTHEST_S
+    else:
+        unit = 1.0
+        least = 1.0 / FARTHEST
+        most = FARTHEST
     lower = least if margin.lower is None else margin.lower
     upper = most if margin.upper is None else margin.upper
     return unit * lower, unit * upper
 
 
 def _range(name: str, margin: Margin | None) -> str:
+    """Return a range as text; an end that was not found is beyond the farthest value tried."""
     if margin is None:
         return "unstable"
     lower, upper = _ends(name, margin)
     above = f"> {upper:g}" if margin.upper is None else f"{upper:.3g}"
     if lower == 0.0:
         return f"up to {above}"
-    return f"{f'< {lower:g}' if margin.lower is None else f'{lower:.3g}'} to {above}"
+    below = f"< {lower:g}" if margin.lower is None else f"{lower:.3g}"
+    return f"{below} to {above}"
 
 
-def draw(found: HoverMargins, figure: Figure) -> None:
+def draw(result: HoverMargins, figure: Figure) -> None:
     """Draw the ranges as bars: times on the left, factors on the right."""
     figure.set_size_inches(COLUMN_IN, 1.5)
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.6))
-    for axes, is_time in ((left, True), (right, False)):
-        names = [name for name in LABELS if name.endswith("_s") == is_time]
-        for i, actuation in enumerate(ACTUATIONS):
-            of = found.margins[actuation]  # all or none
-            lower, upper = (
-                np.array([_ends(name, of[name]) for name in names if name in of]).reshape(-1, 2).T
-            )
-            places = np.arange(len(lower)) + 0.36 * (i - 0.5)
-            axes.barh(places, upper - lower, 0.32, lower, color=CURVES[i][0], label=actuation)
-        axes.set_yticks(np.arange(len(names)), [LABELS[name].split(",")[0] for name in names])
-        axes.invert_yaxis()
+    _draw_bars(left, result, [name for name in LABELS if name.endswith("_s")])
+    _draw_bars(right, result, [name for name in LABELS if not name.endswith("_s")])
     left.set_xlabel("ms")
     right.set_xscale("log")
     right.axvline(1.0, color="#000000", linewidth=0.6)
     right.set_xlabel("actual value / known value")
     figure.legend(*left.get_legend_handles_labels(), loc="upper center", ncols=2)
     figure.subplots_adjust(left=0.21, right=0.98, top=0.86, bottom=0.24, wspace=0.75)
+
+
+def _draw_bars(axes: Axes, result: HoverMargins, names: Sequence[str]) -> None:
+    """Draw the ranges of some properties, for each actuation."""
+    for index, actuation in enumerate(ACTUATIONS):
+        margins_by_name = result.margins[actuation]  # of all properties or of none
+        ends = [_ends(name, margins_by_name[name]) for name in names if name in margins_by_name]
+        lower, upper = np.array(ends).reshape(-1, 2).T
+        places = np.arange(len(ends)) + 0.36 * (index - 0.5)
+        axes.barh(places, upper - lower, 0.32, lower, color=CURVES[index][0], label=actuation)
+    axes.set_yticks(np.arange(len(names)), [LABELS[name].split(",")[0] for name in names])
+    axes.invert_yaxis()

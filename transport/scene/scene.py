@@ -59,7 +59,7 @@ class Scene:
     error_m: float  # distance of the payload from its reference
     cost: float  # stage cost
     attitude_deg: Array  # roll, pitch, yaw of the payload, (3,)
-    fail_safe: tuple[int, ...]  # UAVs whose plans have run out
+    fail_safe: tuple[int, ...]  # UAVs on their fail-safe, without a newer plan
     released: tuple[int, ...]  # UAVs that have left their rods
     air: Air | None = None  # without a radio: None
 
@@ -206,6 +206,6 @@ class SceneBuilder:
 
 
 def _without_plan(plant_state: PlantState) -> tuple[int, ...]:
-    """Return the UAVs that follow the fail-safe law, as their plans have run out."""
+    """Return the UAVs on their fail-safe, without a newer plan."""
     sources = enumerate(plant_state.plan_ticks, start=1)
     return tuple(uav for uav, source in sources if source == FAIL_SAFE)

@@ -1,7 +1,8 @@
 """Events that a search draws: silences, deaths, weather, model errors and targets.
 
 Each is a value that changes the tree of a scenario, says what it is, and knows simpler versions of
-itself, from which the minimal case is made.
+itself, from which the minimal case is made. A further kind also needs its bounds in space.py, its
+colour and mark in report.py, and a row in docs/worst.md.
 """
 
 from collections.abc import Iterator, Sequence
@@ -56,8 +57,9 @@ class Silence:
                 return receiver in self.agents
             case "cut":
                 return (sender in self.agents) != (receiver in self.agents)
-
-        return True
+            case "all":
+                return True
+        raise ValueError(self.who)
 
     def in_words(self) -> str:
         """Return the event as a phrase."""
