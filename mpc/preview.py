@@ -75,6 +75,19 @@ def preview(
     return Preview(feedforward=feedforward, slope=slope, first=first)
 
 
+def only_known(regulator: Regulator, on_reference: Array, first: int) -> Preview:
+    """Return the inputs v of UAVs without an agent, (K, m_u), to which the others do not answer.
+
+    Without preview the team's law still predicts what these UAVs do. Source: docs/equations.md (45a).
+    """
+    m, n = regulator.K.shape
+    feedforward = np.zeros((len(on_reference), m))
+    feedforward[:, regulator.uncontrolled] = on_reference
+    slope = np.zeros((len(on_reference), n))
+    frozen(feedforward, slope)
+    return Preview(feedforward=feedforward, slope=slope, first=first)
+
+
 def at_rest(regulator: Regulator, q: Array) -> Array:
     """Return the slope of the cost-to-go under a constant pull, (r, ..): p = A_closed' p + q.
 

@@ -17,7 +17,7 @@ from transport.mpc.cost import Cost, CostToGo
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.feedback import FeedbackError, FeedbackLaw, Gains
 from transport.mpc.hover_law import Crew, HoverLaw, hover_law
-from transport.mpc.preview import Preview, preview
+from transport.mpc.preview import Preview, only_known, preview
 from transport.mpc.reference import KEPT, Change, Sampled
 from transport.mpc.regulator import Regulator, Team
 from transport.mpc.shared import SharedResults
@@ -363,19 +363,18 @@ def _fail_safe(
 def _preview(law: HoverLaw, followed: Followed, motion: UndisturbedMotion | None) -> Preview | None:
     """Return the response to a hover reference ahead, if the settings ask for it: (36b), (36c).
 
-    UAVs without an agent follow a motion, or the reference.
+    UAVs without an agent follow a motion, or the reference. What they do along a motion is part of
+    the law without preview as well.
     """
     ahead = followed.ahead
     if law.regulator is None or ahead is None or ahead.track is not None:
         return None
-    if not law.crew.settings.preview:
-        return None
     regulator = law.regulator
-
+    is_previewed = law.crew.settings.preview
+    followed_motion = motion if law.hovering.uncontrolled else None
+    if not is_previewed and followed_motion is None:
+        return None
     before = followed.preview_before
-
-    gone = sorted(law.hovering.uncontrolled)
-    followed_motion = motion if gone else None
 
     def computed() -> Preview:
         X = ahead.X
@@ -386,18 +385,28 @@ def _preview(law: HoverLaw, followed: Followed, motion: UndisturbedMotion | None
             X = np.concatenate([X, np.repeat(X[-1:], missing, axis=0)])
             on_reference = _inputs_on_reference(law, followed_motion, X, ahead.first)
 
-        # On the reference, the output error is zero; the user's terms are not.
-        costs = law.crew.user_costs
-        states = len(regulator.T)
-        values = np.array([costs.at(x)[0] for x in X])
-        pull = (np.sqrt(costs.weights) * values) @ padded(costs.about(law.hovering.hover.x), states)
-        # The actual inputs of the reference are those of hover: their deviation is zero.
-        response = preview(regulator, padded(X, states), pull, on_reference, ahead.first)
+        if is_previewed or on_reference is None:
+            response = _response(law, regulator, X, on_reference, ahead.first)
+        else:
+            response = only_known(regulator, on_reference, ahead.first)
         return response if before is None else continued(before, response, KEPT)
 
     by_before = None if before is None else (before.feedforward, before.slope, before.first)
     by_motion = None if followed_motion is None else followed_motion.key
     return _PREVIEWS.get(digest(law.key, ahead.X, ahead.first, by_before, by_motion), computed)
+
+
+def _response(
+    law: HoverLaw, regulator: Regulator, X: Array, on_reference: Array | None, first: int
+) -> Preview:
+    """Return the optimal answer to reference states, (K, n), from the `first` instant on: (36b)."""
+    # On the reference, the output error is zero; the user's terms are not.
+    costs = law.crew.user_costs
+    states = len(regulator.T)
+    values = np.array([costs.at(x)[0] for x in X])
+    pull = (np.sqrt(costs.weights) * values) @ padded(costs.about(law.hovering.hover.x), states)
+    # The actual inputs of the reference are those of hover: their deviation is zero.
+    return preview(regulator, padded(X, states), pull, on_reference, first)
 
 
 def _inputs_on_reference(

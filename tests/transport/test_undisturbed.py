@@ -8,6 +8,7 @@ from transport.flight.memory import simulate
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.target import Target
+from transport.mpc.regulation import Regulation
 from transport.mpc.undisturbed import UndisturbedMotion
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.target_planning import straight
@@ -16,6 +17,9 @@ from transport.protocol.wire.messages import Message, PlantState
 # Limits of thrust and corrections of the programs shift the team from its law by centimetres.
 FORESEEN_M = 0.03
 ARRIVED_M = 0.01
+# Thrusts of up to 20 N, in one sum and in two.
+ROUNDING_N, MOVED_N = 1e-9, 0.1
+GONE = 1  # UAV, 0-based
 AT, BACK = 100, 64  # tick of a target, and how far estimators look back
 
 
@@ -65,3 +69,21 @@ def test_a_target_continues_it() -> None:
     at_rest = after.at(after.last).x[state.R0]
     assert np.abs(at_rest - goal).max() < ARRIVED_M
     assert np.abs(before.at(after.last).x[state.R0] - goal).max() > 0.4
+
+
+@pytest.mark.parametrize("preview", [True, False])
+def test_the_others_know_it_of_a_dead_agent(*, preview: bool) -> None:
+    """On the motion the law of the others has the inputs of the motion for a UAV without an agent, (45a)."""
+    run = runs.ready("resilient", f"controller.preview={str(preview).lower()}")
+    motion, _ = motion_of(run)
+    regulation = Regulation(run.model, run.hover, run.settings, run.reference.sampled)
+    regulation.form([GONE], (), ())
+    own = state.input_slice(GONE)
+    moved = 0.0
+    for tick in range(0, run.ticks, 10):
+        x, u = motion.at(tick)
+        by_law = regulation.inputs(x, run.X_ref[tick], None, tick)
+        assert by_law is not None
+        np.testing.assert_allclose(by_law[own], u[own], atol=ROUNDING_N)
+        moved = max(moved, float(np.abs(u - run.hover.u)[own].max()))
+    assert moved > MOVED_N, "nothing moved"
