@@ -42,7 +42,7 @@ def setup(name: str, *settings: str, uavs: int | None = None) -> Setup:
     if uavs is not None:
         scenario = resized(scenario, Team(uavs=uavs, group=1), path.name)
     run = Setup.of(scenario, path.name)
-    compile_functions(run.system.N)  # as at the start of a run
+    compile_functions(run.system.N, run.system.commands_rates)  # as at the start of a run
     return run
 
 

@@ -22,10 +22,12 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
 
 from benchmarks.runs import origin
 from docs.tables import ROOT, put, table
 from transport.flight.memory import simulate
+from transport.flight.progress import compile_models
 from transport.model.arrays import Array
 from transport.model.state import R0, THETA0
 from transport.protocol.scenario.file import find_scenario, read_scenario
@@ -269,7 +271,9 @@ class Kept:
 def fly(scenario: str, settings: tuple[str, ...]) -> Flown:
     """Fly a scenario with settings."""
     path = find_scenario(scenario)
-    setup = Setup.of(read_scenario(path, list(settings)), path.name)
+    flown = read_scenario(path, list(settings))
+    compile_models([flown], Console(stderr=True))
+    setup = Setup.of(flown, path.name)
     states: dict[int, Array] = {}
     resets = 0
 

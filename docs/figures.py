@@ -23,12 +23,14 @@ from measured import Derived, Measured
 from measured_pages import PAGES
 from results_page import DERIVED, EXPERIMENTS, figures_of_runs
 from results_page import measured as experiment
+from rich.console import Console
 from simulations import Table
 from simulations import measured as page_table
 from tables import ROOT, place, put
 
 from transport.experiments.cases import ERROR, Case, Result, simulate
 from transport.experiments.workers import map_on_cores
+from transport.flight.progress import compile_models
 from transport.protocol.scenario.budget import most_workers
 
 # Declarations by name: a table is planned only when it is needed, as that reads its scenarios.
@@ -69,6 +71,7 @@ def fly(tasks: Sequence[Task], *, one_at_a_time: bool = False) -> Iterator[tuple
 
     Raises: SystemExit: a run raised an error.
     """
+    compile_models((task.case.scenario for task in tasks), Console(stderr=True))
     most = min(joblib.cpu_count(), most_workers(task.case.scenario for task in tasks))
     jobs = 1 if one_at_a_time else most
     simulated = map_on_cores(_simulated, list(enumerate(tasks)), jobs)

@@ -115,6 +115,11 @@ def read_setup(
     return _setup(path, tuple(settings or ()), allow_large, version_ns)
 
 
+def forget_setup() -> None:
+    """Have the next `read_setup` read anew: its model takes the functions compiled meanwhile."""
+    _setup.cache_clear()
+
+
 @lru_cache(maxsize=1)
 def _setup(path: Path, settings: tuple[str, ...], allow_large: bool, _version_ns: int) -> Setup:
     """Read a setup; the version of the file is a key of the cache only."""

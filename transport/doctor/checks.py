@@ -14,6 +14,7 @@ import threadpoolctl
 from transport.agent.node import AgentNode
 from transport.flight.harness import HarnessError, reserved_ports
 from transport.model import compiler, native
+from transport.model.compiled import compile_functions
 from transport.protocol.network.endpoints import Endpoints, default_mesh, process_names
 from transport.protocol.network.session import fetch_answer, open_session
 from transport.protocol.scenario.setup import Setup
@@ -120,6 +121,7 @@ def _round_trips_ms(host: str) -> list[float]:
 
 def step(setup: Setup) -> Finding:
     """Measure the step of the first agent against the sampling period."""
+    setup = Setup.of(setup.scenario, setup.scenario.name)  # with the model as compiled by now
     times_ms = []
     with threadpoolctl.threadpool_limits(1):
         node = AgentNode(setup, 1)
@@ -138,10 +140,11 @@ def step(setup: Setup) -> Finding:
     return judged(state, median_ms > period_ms / 2.0, advice)
 
 
-def kernels(_: Setup) -> Finding:
-    """Check that the kernels of a step are compiled: otherwise a step takes several times as long."""
+def kernels(setup: Setup) -> Finding:
+    """Compile the model and the kernels of a step: otherwise a step takes several times as long."""
     folder = compiler.cache_folder()
-    if native.AVAILABLE:
+    team = setup.system
+    if native.AVAILABLE and compile_functions(team.N, team.commands_rates):
         return Finding("ok", f"compiled for this processor, in {folder}")
 
     if not compiler.enabled():
@@ -193,8 +196,8 @@ def cores(setup: Setup) -> Finding:
 CHECKS: dict[str, Callable[[Setup], Finding]] = {
     "ports": ports,
     "network": network,
-    "step": step,
     "kernels": kernels,
+    "step": step,
     "wake-up": wake_up,
     "cores": cores,
 }

@@ -25,7 +25,7 @@ from transport.experiments.cases import ERROR, NUMBERS, Case, ExperimentError, R
 from transport.experiments.declaration import Experiment
 from transport.experiments.figures import draw
 from transport.experiments.statistics import PointStatistics, statistics_of
-from transport.flight.progress import ConsoleProgress
+from transport.flight.progress import ConsoleProgress, compile_models
 from transport.flight.run_files import machine
 from transport.log.whole_files import write_csv, write_whole
 from transport.protocol.wire.exit_codes import EXIT_FAILED
@@ -201,6 +201,8 @@ def sweep(
     missing = [case for case in by_key.values() if not results.done(case.key)]
     missing.sort(key=lambda case: case.scenario.seed)
     done = len(by_key) - len(missing)
+    # Once, not in each worker.
+    compile_models((case.scenario for case in missing), console)
 
     try:
         with _Progress(experiment.name, done, len(by_key), console) as progress:

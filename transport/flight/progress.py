@@ -1,6 +1,7 @@
 """Progress of a run on the console: compilation, time, real-time factor, cost, attitude."""
 
 import time
+from collections.abc import Iterable
 from typing import Self
 
 import numpy as np
@@ -9,6 +10,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeR
 
 from transport.model.compiled import compile_functions, needs_compilation
 from transport.model.state import StateView
+from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.stage_cost import StageCost
 from transport.protocol.wire.messages import PlantState
@@ -17,15 +19,17 @@ from transport.protocol.wire.messages import PlantState
 _LINE_EVERY_S = 10.0
 
 
-def compile_model(uavs: int, console: Console) -> None:
-    """Compile the model of a team of that many UAVs, and say so.
+def compile_models(scenarios: Iterable[Scenario], console: Console) -> None:
+    """Compile the models of the teams of scenarios, and say so.
 
-    Nothing happens if it is compiled for this processor already.
+    Nothing happens if they are compiled for this processor already.
     """
-    if needs_compilation(uavs):
-        text = "compiling the model for this processor, once"
-        console.print(text, highlight=False, soft_wrap=True)
-        compile_functions(uavs)
+    teams = {(len(one.system.uav), one.controller.inputs == "rates") for one in scenarios}
+    for uavs, rates in sorted(teams):
+        if needs_compilation(uavs, rates):
+            text = f"compiling the model of {uavs} UAVs for this processor, once"
+            console.print(text, highlight=False, soft_wrap=True)
+            compile_functions(uavs, rates)
 
 
 class ConsoleProgress:

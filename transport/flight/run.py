@@ -15,7 +15,7 @@ from transport.flight import live
 from transport.flight.fault_script import FaultScript
 from transport.flight.harness import Child, Harness, keys_setting, reserved_ports
 from transport.flight.priority import below_the_team
-from transport.flight.progress import RunProgress, compile_model
+from transport.flight.progress import RunProgress, compile_models
 from transport.flight.recorder import Recorder
 from transport.flight.run_files import (
     NewFolder,
@@ -119,7 +119,7 @@ def simulate(
     with ExitStack() as stack:
         check_usable()
         classes = checked(setup, external)
-        compile_model(setup.system.N, console)
+        compile_models([setup.scenario], console)
 
         addresses = stack.enter_context(_reserved(setup, folder))
         made = stack.enter_context(new_run_folder(folder, setup))

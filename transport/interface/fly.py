@@ -10,7 +10,7 @@ import tomli_w
 from rich.console import Console
 
 from transport.flight import live, memory
-from transport.flight.progress import RunProgress, compile_model
+from transport.flight.progress import RunProgress, compile_models
 from transport.flight.run_files import checked, run_header
 from transport.interface.run import Run
 from transport.interface.scenario import Scenario, path_phase
@@ -180,7 +180,7 @@ def _in_memory(scenario: Scenario, setup: Setup, *, shown: bool) -> Run:
     """Simulate a run in this process."""
     began_ns = time.time_ns()
     began_s = time.monotonic()
-    compile_model(setup.system.N, console(shown=shown))
+    compile_models([setup.scenario], console(shown=shown))
     text = tomli_w.dumps(setup.scenario.tree())
     header = run_header(setup, setup.scenario.name, 1, text, checked(setup))
     header = {**header, "command_started_ns": str(began_ns)}

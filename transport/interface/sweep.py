@@ -15,7 +15,6 @@ from transport.experiments.figures import fill
 from transport.experiments.statistics import TITLE, WIDTH, PointStatistics, table_of
 from transport.experiments.sweep import Results
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
-from transport.flight.progress import compile_model
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.fly import console
 from transport.interface.scenario import Scenario
@@ -73,8 +72,6 @@ def sweep(
     shown = console(shown=progress)
     target = None if folder is None else Path(folder)
     with Results(_NAME, target) as results:
-        for size in plan.sizes:
-            compile_model(size, shown)  # once, not in each worker
         experiment = Experiment(name=_NAME, points=tuple(plan.points))
         swept = experiment_sweep.sweep(experiment, plan.cases, simulate, results, shown)
 
@@ -87,11 +84,10 @@ def sweep(
 
 @dataclass(slots=True)
 class _Plan:
-    """Points of a sweep with their cases, and the numbers of UAVs of their teams."""
+    """Points of a sweep with their cases."""
 
     points: list[Point] = field(default_factory=list)
     cases: list[Case] = field(default_factory=list)
-    sizes: set[int] = field(default_factory=set)
 
 
 def _plan(
@@ -110,7 +106,6 @@ def _plan(
             plan.points.append(
                 Point(scenario=label, labels=labels, text=text, baseline=number == 0)
             )
-            plan.sizes.add(changed.setup.system.N)
     return plan
 
 

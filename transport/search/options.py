@@ -7,7 +7,7 @@ from typing import Any
 from rich.console import Console
 
 from transport.experiments.workers import Workers
-from transport.flight.progress import compile_model
+from transport.flight.progress import compile_models
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
 from transport.search.candidate import Base
@@ -55,7 +55,7 @@ def search(
         seed=options.seed,
         until_failure=options.until_failure,
     )
-    compile_model(setup.system.N, console)
+    compile_models([setup.scenario], console)
     evaluations = Evaluations(folder, _identity(problem, bounds, options))
 
     try:

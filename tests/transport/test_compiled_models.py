@@ -1,0 +1,32 @@
+"""Every kind of team that flies is compiled first."""
+
+import io
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from tests.support import runs
+from transport.flight.progress import compile_models
+from transport.model.compiled import library
+from transport.model.compiler import find_compiler
+
+BY_RATES = ("controller.inputs=rates", "controller.rate_time_constant_s=[0.05,0.05,0.2]")
+UAVS = 4
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
+def test_teams_with_moments_and_with_rates_are_compiled_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both models of a sweep are on disk before it begins; a second one has nothing to do."""
+    monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(tmp_path))
+    monkeypatch.delenv("PAYLOAD_TRANSPORT_NATIVE", raising=False)
+    scenarios = [runs.ready("resilient").scenario, runs.ready("resilient", *BY_RATES).scenario]
+    text = io.StringIO()
+    for _ in range(2):
+        compile_models(scenarios, Console(file=text))
+        assert library(UAVS, rates=False) is not None
+        assert library(UAVS, rates=True) is not None
+    assert len(text.getvalue().splitlines()) == 2
