@@ -12,11 +12,12 @@ from unittest.mock import patch
 
 import numpy as np
 import threadpoolctl
+from rich.console import Console
 
 from transport.flight import memory
+from transport.flight.progress import compile_models
 from transport.flight.run_files import machine
 from transport.model.arrays import Array
-from transport.model.compiled import compile_functions
 from transport.mpc.controller import Controller
 from transport.mpc.qp import QP
 from transport.protocol.scenario.file import find_scenario, read_scenario
@@ -41,9 +42,8 @@ def setup(name: str, *settings: str, uavs: int | None = None) -> Setup:
     scenario = read_scenario(path, settings)
     if uavs is not None:
         scenario = resized(scenario, Team(uavs=uavs, group=1), path.name)
-    run = Setup.of(scenario, path.name)
-    compile_functions(run.system.N, run.system.commands_rates)  # as at the start of a run
-    return run
+    compile_models([scenario], Console(stderr=True))  # as at the start of a run
+    return Setup.of(scenario, path.name)
 
 
 def messages(run: Setup) -> list[Message]:

@@ -148,18 +148,18 @@ class Model:
 
     def derivative(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Return x' = f(x, u, F), (n,), SI. Source: docs/equations.md (4)-(13), (37)."""
-        return self._compiled["derivative"](*self._arguments(x, u, forces))[0]
+        return self._compiled["derivative"].flat(*self._arguments(x, u, forces))
 
     def tensions(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Return the rod tensions, (N,), N.
 
         Positive when the rod pulls. Source: docs/equations.md (9), (37).
         """
-        return self._compiled["tensions"](*self._arguments(x, u, forces))[0]
+        return self._compiled["tensions"].flat(*self._arguments(x, u, forces))
 
     def outputs(self, x: Array) -> Array:
         """Return y = h(x), (4 N + 9,), SI. Source: docs/equations.md (14)."""
-        return self._compiled["outputs"](x, self._p)[0]
+        return self._compiled["outputs"].flat(x, self._p)
 
     def outputs_along(self, X: Array) -> Array:
         """Return the outputs of several states, (k, n), in one call: (k, 4 N + 9).

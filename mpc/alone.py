@@ -14,7 +14,7 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.parameters import System
-from transport.model.rotations import euler_rates, rotation
+from transport.model.rotations import cross, euler_rates, rotation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,8 +105,8 @@ def motion_of(system: System, uav: int, x: Array) -> Motion:
     rod_P = system.uavs[uav].rod_length * own[state.E]
     R0 = rotation(x[state.THETA0])
 
-    swing_P = _cross(own[state.ROD_RATE], rod_P)
-    turning_P = _cross(x[state.OMEGA0], rho) - swing_P
+    swing_P = cross(own[state.ROD_RATE], rod_P)
+    turning_P = cross(x[state.OMEGA0], rho) - swing_P
     return Motion(
         position_I=x[state.R0] + R0 @ (rho - rod_P),
         velocity_I=R0 @ (x[state.V0] + turning_P),
@@ -373,8 +373,8 @@ def _motion_slopes(system: System, uav: int, x: Array) -> tuple[Array, Array, Ar
     # A change of the payload's Euler angles turns it by this, payload frame.
     turned = np.linalg.inv(euler_rates(x[state.THETA0]))
 
-    swing_P = _cross(own[state.ROD_RATE], rod_P)
-    velocity_P = x[state.V0] + _cross(x[state.OMEGA0], rho) - swing_P
+    swing_P = cross(own[state.ROD_RATE], rod_P)
+    velocity_P = x[state.V0] + cross(x[state.OMEGA0], rho) - swing_P
 
     # swing_P = Omega x l e
     swing = np.zeros((3, len(x)))
@@ -403,10 +403,3 @@ def _skew(a: Array) -> Array:
     """Return the matrix of a x, (3, 3)."""
     x, y, z = a
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Return a x b, at a fifth of the time that numpy.cross takes for single vectors."""
-    return np.array(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )

@@ -52,6 +52,7 @@ def pytest_configure(config: pytest.Config) -> None:
         from transport.model import compiled, native  # noqa: F401 - the import compiles
 
         compiled.compile_functions(4)
+        compiled.compile_functions(3)
         compiled.compile_functions(3, rates=True)
 
 

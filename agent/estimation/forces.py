@@ -11,7 +11,7 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.linearisation import Model
-from transport.model.rotations import rotation
+from transport.model.rotations import cross, rotation
 
 PAYLOAD_FORCE = slice(0, 2)  # horizontal, inertial frame, N
 MASS_ERROR = 2  # of the payload, kg
@@ -65,7 +65,7 @@ class UnknownForces:
         derivative = self._spread[:-1].copy()
 
         #   F_0 = dm (g k - a_0),    a_0 = R_0 (v_0' + omega_0 x v_0)    (63a)
-        acceleration_P = rate[state.V0] + np.cross(view.omega0_P, view.v0_P)
+        acceleration_P = rate[state.V0] + cross(view.omega0_P, view.v0_P)
         derivative[:3, MASS_ERROR] = -rotation(view.Theta0) @ acceleration_P
         derivative[2, MASS_ERROR] += place.model.system.gravity
 

@@ -67,8 +67,10 @@ class Motion:
 
     def set_entries(self, x: Array, tick: int) -> list[np.ndarray]:
         """Return the entries of a state at a tick that each failure of that tick has set."""
-        shifted = x + 1.0  # entries that a failure sets do not stay where they are moved to
         failures = [failure for failure in self.failures if failure.tick == tick]
+        if not failures:
+            return []
+        shifted = x + 1.0  # entries that a failure sets do not stay where they are moved to
         return [np.flatnonzero(failure.moved(shifted) != shifted) for failure in failures]
 
     def reference_at(self, tick: int) -> Array:

@@ -80,7 +80,8 @@ class ProcessOptions:
         `transport run` has compiled it before its processes start.
         """
         setup = self.setup()
-        if not needs_compilation(setup.system.N, setup.system.commands_rates):
+        team = setup.system
+        if not any(needs_compilation(team.N, rates) for rates in {False, team.commands_rates}):
             return setup
 
         from rich.console import Console

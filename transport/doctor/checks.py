@@ -144,7 +144,8 @@ def kernels(setup: Setup) -> Finding:
     """Compile the model and the kernels of a step: otherwise a step takes several times as long."""
     folder = compiler.cache_folder()
     team = setup.system
-    if native.AVAILABLE and compile_functions(team.N, team.commands_rates):
+    models = [compile_functions(team.N, rates) for rates in {False, team.commands_rates}]
+    if native.AVAILABLE and all(models):
         return Finding("ok", f"compiled for this processor, in {folder}")
 
     if not compiler.enabled():

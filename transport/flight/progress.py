@@ -24,10 +24,13 @@ def compile_models(scenarios: Iterable[Scenario], console: Console) -> None:
 
     Nothing happens if they are compiled for this processor already.
     """
-    teams = {(len(one.system.uav), one.controller.inputs == "rates") for one in scenarios}
+    # The plant has motors, that is thrust and moments, also where controllers command body rates.
+    teams = {(len(one.system.uav), False) for one in scenarios}
+    teams |= {(len(one.system.uav), True) for one in scenarios if one.controller.inputs == "rates"}
     for uavs, rates in sorted(teams):
         if needs_compilation(uavs, rates):
-            text = f"compiling the model of {uavs} UAVs for this processor, once"
+            inputs = "body rates" if rates else "moments"
+            text = f"compiling the model of {uavs} UAVs with {inputs} for this processor, once"
             console.print(text, highlight=False, soft_wrap=True)
             compile_functions(uavs, rates)
 
