@@ -108,7 +108,7 @@ class AnnouncedInputs:
     Attributes:
         off_roster: Agents that make no more plans.
         fail_safe: Control law after the last plan of one of them.
-        law_since: Tick from which on the shared control law is that of the present team.
+        law_since: Tick from which on the shared control law is that of the present team, (46).
         failed_since: Tick of the newest failure of a UAV. From then on every agent follows the
             control law of the UAVs that are left; earlier plans apply until then.
         news: How old the newest plans of the others usually are.
@@ -170,15 +170,6 @@ class AnnouncedInputs:
     def newest(self, agent: int, before: int, started: int | None = None) -> Plan | None:
         """Return an agent's newest plan made before a tick and, if given, started by `started`."""
         return self._plans.newest(agent, before, started)
-
-    def under_previous_law(self, before: int) -> list[int]:
-        """Return the agents whose newest plan was made under the previous control law."""
-        agents = []
-        for agent in self._columns:
-            plan = None if agent in self.off_roster else self.newest(agent, before)
-            if plan is not None and self.failed_since <= plan.tick < self.law_since:
-                agents.append(agent)
-        return agents
 
     # As news of the others are overdue, (32c).
 
@@ -293,7 +284,8 @@ class AnnouncedInputs:
     def corrections(self, start: int, steps: int, before: int) -> Array:
         """Return the announced corrections to the shared law, (N_p, 4 N), zero after their end.
 
-        Source: docs/equations.md (32).
+        Those of plans made under the law of another team are to the present law as well; after a
+        failure of UAVs there are none. Source: docs/equations.md (32), (46).
         """
         c = np.zeros((steps, len(self._u_hover)))
         for agent, columns in self._columns.items():
@@ -350,8 +342,8 @@ class AnnouncedInputs:
     def untold(self, tick: int, before: int) -> Untold:
         """Return which of the inputs of `in_force` no plan has told.
 
-        Without a plan, and after one under a previous control law, `in_force` has hover inputs or
-        the announced ones: the agent may already follow the law, and counts as untold too.
+        Without a plan, and before the law became the present one, `in_force` has hover inputs or the
+        announced ones: the agent followed the law of then, and counts as untold too.
         """
         m = len(self._u_hover)
         untold = Untold(by_law=np.zeros(m, dtype=bool), by_fail_safe=np.zeros(m, dtype=bool))
@@ -379,9 +371,10 @@ class AnnouncedInputs:
         if is_known or instant is None:
             return announced
 
-        # The agent has replaced the later ones by plans not received: by the shared law, (32a). What it
-        # corrects to a law that came after its plan is not known: it counts as announced.
-        by_law = self._by_law(plan, instant) if self._is_under_law(plan, tick) else announced
+        # The agent has replaced the later ones by plans not received: by the shared law, (32a). Which
+        # law that was before the present one is not known any more: they count as announced.
+        is_under_law = tick >= max(self.law_since, self.failed_since)
+        by_law = self._by_law(plan, instant) if is_under_law else announced
         if by_law is None:
             return announced
         return self._mixed(by_law, plan.agent, plan, instant)
@@ -404,12 +397,6 @@ class AnnouncedInputs:
             return steps
         return self.fail_safe.played(steps, self._period_s)
 
-    def _is_under_law(self, plan: Plan, tick: int) -> bool:
-        """Return whether the agent followed the present control law at a tick after a plan."""
-        if plan.tick < self.failed_since:
-            return tick >= self.failed_since
-        return plan.tick >= self.law_since
-
     def _by_law(self, plan: Plan, instant: Instant) -> Array | None:
         """Return an agent's inputs by the shared law after its plan's first step, (4 owned,).
 
@@ -427,6 +414,8 @@ class AnnouncedInputs:
         by_law: Array = u[columns]
         if step < len(plan.corrections):
             by_law = by_law + plan.corrections[step]
+        if plan.tick < self.law_since:
+            return by_law  # (46)
 
         # Differences in the sender's knowledge, such as external forces, show at the first step.
         #   u_a(k) = U_a(0) + lambda_a(k) - lambda_a(s_a)

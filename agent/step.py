@@ -188,8 +188,6 @@ class Planner:
 
         # dx(j + 1) = A dx(j) + B du(j) + f_d: (16), (17).
         discrete = self._discrete(linear)
-        if law is not None and discrete is not None:
-            law = self._adapted(law, linear, discrete, U, k)
         self._times.lap("discretise")
         y_ref = setup.Y_ref[first : first + steps + 1]
         return Problem(y_ref=y_ref, U=U, law=law, end=end, linear=linear, discrete=discrete)
@@ -200,16 +198,6 @@ class Planner:
             return self._controller.discretise(linear)
         except ShapeError:
             return None
-
-    def _adapted(
-        self, law: FeedbackLaw, linear: Linear, discrete: Discrete, U: Array, k: int
-    ) -> FeedbackLaw:
-        """Return the law that reproduces plans made under the previous law, (46)."""
-        outdated = self._team.announced.under_previous_law(before=k)
-        if not outdated:
-            return law
-        columns = [input_indices(self._setup.owned[agent - 1]) for agent in outdated]
-        return self._controller.adapted(law, linear, discrete, U, np.concatenate(columns))
 
     def plan(self, step: Step, out: Outbox, publish_ns: int) -> list[Message]:
         """Solve a step's problem; return a proposal, or at the end the tick's plan and report.

@@ -22,7 +22,7 @@ from transport.mpc.cost import Cost, CostToGo
 from transport.mpc.course import Course, CourseProgram
 from transport.mpc.decision import Decision
 from transport.mpc.feedback import FeedbackLaw
-from transport.mpc.prediction import Linear, Prediction, convolve, free_response
+from transport.mpc.prediction import Linear, Prediction, convolve
 from transport.mpc.program import Program
 from transport.mpc.qp import QP, Solution, solve, unsolved
 from transport.mpc.reference import Sampled
@@ -326,28 +326,6 @@ class Controller:
         U[:, self.own] = inputs
         N = self.model.system.N
         return np.clip(U, self.settings.lower(N), self.settings.upper(N))
-
-    def adapted(
-        self, law: FeedbackLaw, linear: Linear, discrete: Discrete, U: Array, columns: Places
-    ) -> FeedbackLaw:
-        """Return the law with corrections that reproduce U, announced under another law: (46).
-
-        c(k) = u(k) - u_law(x0) - K dx(k) in some columns of u, with dx the response to U alone.
-        """
-        c = law.c.copy()
-        if law.along is None:
-            W = discrete.f_d + (U - linear.u0) @ discrete.B.T
-            dX = free_response(discrete.A, W)
-            fed_back = dX[:-1] @ law.K[columns].T
-            c[:, columns] = U[:, columns] - law.uncorrected[:, columns] - fed_back
-            return replace(law, c=c)
-
-        none = np.zeros_like(U)
-        open_loop = replace(law, K=np.zeros_like(law.K), u_rest=U, feedforward=none, c=none)
-        Z = rollout(self.model, self.settings, linear.x0, open_loop, linear.forces).Z
-        fed_back = np.einsum("kmn,kn->km", law.K, (Z - linear.x0)[:-1])
-        c[:, columns] = (U - law.uncorrected - fed_back)[:, columns]
-        return replace(law, c=c)
 
     def without(self, uavs: Collection[int], since: int | None = None) -> None:
         """Set the UAVs without an agent, 0-based; `since` as in `Regulation.form`."""

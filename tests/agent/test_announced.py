@@ -189,15 +189,18 @@ def test_own_inputs_are_known() -> None:
             )
 
 
-def test_plans_under_another_law_are_played_as_announced() -> None:
-    """Corrections belong to the law of their time: older plans count by inputs, (46)."""
+def test_corrections_outlast_a_change_of_the_law() -> None:
+    """From the tick of the change on, older plans correct the new law; before, they were played, (46)."""
     older, newer = labelled(1, 7), labelled(2, 9)
     inputs = under_law(older, newer)
     inputs.law_since = 9
-    assert inputs.under_previous_law(before=12) == [1]
+    u = inputs.in_force(8, before=12, x=X)
+    np.testing.assert_array_equal(rows(1, u), older.inputs[1])
     u = inputs.in_force(10, before=12, x=X)
-    np.testing.assert_array_equal(rows(1, u), older.inputs[3])
+    np.testing.assert_array_equal(rows(1, u), by_law(10, X)[COLUMNS[1]] + older.corrections[3])
     np.testing.assert_array_equal(rows(2, u), by_law(10, X)[COLUMNS[2]] + newer.corrections[1])
+    ahead = inputs.corrections(10, 1, before=12)[0]
+    np.testing.assert_array_equal(rows(1, ahead), older.corrections[3])
 
 
 def test_after_a_change_of_the_law_silent_agents_act_alone() -> None:

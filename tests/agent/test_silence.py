@@ -152,6 +152,20 @@ def test_a_death_is_hardly_felt(
     assert np.degrees(np.abs(left - whole)[:, state.THETA0]).max() < UNFELT_DEG
 
 
+def test_an_agent_is_back_at_once_on_a_late_network() -> None:
+    """Of the agents' first second under the law of the whole team only old plans are known, (46)."""
+    late = ("links.delay_s=0.394", "links.jitter_s=0.098")
+    faults = "{at_s=2.0,do='kill',target='agent3'},{at_s=2.5,do='restart',target='agent3'}"
+    lost = ("clock.on_agent_loss=continue", f"faults.event=[{faults}]")
+    states = [
+        message
+        for message in completed(runs.ready("windy", *late, *lost, runs.ticks(160)))
+        if isinstance(message, PlantState)
+    ]
+    attitudes = np.degrees(np.abs([message.x[state.THETA0] for message in states]))
+    assert attitudes.max() < ATTITUDE_DEG
+
+
 def test_late_news_leave_the_formation_steady() -> None:
     """A filter's team flies steadily by late and lost news: each agent acts alone in part."""
     run = runs.ready("precise", *VEHICLE, FORCES, "links.delay_s=0.4", "links.loss=0.6")
