@@ -1,6 +1,6 @@
 """Inputs announced by all agents: received plans, shifted to any tick and held at their end."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -209,6 +209,14 @@ class AnnouncedInputs:
             return 0.0
         said = 0.0 if plan is None else plan.alone
         return max(said, silence.alone(self._age(agent, plan, tick)))
+
+    def least_said(self, agents: Iterable[int], before: int) -> float:
+        """Return how much each of some agents on the roster at least says to act alone.
+
+        0 where one has said nothing.
+        """
+        plans = [self.newest(agent, before) for agent in agents if agent not in self.off_roster]
+        return min((0.0 if plan is None else plan.alone for plan in plans), default=0.0)
 
     def silent(self, tick: int, before: int) -> Silent | None:
         """Return what is assumed of the others' inputs; None where all news are as usual."""

@@ -28,6 +28,9 @@ _WINDOW, _MEAN_S = 3.0, 1.0
 # Time from the team's law to the law alone, and back, s: the return waits for the estimate to take
 # in the news.
 _TO_ALONE_S, _TO_TEAM_S = 0.5, 2.0
+# How much less than the least of the others an agent acts alone that hears them say so: all would
+# otherwise wait for each other to return.
+LESS_THAN_OTHERS = 0.2
 # Correlation of the errors of two agents, until news are older than usual.
 SHARED = OthersErrors().correlation
 _FORGETS_S = 0.3  # time constant in which own measurements replace what both know

@@ -8,7 +8,7 @@ import numpy as np
 from transport.agent.announced import AnnouncedInputs, SharedLaw
 from transport.agent.estimation.estimator import estimator_of
 from transport.agent.estimation.motion import Failure
-from transport.agent.handover import Silence
+from transport.agent.handover import LESS_THAN_OTHERS, Silence
 from transport.agent.law_inputs import LawInputs
 from transport.agent.received import Received
 from transport.model import state
@@ -106,12 +106,18 @@ class TeamEstimate:
         )
 
     def share_alone(self, k: int) -> float:
-        """Return how much the agent is to act alone, by the oldest news of the others: (32c)."""
+        """Return how much the agent is to act alone, by the oldest news of the others: (32c).
+
+        Where all others say that they do, nearly as much: one on the team's law among them, which
+        they do not hear, would have nobody to act with.
+        """
         silence = self.announced.silence
         if silence is None:
             return 0.0
         ages = (self.announced.age(agent, k, before=k) for agent in self.peers)
-        return max(map(silence.alone, ages), default=0.0)
+        by_age = max(map(silence.alone, ages), default=0.0)
+        by_others = self.announced.least_said(self.peers, before=k) - LESS_THAN_OTHERS
+        return max(by_age, by_others)
 
     def alone(self, uav: int, tick: int) -> tuple[AloneLaw, OwnCourse]:
         """Return control law and course of a UAV, 0-based, alone."""

@@ -13,7 +13,7 @@ from tests.support.runs import VEHICLE, completed, measurement
 from transport.agent.announced import AnnouncedInputs, SharedLaw, Silent, Untold
 from transport.agent.estimation.estimator import sensor_estimator
 from transport.agent.estimation.team_filter import Period, Sensed, TeamFilter
-from transport.agent.handover import Ramp, Silence
+from transport.agent.handover import LESS_THAN_OTHERS, Ramp, Silence
 from transport.model import state
 from transport.model.arrays import Array
 from transport.mpc.controller import Controller
@@ -150,6 +150,19 @@ def test_a_death_is_hardly_felt(
     )
     assert np.abs(left[:, state.R0] - whole[:, state.R0]).max() < UNFELT_M
     assert np.degrees(np.abs(left - whole)[:, state.THETA0]).max() < UNFELT_DEG
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.4])
+def test_an_agent_that_is_not_heard_acts_alone_like_the_others(delay_s: float) -> None:
+    """It hears that all others act alone, and joins them; once it is heard again, all return, (32c)."""
+    windows = "{at_s=2.0,from='agent4',loss=1.0},{at_s=7.0,from='agent4',loss=0.0}"
+    mute = f"links.change=[{windows}]"
+    run = runs.ready("resilient", mute, f"links.delay_s={delay_s}", runs.ticks(260))
+    messages = completed(run)
+    shares = {agent: [plan.alone for plan in _plans(messages, agent)] for agent in run.agents}
+    assert max(shares[1]) == 1.0
+    assert max(shares[4]) == pytest.approx(1.0 - LESS_THAN_OTHERS)
+    assert [share[-1] for share in shares.values()] == [0.0] * len(run.agents)
 
 
 def test_an_agent_is_back_at_once_on_a_late_network() -> None:
