@@ -198,6 +198,14 @@ class AnnouncedInputs:
         overdue = max(0.0, float(tick - newest - self.news.usual(agent)))
         return NewsAge(mean=self.news.mean(agent), overdue=overdue)
 
+    def is_informed(self, tick: int, before: int) -> bool:
+        """Return whether the inputs of all others at a tick are as well known as usual: (41)."""
+        silence = self.silence
+        if silence is None:
+            return True
+        ages = (self.age(agent, tick, before) for agent in self._columns)
+        return max(age.overdue for age in ages) <= silence.uninformed
+
     def share_alone(self, agent: int, tick: int, before: int) -> float:
         """Return how much another agent is assumed to act alone: as its plan says, by the rule."""
         return self._share_alone(agent, self.newest(agent, before, started=tick), tick)

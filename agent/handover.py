@@ -22,6 +22,9 @@ FILTERED_S, MEASURED_S = (0.5, 1.0), (1.0, 2.0)
 # The same for the mean age, with a filter, s: the others answer to errors of their own estimates,
 # of which an agent learns so late. With a measured payload there are none.
 LATE_S = (0.15, 1.0)
+# Age of news beyond the usual one from which on what the others do differently would count as a force
+# in an estimate from measured states, s. Lost plans are bridged.
+_UNINFORMED_S = 0.5
 # Window of the usual age of news, as a multiple of the age at which an agent acts alone wholly; and
 # of the mean age, s.
 _WINDOW, _MEAN_S = 3.0, 1.0
@@ -73,6 +76,7 @@ class Silence:
     """The rule by which an agent acts alone, by the age of its news."""
 
     overdue: Ramp  # by the age beyond the usual one
+    uninformed: float  # that age from which on what the others do is not known, ticks
     late: Ramp | None  # by the mean age; None where late news are as good as new ones
     forgets: float  # ticks in which a correlation falls after overdue news make agents act alone
     window: int  # ticks over which the usual age is the smallest: longer than any ramp
@@ -84,6 +88,7 @@ class Silence:
         overdue = Ramp.of(FILTERED_S if is_filtered else MEASURED_S, heartbeat_s, period_s)
         return Silence(
             overdue=overdue,
+            uninformed=(_UNINFORMED_S + heartbeat_s) / period_s,
             late=Ramp.of(LATE_S, heartbeat_s, period_s) if is_filtered else None,
             forgets=_FORGETS_S / period_s,
             window=round(_WINDOW * overdue.complete),

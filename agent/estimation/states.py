@@ -92,7 +92,9 @@ class StateEstimator:
 
         def following(x: Array, tick: int) -> Array:
             u = announced.in_force(tick, before=k, x=x)
-            return self._following(x, tick, u)
+            is_learning = self._disturbance is not None and tick >= self._learned
+            is_informed = is_learning and announced.is_informed(tick + 1, before=k)
+            return self._following(x, tick, u, is_informed=is_informed)
 
         recursion = Recursion(
             begin=self._motion.reference_at, corrected=self._joined, following=following
@@ -127,13 +129,13 @@ class StateEstimator:
         """Return numbers for the log by name: none."""
         return {}
 
-    def _following(self, x: Array, tick: int, u: Array) -> Array:
+    def _following(self, x: Array, tick: int, u: Array, *, is_informed: bool) -> Array:
         """Return the estimate after `tick` from that of `tick` and the announced inputs between."""
         if self._uses_inputs:
             self._reports.apply_inputs(tick + 1, u)
         predicted = self._motion.predict(x, tick, u, self.forces)
         joined = self._joined(predicted, tick + 1)
-        self._learn(predicted, joined, tick + 1)
+        self._learn(predicted, joined, tick + 1, is_informed=is_informed)
         return joined
 
     def _joined(self, x: Array, tick: int) -> Array:
@@ -147,8 +149,11 @@ class StateEstimator:
         x.setflags(write=False)
         return x
 
-    def _learn(self, predicted: Array, joined: Array, tick: int) -> None:
-        """Correct the disturbance estimate, once per tick, if both its ends are measured."""
+    def _learn(self, predicted: Array, joined: Array, tick: int, *, is_informed: bool) -> None:
+        """Correct the disturbance estimate, once per tick, if both its ends are measured.
+
+        Not without news of the others: what they do differently would count as a force.
+        """
         if self._disturbance is None or tick <= self._learned:
             return
         ends = (self._reports.payload(tick - 1), self._reports.payload(tick))
@@ -156,4 +161,5 @@ class StateEstimator:
             return
         n = self._motion.model.system.n
         self._learned = tick
-        self._disturbance.learn(predicted[:n], joined[:n])
+        if is_informed:
+            self._disturbance.learn(predicted[:n], joined[:n])

@@ -18,7 +18,7 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.mpc.controller import Controller
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.wire.messages import Message, Note, Plan, PlantState
+from transport.protocol.wire.messages import Message, Note, Plan, PlantState, StepReport
 
 ALL = tuple(range(5))
 FORCES = "controller.disturbance.estimate=true"
@@ -29,6 +29,7 @@ SAME = 1e-3
 # Most by which the largest deviation of a pass of `eight` exceeds that of the pass before: rounding.
 LAP = 1.05
 ATTITUDE_DEG, APART_M = 10.0, 0.38
+DEAF = 3
 # Payload with a death from that without: what the last plan and the integral of a UAV alone differ by.
 UNFELT_M, UNFELT_DEG = 0.05, 5.0
 
@@ -163,6 +164,20 @@ def test_an_agent_that_is_not_heard_acts_alone_like_the_others(delay_s: float) -
     assert max(shares[1]) == 1.0
     assert max(shares[4]) == pytest.approx(1.0 - LESS_THAN_OTHERS)
     assert [share[-1] for share in shares.values()] == [0.0] * len(run.agents)
+
+
+def test_a_deaf_agent_takes_what_it_does_not_hear_for_no_force() -> None:
+    """What the others do in the gusts meanwhile would count as one that pulls the payload, (41)."""
+    windows = "{at_s=16.0,to='agent3',loss=1.0},{at_s=18.0,to='agent3',loss=0.0}"
+    run = runs.ready("windy", "links.delay_s=0.3", f"links.change=[{windows}]")
+    messages = completed(run)
+    states = [message for message in messages if isinstance(message, PlantState)]
+    attitudes = np.degrees(np.abs([message.x[state.THETA0] for message in states]))
+    assert attitudes.max() < ATTITUDE_DEG
+    reports = [message for message in messages if isinstance(message, StepReport)]
+    thought = np.array([report.force for report in reports if report.agent == DEAF])
+    known = np.array([report.force for report in reports if report.agent != DEAF])
+    assert np.abs(thought).max() < 2.0 * np.abs(known).max()
 
 
 def test_an_agent_is_back_at_once_on_a_late_network() -> None:
