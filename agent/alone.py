@@ -80,7 +80,8 @@ class AlonePlanner:
         self._team.follow(setup.reference.sampled)
 
     def warm_up(self) -> None:
-        """Do nothing: a step has nothing to compile."""
+        """Compute the motion that the UAVs follow: an agent that returns is late otherwise."""
+        self._regulation.whole.fail_safe.warm_up()
 
     def begin(self, received: Received) -> AloneStep:
         """Take in the newest measurement and the failures of UAVs."""

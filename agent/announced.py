@@ -78,7 +78,7 @@ class Assumed:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Instant:
+class StateAt:
     """State at a tick, and what the shared control law says there: the same for all agents."""
 
     tick: int
@@ -241,7 +241,7 @@ class AnnouncedInputs:
             return None
         return Silent(alone=share, correlation=correlation)
 
-    def _without_plan(self, agent: int, instant: Instant | None) -> Array:
+    def _without_plan(self, agent: int, instant: StateAt | None) -> Array:
         """Return the inputs of an agent without any plan, (4 owned,).
 
         Hover; once its first plan is overdue, by the shared law, and alone. Source: (32c).
@@ -255,7 +255,7 @@ class AnnouncedInputs:
         by_law = hover if instant.by_law is None else instant.by_law[columns]
         return self._mixed(by_law, agent, None, instant)
 
-    def _mixed(self, by_law: Array, agent: int, plan: Plan | None, instant: Instant) -> Array:
+    def _mixed(self, by_law: Array, agent: int, plan: Plan | None, instant: StateAt) -> Array:
         """Return inputs between those by the law and those alone, as the agent is assumed to act."""
         share = self._share_alone(agent, plan, instant.tick)
         if share == 0.0 or self._law.inputs_alone is None:
@@ -342,7 +342,7 @@ class AnnouncedInputs:
         Source: docs/equations.md (32), (32a).
         """
         u = np.empty_like(self._u_hover)
-        instant = None if x is None else Instant(tick=tick, x=x, law=self._law)
+        instant = None if x is None else StateAt(tick=tick, x=x, law=self._law)
         for agent, columns in self._columns.items():
             plan = self.newest(agent, before, started=tick)
             if plan is None:
@@ -371,7 +371,7 @@ class AnnouncedInputs:
                 untold.by_law[columns] = plan is None or plan.start_tick < tick
         return untold
 
-    def _applied(self, plan: Plan, tick: int, instant: Instant | None) -> Array:
+    def _applied(self, plan: Plan, tick: int, instant: StateAt | None) -> Array:
         """Return the inputs that an agent applied after its newest started plan, (4 owned,)."""
         played = self._played(plan, tick)
         step = tick - played.start_tick
@@ -413,7 +413,7 @@ class AnnouncedInputs:
             return steps
         return self.fail_safe.played(steps, self._period_s)
 
-    def _by_law(self, plan: Plan, instant: Instant) -> Array | None:
+    def _by_law(self, plan: Plan, instant: StateAt) -> Array | None:
         """Return an agent's inputs by the shared law after its plan's first step, (4 owned,).
 
         None where there is no such law. Source: docs/equations.md (32a).
@@ -444,7 +444,7 @@ class AnnouncedInputs:
         first_step = plan.inputs[0] - u_start[columns] - plan.corrections[0]
         return np.asarray(by_law + first_step)
 
-    def _by_fail_safe(self, agent: int, instant: Instant | None) -> Array:
+    def _by_fail_safe(self, agent: int, instant: StateAt | None) -> Array:
         """Return an agent's inputs by the fail-safe, (4 owned,); hover without a state."""
         if instant is None or self.fail_safe is None:
             return self._before_any_plan(self._columns[agent])

@@ -16,8 +16,8 @@ from transport.mpc.settings import ControllerSettings
 from transport.mpc.team_law import (
     Followed,
     TeamLaw,
+    law_after_change,
     law_before_tracking,
-    led_law,
     recursion_of,
 )
 from transport.mpc.tracking import Recursion
@@ -123,7 +123,7 @@ class Regulation:
         self._whole.follow(reference, reference.change)
         self._followed = replace(self._whole.followed, preview_before=self.current.preview)
         self._recursions.clear()
-        self.current = led_law(self.current, self._followed)
+        self.current = law_after_change(self.current, self._followed)
         return completed
 
     @property

@@ -23,7 +23,7 @@ from transport.mpc.regulator import Regulator, Team
 from transport.mpc.shared import SharedResults
 from transport.mpc.steady_state import Target
 from transport.mpc.tracking import Recursion, Tracker
-from transport.mpc.undisturbed import LedTeam, UndisturbedMotion
+from transport.mpc.undisturbed import ControlledTeam, UndisturbedMotion
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -217,16 +217,18 @@ class Followed:
         whole = Change(first=0, X=reference.X, track=reference.track)
         fail_safe = _fail_safe(crew, reference.X, reference.track)
         followed = Followed(fail_safe=fail_safe, ahead=whole)
-        return followed.led(crew, reference, None)
+        return followed.with_motion(crew, reference, None)
 
     @staticmethod
     def after(crew: Crew, reference: Sampled, change: Change, whole: TeamLaw) -> "Followed":
         """Return a reference from its newest change on; before, the whole team's law stays."""
         fail_safe = _fail_safe(crew, reference.X, reference.track)
         followed = Followed(fail_safe=fail_safe, ahead=change, preview_before=whole.preview)
-        return followed.led(crew, reference, whole.fail_safe.motion)
+        return followed.with_motion(crew, reference, whole.fail_safe.motion)
 
-    def led(self, crew: Crew, reference: Sampled, before: UndisturbedMotion | None) -> "Followed":
+    def with_motion(
+        self, crew: Crew, reference: Sampled, before: UndisturbedMotion | None
+    ) -> "Followed":
         """Return the same with the undisturbed motion of the whole team along a hover reference.
 
         That before goes on to the newest change of the reference. Source: docs/equations.md (31f).
@@ -268,7 +270,7 @@ def undisturbed(
             raise FeedbackError("expected a shared control law, got open-loop prediction")
         return np.clip(u, lower, upper)
 
-    team = LedTeam(model=model, inputs=inputs, period_s=settings.sampling_period_s)
+    team = ControlledTeam(model=model, inputs=inputs, period_s=settings.sampling_period_s)
     return UndisturbedMotion(team, X_ref, before=before, first=first, key=key)
 
 
@@ -324,7 +326,7 @@ def recursion_of(law: TeamLaw, before: Tracker | None, since: int) -> Recursion:
     )
 
 
-def led_law(law: TeamLaw, followed: Followed) -> TeamLaw:
+def law_after_change(law: TeamLaw, followed: Followed) -> TeamLaw:
     """Return the law of the same team after its reference has changed.
 
     Gains and preview before the change stay as they were.

@@ -22,7 +22,7 @@ _STEPS = 2  # of the integration in a sampling period
 _SETTLES_S, _RESTS_S = 20.0, 60.0
 
 
-class Instant(NamedTuple):
+class AtInstant(NamedTuple):
     """State and inputs of the team at an instant."""
 
     x: Array  # (n,)
@@ -30,7 +30,7 @@ class Instant(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LedTeam:
+class ControlledTeam:
     """A team under its control law."""
 
     model: Model  # equations of motion
@@ -52,7 +52,7 @@ class UndisturbedMotion:
 
     def __init__(
         self,
-        team: LedTeam,
+        team: ControlledTeam,
         X_ref: Array,
         *,
         before: "UndisturbedMotion | None" = None,
@@ -67,14 +67,14 @@ class UndisturbedMotion:
         at_end = len(X_ref) - 1 + round(_SETTLES_S / team.period_s)
         self._last = max(first, min(at_rest, at_end))
         # Instants known, and the number of the first of them.
-        self._known: list[Instant] = []
+        self._known: list[AtInstant] = []
         self._first = first
         x = X_ref[min(first, len(X_ref) - 1)]
         if before is not None:
             self._first = max(0, first - KEPT)
             self._known += before.over(self._first, first - self._first)
             x = before.at(first).x
-        self._known.append(Instant(x, team.inputs(x, first)))
+        self._known.append(AtInstant(x, team.inputs(x, first)))
 
     def warm_up(self) -> None:
         """Integrate to the end: later no instant takes longer."""
@@ -85,14 +85,14 @@ class UndisturbedMotion:
         """Instant from which on the motion is held."""
         return self._last
 
-    def at(self, instant: int) -> Instant:
+    def at(self, instant: int) -> AtInstant:
         """Return the motion at an instant; before the first one kept, that one."""
         index = min(max(instant, self._first), self._last) - self._first
         while len(self._known) <= index:
             self._extend()
         return self._known[index]
 
-    def over(self, instant: int, steps: int) -> Sequence[Instant]:
+    def over(self, instant: int, steps: int) -> Sequence[AtInstant]:
         """Return the motion at successive instants."""
         return [self.at(instant + step) for step in range(steps)]
 
@@ -104,4 +104,4 @@ class UndisturbedMotion:
         x, _ = team.model.integrate(now.x, now.u, team.period_s, _STEPS)
         if not np.abs(x).max() < state.LARGEST:
             x = self._X_ref[min(instant, len(self._X_ref) - 1)]
-        self._known.append(Instant(x, team.inputs(x, instant)))
+        self._known.append(AtInstant(x, team.inputs(x, instant)))
