@@ -196,8 +196,8 @@ def test_an_agent_is_back_at_once_on_a_late_network() -> None:
 
 def test_late_news_leave_the_formation_steady() -> None:
     """A filter's team flies steadily by late and lost news: each agent acts alone in part."""
-    run = runs.ready("precise", *VEHICLE, FORCES, "links.delay_s=0.4", "links.loss=0.6")
-    messages = completed(run)
+    late = ("links.delay_s=0.4", "links.loss=0.6", runs.ticks(300))
+    messages = completed(runs.ready("precise", *VEHICLE, FORCES, *late))
     states = [message for message in messages if isinstance(message, PlantState)]
     attitudes = np.degrees(np.abs([message.x[state.THETA0] for message in states]))
     assert attitudes.max() < ATTITUDE_DEG / 2.0

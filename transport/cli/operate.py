@@ -2,7 +2,7 @@
 
 import inspect
 import json
-import threading
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_origin
@@ -40,6 +40,7 @@ METRICS = {
 _GROWING = ("cpu_s", "refused")
 # Timeout after which a process counts as down.
 _TIMEOUT_S = 1.0
+_LOOKS_FOR_SIGNALS_S = 0.2
 
 
 @with_options(ActiveRun)
@@ -122,7 +123,9 @@ def metrics(
     show(output, {"address": address})
     typer.echo(address, err=True)
     try:
-        threading.Event().wait()
+        # A signal that a thread of the server takes does not wake this one.
+        while True:
+            time.sleep(_LOOKS_FOR_SIGNALS_S)
     except KeyboardInterrupt:
         take_interrupt()
         server.shutdown()

@@ -37,6 +37,8 @@ from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.keys import ROUTER, Keys
 from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER, agent_name
 
+_LOOKS_FOR_SIGNALS_S = 0.2
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProcessOptions:
@@ -240,5 +242,7 @@ def router(
     journal = Journal("any", ROUTER)
     with route(endpoints.checked(ROUTER, setup.scenario)):
         journal.log("listening", at=", ".join(listen))
-        is_over.wait()
+        # A signal that a thread of Zenoh takes does not wake this one.
+        while not is_over.wait(_LOOKS_FOR_SIGNALS_S):
+            pass
     journal.log("finished")
