@@ -108,8 +108,8 @@ class TeamEstimate:
     def share_alone(self, k: int) -> float:
         """Return how much the agent is to act alone, by the oldest news of the others: (32c).
 
-        Where all others say that they do, nearly as much: one on the team's law among them, which
-        they do not hear, would have nobody to act with.
+        Where all others say that they do, nearly as much: the team's law, followed by one agent
+        alone, fights theirs.
         """
         silence = self.announced.silence
         if silence is None:
