@@ -57,6 +57,8 @@ class FaultScript:
         self._stops: dict[str, tuple[Fault, float]] = {}
         # When the return of a process became due that had not left yet, steady clock, s.
         self._overdue_since_s: dict[Fault, float] = {}
+        # Processes that an operator has stopped.
+        self._stopped_by_person: set[str] = set()
         # Agents that the script has continued, and that are not on the roster again.
         self._continued: set[str] = set()
 
@@ -99,9 +101,11 @@ class FaultScript:
 
     def _note_stop(self, fault: Fault) -> None:
         """Note a stop once its tick is open, or the process is seen to have stopped for it."""
-        # The coordinator stops before it opens the tick, which the recorder then does not see.
+        # The coordinator stops before it opens the tick, and frozen it sends nothing more: the
+        # recorder sees neither that tick nor, on a busy machine, those just before.
         is_open = self._recorder.tick >= fault.tick
-        is_next = self._recorder.tick >= fault.tick - 1
+        is_coordinator = fault.target == COORDINATOR and COORDINATOR not in self._stopped_by_person
+        is_next = is_coordinator or self._recorder.tick >= fault.tick - 1
         if is_open or (is_next and self._harness.child(fault.target).is_stopped):
             self._pending.remove(fault)
             self._stops[fault.target] = fault, self._now_s()
@@ -183,6 +187,9 @@ class FaultScript:
 
         if not self._do(target, action, "person"):
             return {"error": f"{target} is not running"}
+        self._stopped_by_person.discard(target)
+        if action == "stop":
+            self._stopped_by_person.add(target)
         return {"tick": self._recorder.tick}
 
     def _do(self, target: str, action: str, origin: FaultOrigin) -> bool:
