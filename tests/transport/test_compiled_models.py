@@ -24,10 +24,10 @@ def test_controllers_and_plant_are_compiled_once(
     monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(tmp_path))
     monkeypatch.delenv("PAYLOAD_TRANSPORT_NATIVE", raising=False)
     # Their plant has moments.
-    scenarios = [runs.ready("resilient", *BY_RATES).scenario]
+    scenario = runs.ready("resilient", *BY_RATES).scenario
     text = io.StringIO()
     for _ in range(2):
-        compile_models(scenarios, Console(file=text))
+        compile_models(iter([scenario]), Console(file=text))
         assert library(UAVS, rates=False) is not None
         assert library(UAVS, rates=True) is not None
     assert len(text.getvalue().splitlines()) == 2

@@ -24,9 +24,12 @@ def compile_models(scenarios: Iterable[Scenario], console: Console) -> None:
 
     Nothing happens if they are compiled for this processor already.
     """
-    # The plant has motors, that is thrust and moments, also where controllers command body rates.
-    teams = {(len(one.system.uav), False) for one in scenarios}
-    teams |= {(len(one.system.uav), True) for one in scenarios if one.controller.inputs == "rates"}
+    teams = set[tuple[int, bool]]()
+    for scenario in scenarios:
+        # The plant has motors, that is thrust and moments, also where controllers command body rates.
+        uavs = len(scenario.system.uav)
+        teams |= {(uavs, False), (uavs, scenario.controller.inputs == "rates")}
+
     for uavs, rates in sorted(teams):
         if needs_compilation(uavs, rates):
             inputs = "body rates" if rates else "moments"
