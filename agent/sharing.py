@@ -10,6 +10,9 @@ from transport.protocol.scenario.schema import ControllerSection
 
 # At most this much below a whole number of periods, by rounding, a heartbeat counts as that number.
 _ROUNDING = 1e-9
+# Change of the share of the law alone beyond which a plan is shared: half of what an agent that hears
+# it acts less alone (32c), so that it notices each return.
+_ALONE_CHANGE = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,6 +23,7 @@ class Corrections:
     start: int  # tick of the first step
     c: Array  # (N_p, 4 owned)
     roster: int  # version of the roster in force
+    alone: float = 0.0  # share of the law alone in the plan's inputs, 0 to 1
 
     def from_tick(self, start: int, steps: int) -> Array:
         """Return the corrections over some steps from a tick on, zero after their end, (32)."""
@@ -33,8 +37,8 @@ class Sharing:
     """Rule by which an agent shares its plans.
 
     With closed-loop prediction the others know the shared control law, but not the agent's
-    corrections to it. They assume the last shared corrections, shifted to the present tick and zero
-    after their end.
+    corrections to it nor how much it acts alone. They assume the last shared corrections, shifted to
+    the present tick and zero after their end, and the last shared share of the law alone.
 
     Args:
         section: Settings of the controller.
@@ -54,8 +58,9 @@ class Sharing:
         """Decide whether to share a plan; the others assume a shared plan from then on.
 
         Shared are the first plan, the first one under each roster (control law or receivers may be
-        new), one that is a heartbeat newer than the last shared one, and one whose corrections have
-        changed by more than the threshold of the inputs' range.
+        new), one that is a heartbeat newer than the last shared one, one whose corrections have
+        changed by more than the threshold of the inputs' range, and one whose share of the law alone
+        has changed.
         Source: docs/equations.md (49).
         """
         is_shared = self._is_always or self._is_news(plan)
@@ -67,8 +72,12 @@ class Sharing:
         last = self._shared
         if last is None or plan.roster != last.roster:
             return True
+        if plan.tick - last.tick >= self._heartbeat:
+            return True
+        if abs(plan.alone - last.alone) > _ALONE_CHANGE:
+            return True
 
         #   sigma_k = max |c - c_assumed| / (u_max - u_min)
         assumed = last.from_tick(plan.start, len(plan.c))
         sigma = np.max(np.abs(plan.c - assumed) / self._range, initial=0.0)
-        return bool(plan.tick - last.tick >= self._heartbeat or sigma > self._threshold)
+        return bool(sigma > self._threshold)

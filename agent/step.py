@@ -234,6 +234,7 @@ class Planner:
             start=step.start_tick,
             c=result.c,
             roster=received.measurement.roster,
+            alone=self._handover.share,
         )
         # `decide` is asked once a tick: the others assume a shared plan from then on.
         is_last = step.negotiation == 0

@@ -75,3 +75,14 @@ def test_a_new_roster() -> None:
         decided(sharing, k, corrections(), version) for k, version in enumerate([1, 1, 2, 2, 4, 4])
     ]
     assert shared == [True, False, True, False, True, False]
+
+
+def test_a_hand_over() -> None:
+    """A plan is shared when its share of the law alone has changed by more than a tenth, both ways."""
+    sharing = rule()
+    shares = [0.0, 0.06, 0.12, 0.18, 1.0, 1.0, 0.95, 0.85, 0.0]
+    shared = [
+        sharing.decide(Corrections(tick=k, start=k, c=corrections(), roster=1, alone=share))
+        for k, share in enumerate(shares)
+    ]
+    assert shared == [True, False, True, False, True, False, False, True, True]
