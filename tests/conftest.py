@@ -27,7 +27,7 @@ hypothesis.settings.load_profile("workers")
 
 
 # Files of tests whose waiting, or computing, takes longest.
-FIRST = ("test_soak", "test_agile", "test_mujoco")
+FIRST = ("test_soak", "test_live_viewer", "test_silence", "test_agile", "test_mujoco", "test_worst")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

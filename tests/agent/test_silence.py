@@ -196,7 +196,7 @@ def test_an_agent_is_back_at_once_on_a_late_network() -> None:
 
 def test_late_news_leave_the_formation_steady() -> None:
     """A filter's team flies steadily by late and lost news: each agent acts alone in part."""
-    late = ("links.delay_s=0.4", "links.loss=0.6", runs.ticks(300))
+    late = ("links.delay_s=0.4", "links.loss=0.6", runs.ticks(120))
     messages = completed(runs.ready("precise", *VEHICLE, FORCES, *late))
     states = [message for message in messages if isinstance(message, PlantState)]
     attitudes = np.degrees(np.abs([message.x[state.THETA0] for message in states]))
@@ -212,9 +212,9 @@ def test_late_news_leave_the_formation_steady() -> None:
 )
 def test_a_death_on_a_late_network_is_held(late: Sequence[str]) -> None:
     """With a filter, late news make agents act alone in part, also after a death."""
-    death = "faults.event=[{at_s=7.0,do='kill',target='agent3'}]"
+    death = "faults.event=[{at_s=2.0,do='kill',target='agent3'}]"
     lost = (death, "clock.on_agent_loss=continue")
-    run = runs.ready("precise", *VEHICLE, FORCES, *late, *lost, runs.ticks(300))
+    run = runs.ready("precise", *VEHICLE, FORCES, *late, *lost, runs.ticks(160))
     messages = completed(run)
     states = [message for message in messages if isinstance(message, PlantState)]
     attitudes = np.degrees(np.abs([message.x[state.THETA0] for message in states]))

@@ -42,6 +42,7 @@ _OPTIONS = (
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--window-size=900,600",
+    "--force-device-scale-factor=0.5",  # a quarter of the pixels: the processor draws them
 )
 
 needs_browser = pytest.mark.skipif(

@@ -84,11 +84,11 @@ def expected() -> Course:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("speed", [0, 1, 20, 1000])
+@pytest.mark.parametrize("speed", [0, 1, 1000])
 def test_the_pace_changes_nothing(speed: float, expected: Course, tmp_path: Path) -> None:
     """Kill, restart, stop and continue act at the same ticks, with the same bits, at every pace.
 
-    At speeds 20 and 1000 the host is slower than the pace: a wall clock is ahead of the ticks.
+    At a speed of 1000 the host is slower than the pace: a wall clock is ahead of the ticks.
     """
     pace = (BARRIER, f"clock.speed={speed}")
     course = with_processes(tmp_path, SHORT, CONTINUE, *pace, f"faults.event=[{EVENTS}]")
@@ -96,7 +96,7 @@ def test_the_pace_changes_nothing(speed: float, expected: Course, tmp_path: Path
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("speed", [0, 1, 20])
+@pytest.mark.parametrize("speed", [0, 20])
 @pytest.mark.parametrize("frozen", [FROZEN_COORDINATOR, FROZEN_PLANT], ids=["coordinator", "plant"])
 def test_no_fault_acts_while_no_tick_opens(
     frozen: str, speed: float, expected: Course, tmp_path: Path
