@@ -5,14 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from transport.agent.handover import LESS_THAN_OTHERS
 from transport.model.arrays import Array
 from transport.protocol.scenario.schema import ControllerSection
 
 # At most this much below a whole number of periods, by rounding, a heartbeat counts as that number.
 _ROUNDING = 1e-9
-# Change of the share of the law alone beyond which a plan is shared: half of what an agent that hears
-# it acts less alone (32c), so that it notices each return.
-_ALONE_CHANGE = 0.1
+# Change of the share of the law alone beyond which a plan is shared: an agent that hears it acts alone
+# by as much less (32c), so that a share heard too late holds it back no more than the present one.
+_ALONE_CHANGE = LESS_THAN_OTHERS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

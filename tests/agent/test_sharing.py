@@ -78,9 +78,9 @@ def test_a_new_roster() -> None:
 
 
 def test_a_hand_over() -> None:
-    """A plan is shared when its share of the law alone has changed by more than a tenth, both ways."""
+    """A plan is shared when its share of the law alone has changed by more than 0.2, both ways."""
     sharing = rule()
-    shares = [0.0, 0.06, 0.12, 0.18, 1.0, 1.0, 0.95, 0.85, 0.0]
+    shares = [0.0, 0.15, 0.25, 0.40, 1.0, 1.0, 0.85, 0.75, 0.0]
     shared = [
         sharing.decide(Corrections(tick=k, start=k, c=corrections(), roster=1, alone=share))
         for k, share in enumerate(shares)
