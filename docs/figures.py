@@ -17,7 +17,7 @@ from typing import NamedTuple
 import joblib
 import kept
 import scipy.linalg  # noqa: F401 - only libraries that are loaded can be limited
-from fingerprint import code_id, run_id
+from fingerprint import code_id, firmware_version, run_id
 from kept import Runs
 from measured import Derived, Measured
 from measured_pages import PAGES
@@ -107,9 +107,15 @@ def is_of_other_code(one: Measured, runs: Runs) -> bool:
     return any(kept_run.origin.code != codes.get(run) for run, kept_run in runs.items())
 
 
+def can_fly(case: Case) -> bool:
+    """Return whether the packages of a run are installed: not all machines have the firmware."""
+    return case.scenario.plant.inner_loop != "betaflight" or bool(firmware_version())
+
+
 def drawn(one: Measured, seed: int) -> Task:
-    """Return a run of a table, drawn by the seed."""
-    number = random.Random(f"{one.name} {seed}").randrange(len(one.cases))  # noqa: S311
+    """Return a run of a table, drawn by the seed from those that this machine can repeat."""
+    numbers = [number for number, case in enumerate(one.cases) if can_fly(case)]
+    number = random.Random(f"{one.name} {seed}").choice(numbers)  # noqa: S311
     return Task(one.name, one.cases[number], one.texts[number])
 
 

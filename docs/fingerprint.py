@@ -41,15 +41,23 @@ def run_id(scenario: Scenario) -> str:
 def code_id(scenario: Scenario) -> str:
     """Return the fingerprint of what computes a run: sources, packages, engine, own controller."""
     engine = scenario.plant.engine
-    firmware = "betaflight" if scenario.plant.inner_loop == "betaflight" else ""
+    has_firmware = scenario.plant.inner_loop == "betaflight"
     parts = [
         _sources(),
         *(f"{package} {metadata.version(package)}" for package in _PACKAGES),
         "" if engine == "rods" else engine_version(engine),  # that of the package is in the sources
         controller_version(scenario.agents.controller),
-        firmware and metadata.version(firmware),
+        firmware_version() if has_firmware else "",
     ]
     return _digest("\n".join(parts), 8)
+
+
+def firmware_version() -> str:
+    """Return the version of the flight firmware, which an extra of its own installs; empty without it."""
+    try:
+        return metadata.version("betaflight")
+    except metadata.PackageNotFoundError:
+        return ""
 
 
 @cache

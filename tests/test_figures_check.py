@@ -55,6 +55,22 @@ def test_a_renewed_table_is_right(docs: SimpleNamespace, short: Any) -> None:
     assert len(draws) == 2
 
 
+def test_a_run_that_this_machine_cannot_repeat_is_not_drawn(
+    docs: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without the firmware, an extra of its own, only runs with the modelled inner loop are drawn."""
+    one = docs.figures.TABLES["firmware"]()
+
+    def draws() -> set[str]:
+        tasks = [docs.figures.drawn(one, seed) for seed in range(30)]
+        return {task.case.scenario.plant.inner_loop for task in tasks}
+
+    monkeypatch.setattr(docs.figures, "firmware_version", lambda: "")
+    assert draws() == {"model"}
+    monkeypatch.setattr(docs.figures, "firmware_version", lambda: "0.0.6")
+    assert draws() == {"model", "betaflight"}
+
+
 def test_a_changed_digit_of_a_page_is_told(docs: SimpleNamespace, short: Any) -> None:
     """A page with one other digit differs from the kept results."""
     text = short.document.read_text()
