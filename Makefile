@@ -103,13 +103,19 @@ clean: ## remove the environment and what tools left
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed, $(PYTHON) is " + sys.version.split()[0])'
-	@if command -v uv >/dev/null 2>&1; then uv venv --quiet --python "$(PYTHON)" $(VENV); else $(PYTHON) -m venv $(VENV); fi
+	@if command -v uv >/dev/null 2>&1; then uv venv --quiet --python "$(PYTHON)" $(VENV); else \
+		$(PYTHON) -m venv $(VENV); \
+		$(BIN)/python -m pip install --quiet --disable-pip-version-check uv 2>/dev/null \
+			|| echo "no uv for this machine: pip installs, which takes a minute longer"; \
+	fi
 
+# uv downloads and compiles packages in parallel. pip takes over where uv fails: it has settings of
+# its own for mirrors and certificates.
 define install
 	@echo "installing payload-transport$(1) into $(VENV)"
-	@if command -v uv >/dev/null 2>&1; then \
-		uv pip install --quiet --compile-bytecode --python $(BIN)/python --editable '.$(1)'; \
-	else \
+	@PATH="$$PATH:$(CURDIR)/$(BIN)"; \
+	if ! { command -v uv >/dev/null 2>&1 \
+		&& uv pip install --quiet --compile-bytecode --python $(BIN)/python --editable '.$(1)'; }; then \
 		$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip >/dev/null; \
 		$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.$(1)'; \
 	fi

@@ -1,4 +1,8 @@
-"""One tick's work of an agent: estimate, form the problem, solve it, negotiate, conclude."""
+"""One tick's work of an agent: estimate, form the problem, solve it, negotiate, conclude.
+
+Times of the stages run between `lap`s of the stopwatch. A stage of one's own between two of them
+counts towards the one whose lap comes next.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -31,6 +35,9 @@ from transport.protocol.wire.node import Outbox
 NOTES_EVERY_S = 1.0
 # Solver in the reports of steps without a QP: all UAVs of the agent act wholly alone.
 _ALONE = "alone"
+# In reports: no number, and no age as nothing has arrived.
+_NO_NUMBER = -1.0
+_NO_AGE = -1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +51,7 @@ class HorizonStart:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
-    """Problem of an agent at a tick: the same in all iterations but for the others' plans."""
+    """Problem of an agent at a tick: the same in all iterations but for the announced plans."""
 
     y_ref: Array  # reference outputs at steps 0..N_p, (N_p + 1, p)
     U: Array  # announced inputs of all UAVs, (N_p, m); the owned columns hold the previous plan
@@ -62,7 +69,7 @@ class Step:
     uav_states: Array  # states or measurements of the owned UAVs for the plan, (owned, 12 or 80)
     start_tick: int  # first tick that the plan is for
     problem: Problem
-    negotiation: int  # exchanges of plans still to come
+    negotiation: int  # solves still to come; after each but the last one plans are exchanged
     result: StepResult | None = None
 
 
@@ -171,7 +178,7 @@ class Planner:
         steps = setup.settings.horizon
         first = start.tick
 
-        # U(j) = U_a(s + j - s_a), the newest plan of each agent shifted by its age: (32).
+        # U(j) = U_a(min(s + j - s_a, N_p - 1)), each agent's newest plan shifted by its age: (32).
         U = announced.sequence(first, steps, before=k)
 
         # u(j) = u_hov + K (x(j) - x_ref(j)) + c_ff(j) + c(j): (35), along a flat reference (71).
@@ -202,18 +209,19 @@ class Planner:
     def plan(self, step: Step, out: Outbox, publish_ns: int) -> list[Message]:
         """Solve a step's problem; return a proposal, or at the end the tick's plan and report.
 
-        The step's `negotiation` counts down to 0; the last step's messages took `publish_ns` to
-        publish.
+        The step's `negotiation` counts down to 0; the messages of the previous tick took
+        `publish_ns` to publish.
         """
-        result = self._undecided(step) if self._handover.share == 1.0 else self._solved(step)
+        acts_alone = self._handover.share == 1.0
+        result = self._shifted(step) if acts_alone else self._solved(step)
         step.result = result
         step.negotiation -= 1
-        if step.negotiation == 0:
-            result = self._handed_over(step, result)
-        plan = self._plan(step, result, out)
         if step.negotiation > 0:
-            return [plan]
+            return [self._plan(step, result, out)]
 
+        result = self._handed_over(step, result)
+        plan = self._plan(step, result, out)
+        # The plan is announced before the report, which counts it, and the times end with it.
         self._team.announced.add(plan)
         self._times.conclude(publish_ns)
         report = self._report(step, result, out)
@@ -267,9 +275,9 @@ class Planner:
     def adopt(self, step: Step, proposals: Sequence[Plan]) -> None:
         """Take the others' proposals and the own one into the next iteration of the negotiation.
 
-        U = [u_1, ..., u_M] of iteration r - 1, and with a shared control law c likewise: (47). What
-        an agent has announced before stays where its plan is over another number of steps, as that of
-        an agent in another language may be, or has no corrections.
+        U = [u_1, ..., u_M] of iteration r - 1, and with a shared control law c likewise: (47). The
+        columns of an agent stay as they are where its proposal covers another number of steps, as
+        that of an agent in another language may, or has no corrections.
         """
         problem = step.problem
         U = problem.U.copy()
@@ -312,28 +320,30 @@ class Planner:
             self._times.lap("condense")
 
             solution = controller.solve(qp)
-            # U = w U* + (1 - w) U_shift: (30a), with a shared control law of the corrections: (36a).
+            # U = w U* + (1 - w) U_shift: (30a); with a shared control law the corrections are mixed
+            # instead: (36a).
             result = controller.conclude(
                 solution, prediction, problem.U, problem.law, step.received.ticks_since_start
             )
             self._times.lap("solve")
 
-        # (32b) foresees the others under the team's law: with the inputs before a hand-over.
+        # The prediction of the team's motion (32b) takes these inputs, from before a hand-over.
         if problem.law is not None:
             self._team.expected = Expected(
                 start=step.start_tick, prediction=prediction, inputs=result.U
             )
         return result
 
-    def _undecided(self, step: Step) -> StepResult:
-        """Return the result of a problem of which nothing is used: all UAVs act wholly alone.
+    def _shifted(self, step: Step) -> StepResult:
+        """Return the shifted previous plan without a solve: all UAVs of the agent act wholly alone.
 
-        The corrections announced before run out in the 0.2 s of such a plan.
+        `_handed_over` replaces its inputs, and cuts its corrections to the 0.2 s of a plan alone.
         """
         problem = step.problem
         self._times.resume()
-        solution = replace(unsolved(0, 0, _ALONE), status="solved")
-        result = self._controller.give_up(problem.U, problem.law, solution)
+        no_qp = unsolved(n=0, rows=0, solver=_ALONE)
+        on_purpose = replace(no_qp, status="solved")  # not a failed step
+        result = self._controller.give_up(problem.U, problem.law, on_purpose)
         self._team.expected = None
         self._times.lap("solve")
         return result
@@ -379,11 +389,11 @@ class Planner:
             solver=solution.solver,
             fallback=solution.fallback,
             iterations=solution.iterations,
-            residual=worst if np.isfinite(worst) else -1.0,
+            residual=worst if np.isfinite(worst) else _NO_NUMBER,
             peers=team.peers,
-            plan_ages=tuple(-1 if plan is None else k - plan.tick for plan in newest),
+            plan_ages=tuple(_NO_AGE if plan is None else k - plan.tick for plan in newest),
             state_ages=tuple(team.estimator.news.age(agent, k) for agent in team.peers),
-            measurement_age=-1 if measured < 0 else k - measured,
+            measurement_age=_NO_AGE if measured < 0 else k - measured,
             force=force,
             times_ns=self._times.ns,
         )

@@ -42,13 +42,13 @@ def _deviations(lag_s: float, step_s: float) -> tuple[float, float]:
 
     Their mean and first moment are those of the exponential. Source: docs/equations.md (54).
     """
-    remaining = decay(lag_s, step_s)
-    # mu = lambda / h (1 - exp(-h / lambda))
-    mean = lag_s / step_s * (1.0 - remaining)
-    # nu: four times the first moment about the middle of the step, over h^2.
-    moment = 4.0 * (
-        (lag_s / step_s) ** 2 * (1.0 - remaining) - lag_s / step_s * (1.0 + remaining) / 2.0
-    )
+    # r = lambda / h, q = exp(-h / lambda)
+    r = lag_s / step_s
+    q = decay(lag_s, step_s)
+    # mu = r (1 - q), the mean.
+    mean = r * (1.0 - q)
+    # nu = 4 r^2 (1 - q) - 2 r (1 + q): four times the first moment about the middle, over h^2.
+    moment = 4.0 * (r**2 * (1.0 - q) - r * (1.0 + q) / 2.0)
     return mean - moment, mean + moment
 
 
@@ -76,7 +76,10 @@ def shares(lag_s: float, step_s: float, gains: tuple[float, ...] | None, uavs: i
     body rates. Source: docs/equations.md (54), (58a).
     """
     shares_left = np.zeros((3, 2, INPUTS))
-    shares_left[:, 0] = np.array([*_deviations(lag_s, step_s), decay(lag_s, step_s)])[:, None]
+    first, second = _deviations(lag_s, step_s)
+    shares_left[0, 0] = first
+    shares_left[1, 0] = second
+    shares_left[2, 0] = decay(lag_s, step_s)
     for axis, gain in enumerate(gains or (), start=1):
         shares_left[:, :, axis] = _rate_shares(lag_s, step_s, gain)
     return np.tile(shares_left, uavs)
@@ -143,9 +146,11 @@ def _held_inputs(
     rates = np.zeros_like(u)
     rates[in_inputs] = x[in_states]
 
-    # u + (share of a) (a - u) + (share of the rates) (omega - u)
+    # u + s_a (a - u) + s_omega (omega - u); s_omega = 0 for thrusts.
     shares_left = shares(lag_s, step_s, tuple(gains.tolist()), model.system.N)
-    first, second, end = u + shares_left[:, 0] * (a - u) + shares_left[:, 1] * (rates - u)
+    of_actual = shares_left[:, 0]
+    of_rates = shares_left[:, 1]
+    first, second, end = u + of_actual * (a - u) + of_rates * (rates - u)
     return (first, second), end
 
 
@@ -153,29 +158,31 @@ def _held_inputs(
 def _pattern_with_lag(pattern: Pattern, rates: bool) -> tuple[Pattern, npt.NDArray[np.intp]]:
     """Return the pattern of a system [x, a] with motors, and the order of its entries.
 
-    The factors are those of A_c = X + P V_x and B_c = U + P V_u, and C (`model/pattern.py`).
-    Entries are those of the system without motors, followed by -1/lambda and 1/lambda, (m,) each:
+    The factors are those of A_c = X + P V_x and B_c = U + P V_u, and C (`model/pattern.py`); those
+    of the system with motors are marked by ':
 
-        X = [[X, U], [0, -1/lambda]],    U = [[0], [1/lambda]],
-        P = [[P], [0]],    V_x = [V_x, V_u],    V_u = 0,    C = [C, 0]
+        X' = [[X, U], [A_ax, A_aa]],    U' = [[0], [1/lambda]],
+        P' = [[P], [0]],    V_x' = [V_x, V_u],    V_u' = 0,    C' = [C, 0]
 
-    With commanded body rates the row of a' also has the entries of the body rate's row.
-    Source: docs/equations.md (15b), (55), (58a).
+    A_aa = -1/lambda and A_ax = 0. With commanded body rates A_aa = -1/lambda + K, and A_ax repeats
+    the body rates' rows of X. Entries are taken from those of the system without motors, followed
+    by the diagonals of A_aa and 1/lambda, (m,) each. Source: docs/equations.md (15b), (55), (58a).
     """
     factors = _factors_with_lag(pattern, rates)
-    numbers = np.concatenate([factor[factor > 0.0] for factor in factors])
-    return Pattern.of(factors), numbers.astype(np.intp) - 1
+    numbers = np.concatenate([factor[factor > 0.0] for factor in factors])  # from 1; some twice
+    order = numbers.astype(np.intp) - 1
+    return Pattern.of(factors), order
 
 
 def _factors_with_lag(pattern: Pattern, rates: bool) -> list[Array]:
     """Return the factors of a system with motors, with numbers of entries in place of values.
 
-    `Pattern.numbered` counts from 1, so 0 is no entry.
+    `Pattern.numbered` counts from 1: a 0 in a factor is no entry.
     """
     X, U, P, V_x, V_u, C = map(pattern.numbered, NAMES)
     n, m = U.shape
 
-    # Entries -1/lambda and 1/lambda follow those of the pattern.
+    # Numbers of the diagonals of A_aa and of 1/lambda: they follow those of the pattern.
     first = len(pattern.index) + 1.0
     on_itself = np.diag(first + np.arange(m))
     on_command = np.diag(first + np.arange(m, 2 * m))

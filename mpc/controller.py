@@ -310,9 +310,9 @@ class Controller:
     def give_up(
         self, U: Array, law: FeedbackLaw | None, solution: Solution | None = None
     ) -> StepResult:
-        """Return the shifted previous plan, clipped; used when a prediction or a QP overflows.
+        """Return the shifted previous plan, clipped; used when there is nothing to solve.
 
-        Without a solution the result reports a QP whose numbers are out of range.
+        `solution` says why; without it the result reports a QP whose numbers are out of range.
         """
         c = np.zeros((0, len(self.own))) if law is None else law.c[:, self.own]
         solution = solution or unsolved(0, 0, self.settings.solver)

@@ -31,7 +31,8 @@ class Key:
 
     # Unit in SI; None where the ending of the name tells (`protocol.scenario.keys.UNITS`).
     unit: str | None = None
-    # Smallest magnitude apart from zero, and largest; None: by the ending.
+    # Smallest magnitude apart from zero, and largest: others are taken for a wrong unit and refused.
+    # None: by the ending.
     within: tuple[float, float] | None = None
     label: str = ""  # name on the axis of a figure; empty: the words of the key
     shown: str = ""  # unit in figures, where it is not `unit`
@@ -42,6 +43,10 @@ class Key:
 
 # Magnitudes of lags and times of computation, s: longer ones are milliseconds.
 LAG_S = (1e-9, 2.0)
+
+# Defaults that the section of a scenario shares, whose ranges are others (`ControllerSection`).
+DEFAULT_HORIZON = 20
+DEFAULT_RELAXATION = 1.0
 
 
 class Section(BaseModel):
@@ -81,7 +86,10 @@ Range = Annotated[
 
 
 def _weight_key(unit: str | None = None, label: str = "") -> Key:
-    """Return the properties of a weight or penalty: their ratios set the condition of the QP."""
+    """Return the properties of a weight or penalty.
+
+    Its range is wide, and finite as the ratios of weights decide the condition of the QP.
+    """
     return Key(unit=unit, within=(1e-12, 1e8), label=label)
 
 
@@ -122,13 +130,13 @@ class Weights(Section):
     acceleration: Annotated[
         Positive | None, _weight_key("s⁴/m²", "weight on acceleration by thrust")
     ] = None
-    """weight on each thrust over the mass that the UAV lifts, its own and an equal share of the
-    payload's; replaces `thrust`, so that one value serves vehicles of any size"""
+    """weight on the square of each thrust over the mass that the UAV lifts, its own and an equal share
+    of the payload's; replaces `thrust`, so that one value serves vehicles of any size"""
     angular_acceleration: Annotated[
         Positive | None, _weight_key("s⁴/rad²", "weight on angular acceleration by moments")
     ] = None
-    """weight on each moment over the UAV's inertia about that axis; replaces `moments`, so that one
-    value serves vehicles of any size"""
+    """weight on the square of each moment over the UAV's inertia about that axis; replaces `moments`,
+    so that one value serves vehicles of any size"""
     tilt_rate: Annotated[NotNegative, _weight_key("s²/rad²", "weight on tilt rate")] = 0.0
     """weight on each UAV's first and second body rate"""
     penalised_input: PenalisedInput = "deviation"
@@ -136,28 +144,34 @@ class Weights(Section):
 
     def Q(self, N: int) -> Array:
         """Return the diagonal of Q for N UAVs, (4 N + 9,). Source: docs/equations.md (21)."""
-        # In the order of the outputs (14): r_i, Theta_0, omega_i3, r_0, R_0 v_0.
-        weights = (
-            self.position,
-            self.attitude,
-            self.yaw_rate,
-            self.payload_position,
-            self.payload_velocity,
+        blocks = (  # in the order of the outputs (14)
+            (self.position, 3 * N),  # r_i
+            (self.attitude, 3),  # Theta_0
+            (self.yaw_rate, N),  # omega_i3
+            (self.payload_position, 3),  # r_0
+            (self.payload_velocity, 3),  # R_0 v_0
         )
-        return np.repeat(weights, [3 * N, 3, N, 3, 3])
+        weights, lengths = zip(*blocks, strict=True)
+        return np.repeat(np.array(weights), np.array(lengths))
 
     def R(self, system: System) -> Array:
         """Return the diagonal of R, (4 N,). Source: docs/equations.md (21), (21a)."""
-        R = np.tile([self.thrust, *self.moments], (system.N, 1))
-        for row, uav in zip(R, system.uavs, strict=True):
+        rows = []
+        for uav in system.uavs:
+            thrust = self.thrust
             if self.acceleration is not None:
+                # R_f = w_a / (m_i + m_0 / N)^2: (21a).
                 lifted = uav.mass + system.payload.mass / system.N
-                row[0] = self.acceleration / lifted**2
+                thrust = self.acceleration / lifted**2
+
+            turning = self.moments
             if system.commands_rates:
-                row[1:] = self.rates
+                turning = self.rates
             elif self.angular_acceleration is not None:
-                row[1:] = self.angular_acceleration / np.diag(uav.inertia) ** 2
-        return R.reshape(-1)
+                # R_tau = w_alpha / J_i^2 about each axis: (21a).
+                turning = tuple(self.angular_acceleration / np.diag(uav.inertia) ** 2)
+            rows.append(np.array([thrust, *turning]))
+        return np.concatenate(rows)
 
     def terms(self, N: int) -> tuple["CostTerm", ...]:
         """Return the weights of N UAVs on other quantities than outputs, as terms of the cost."""
@@ -198,8 +212,8 @@ class Separation(Section):
 
     minimum_m: Annotated[Positive, Key(label="smallest allowed distance of UAVs")]
     """smallest distance between the centres of any two UAVs; at most the distance at hover"""
-    # Above the constraint's multiplier the softened problem has the solution of the hard one, if
-    # there is one.
+    # With a penalty above the constraint's multiplier the softened problem has the solution of the
+    # hard one, if there is one.
     penalty: Annotated[Positive, _weight_key("1/m")] = 100.0
     """penalty on the largest violation over the horizon"""
 
@@ -265,7 +279,7 @@ class ControllerSettings(Section):
     """sampling period T_s"""
     horizon: Annotated[
         int, Interval(ge=1), Key(label="horizon", shown="steps", short="horizon")
-    ] = 20
+    ] = DEFAULT_HORIZON
     """prediction horizon N_p, in sampling periods"""
     prediction: Annotated[PredictionName, Key(short="prediction")] = "open_loop"
     """prediction of the others: their announced inputs (the paper), or the shared control law plus
@@ -289,7 +303,7 @@ class ControllerSettings(Section):
     discretisation: Literal["exact", "euler"] = "exact"
     """discretisation of the linearised model: zero-order hold, or one step of Euler's method for
     comparison"""
-    relaxation: Annotated[float, Interval(gt=0.0, le=1.0)] = 1.0
+    relaxation: Annotated[float, Interval(gt=0.0, le=1.0)] = DEFAULT_RELAXATION
     """share w in (0, 1] of the new optimum in the published plan w U* + (1 - w) U_shifted"""
     solver: Annotated[SolverName, Key(short="solver")] = "daqp"
     """first QP solver. daqp: the program with bounds alone is tried first, and Clarabel solves any

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from transport.model import motors, state
 from transport.model.arrays import Array
@@ -59,10 +60,16 @@ class ActuatorSchedule:
             plans.sort(key=lambda each: (each.start_tick, each.tick))
 
     def inputs(self, tick: int, x: Array, u_before: Array) -> tuple[Array, tuple[int, ...]]:
-        """Return the inputs over [t_k, t_{k+1}) and their sources; forget plans before tick k.
+        """Return the inputs over [t_k, t_{k+1}) and their sources.
 
-        The fail-safe takes the state x at t_k, (n,), and changes the inputs until t_k, (4 N,), at
-        the actuators' rate at most.
+        Ticks are asked for in their order: of the plans that have started, only the newest of each
+        UAV is kept.
+
+        Args:
+            tick: Tick k.
+            x: State at t_k, (n,), for the fail-safe.
+            u_before: Inputs in force until t_k, (4 N,): the fail-safe's differ from them by what the
+                actuators can change in a period.
 
         Returns: Inputs, (4 N,), and for each UAV the tick at which its plan was made, or another
             source.
@@ -116,15 +123,14 @@ class InnerLoop(Protocol):
         """Continue from a plant state, (12 + 12 N,), which may have jumped as a UAV failed."""
 
     def moments(self, command: Array, x: Array) -> Array:
-        """Return the inputs of the motors until the next call, (N, 4), N and N m.
+        """Return thrust and moments of the motors until the next call, (N, 4), N and N m.
 
-        Given are thrust and body rates of each UAV, (N, 4), N and rad/s, and the plant state, (12 +
-        12 N,).
+        command: thrust and body rates of each UAV, (N, 4), N and rad/s; x: plant state, (12 + 12 N,).
         """
 
 
 class RateLoop:
-    """The inner loop that the controllers predict with, in steps, with limits, (3,).
+    """The inner loop that the controllers predict with, sampled, with limits of the moments, (3,).
 
     Source: docs/equations.md (57).
     """
@@ -144,20 +150,31 @@ class RateLoop:
         omega = x[state.PAYLOAD :].reshape(-1, state.PER_UAV)[:, state.OMEGA]
         error = command[:, 1:] - omega
 
-        # tau = J K (omega_cmd - omega) + omega x (J omega), limited; docs/equations.md (57).
-        tau = np.matmul(self._inertia, (self._gains * error)[:, :, None])[:, :, 0]
-        momentum = np.matmul(self._inertia, omega[:, :, None])[:, :, 0]
-        # The cross product, at a fifth of the time that numpy.cross takes for a few vectors.
-        tau += omega[:, _NEXT] * momentum[:, _LAST] - omega[:, _LAST] * momentum[:, _NEXT]
+        # tau = J K (omega_cmd - omega) + omega x (J omega), limited: (57).
+        momentum = _each(self._inertia, omega)
+        tau = _each(self._inertia, self._gains * error) + _cross(omega, momentum)
 
         inputs = command.copy()
         inputs[:, 1:] = np.minimum(np.maximum(tau, -self._limits_Nm), self._limits_Nm)
         return inputs
 
 
-# Axes after each axis in a cross product: (a x b)_i = a_next b_last - a_last b_next.
+def _each(matrices: Array, vectors: Array) -> Array:
+    """Return M_i v_i for each UAV i, (N, 3)."""
+    return np.asarray(np.matmul(matrices, vectors[:, :, None])[:, :, 0])
+
+
+# For each axis the next one, and the one after that.
 _NEXT = [1, 2, 0]
-_LAST = [2, 0, 1]
+_AFTER_NEXT = [2, 0, 1]
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return a_i x b_i for each UAV i, (N, 3).
+
+    It takes a fifth of the time of numpy.cross for a few vectors.
+    """
+    return np.asarray(a[:, _NEXT] * b[:, _AFTER_NEXT] - a[:, _AFTER_NEXT] * b[:, _NEXT])
 
 
 def inner_loop(setup: Setup, step_s: float) -> InnerLoop | None:
@@ -183,23 +200,27 @@ def checked_firmware(setup: Setup) -> str:
     return str(importlib.import_module(_FIRMWARE).version(setup))
 
 
-# Signs of thrust, arm along -y, arm along x, and drag moment: front right, rear left (both turning
-# counterclockwise seen from above), front left, rear right (clockwise); arms at 45 deg to the axes,
-# x forward, z down.
-_SIGNS = np.array([[1, 1, 1, 1], [-1, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1]])
-
-
 class Rotors:
     """Four equal rotors of a UAV.
 
-    `mixing` has (thrust, moments) per rotor thrust, (4, 4), the moments in m.
+    `mixing` has thrust and moments per rotor thrust, (4, 4), the moments in m. Its columns are front
+    right, rear left (both turn counterclockwise seen from above), front left, rear right
+    (clockwise); arms are at 45 deg to the axes, x forward, z down.
     """
 
     def __init__(self, section: RotorsSection) -> None:
-        arm = section.arm_m / np.sqrt(2.0)
         self._least_N, self._most_N = section.thrust_N
-        # A thrust f against z at (x, y) has the moments -y f about x and x f about y.
-        self.mixing: Array = np.array([1.0, arm, arm, section.drag_to_thrust_m])[:, None] * _SIGNS
+        s = section.arm_m / np.sqrt(2.0)
+        k = section.drag_to_thrust_m
+        # f = sum f_j, tau = sum (-y_j f_j, x_j f_j, +-k f_j) of thrusts f_j at (x_j, y_j): (56).
+        self.mixing: Array = np.array(
+            [
+                [1.0, 1.0, 1.0, 1.0],
+                [-s, s, s, -s],
+                [s, -s, s, -s],
+                [k, k, -k, -k],
+            ]
+        )
         self._back = np.linalg.inv(self.mixing)
 
     def thrusts(self, inputs: Array) -> Array:
@@ -222,8 +243,8 @@ class Rotors:
 class Motors:
     """Motors of all UAVs, with their state: hover at first, (4 N,).
 
-    `fails` tells that an efficiency will change. Without any stage they are `ideal`: actual inputs
-    are the commands.
+    `fails` tells that an efficiency will change. Motors without lag, steps, limits and failures are
+    `ideal`: actual inputs are the commands.
     """
 
     def __init__(self, section: MotorsSection, u_hover: Array, fails: bool = False) -> None:
@@ -243,11 +264,13 @@ class Motors:
     def inputs(self, u: Array, period_s: float, steps: int) -> Iterator[tuple[Array, float]]:
         """Yield the actual inputs over a period, (4 N,), and how long each is held, s.
 
-        The state advances with them.
+        The state of the motors advances with them. Without lag there is one input for the period,
+        with lag there are two for each integration step. Source: docs/equations.md (53), (54).
 
-        Given are the command, held, (4 N,), and the number of integration steps. Without lag this
-        is one input for the period; with lag two for each integration step. Source:
-        docs/equations.md (53), (54).
+        Args:
+            u: Command, held over the period, (4 N,).
+            period_s: Its length.
+            steps: Integration steps in it.
         """
         if self.ideal:
             yield u, period_s
@@ -267,21 +290,19 @@ class Motors:
         Source: docs/equations.md (54), (56a).
         """
         rotors = self._rotors
-        rising = motors.two_held_inputs(self._a, command, self._section.lag_s, step_s)
-        if rotors is None or self._section.falling_lag_s is None:
-            return rising
-        falling = motors.two_held_inputs(self._a, command, self._section.falling_lag_s, step_s)
+        section = self._section
+        with_one_lag = motors.two_held_inputs(self._a, command, section.lag_s, step_s)
+        if rotors is None or section.falling_lag_s is None:
+            return with_one_lag
+
+        (first_up, second_up), end_up = with_one_lag
+        (first_down, second_down), end_down = motors.two_held_inputs(
+            self._a, command, section.falling_lag_s, step_s
+        )
         falls = rotors.thrusts((command - self._a).reshape(-1, state.INPUTS)) < 0.0
-
-        def chosen(up: Array, down: Array) -> Array:
-            """Return inputs, (4 N,), with the thrusts of falling rotors from the second ones."""
-            change = rotors.thrusts((down - up).reshape(falls.shape))
-            return np.asarray(up + (np.where(falls, change, 0.0) @ rotors.mixing.T).reshape(-1))
-
-        (first_up, second_up), end_up = rising
-        (first_down, second_down), end_down = falling
-        halves = (chosen(first_up, first_down), chosen(second_up, second_down))
-        return halves, chosen(end_up, end_down)
+        first = _with_falling(rotors, falls, first_up, first_down)
+        second = _with_falling(rotors, falls, second_up, second_down)
+        return (first, second), _with_falling(rotors, falls, end_up, end_down)
 
     def _limited(self, u: Array) -> Array:
         """Return commands in steps of the thrust and within the limits of the rotors, (4 N,)."""
@@ -292,3 +313,14 @@ class Motors:
         if self._rotors is not None:
             inputs = self._rotors.limited(inputs)
         return inputs.reshape(-1)
+
+
+def _with_falling(rotors: Rotors, falls: npt.NDArray[np.bool_], up: Array, down: Array) -> Array:
+    """Return inputs, (4 N,): thrusts of the rotors that fall, (N, 4), as in `down`, else as in `up`.
+
+    up + M s, with M the mixing and s = M^-1 (down - up) of a rotor that falls, else 0.
+    Source: docs/equations.md (56a).
+    """
+    change = rotors.thrusts((down - up).reshape(falls.shape))
+    of_falling = np.where(falls, change, 0.0)
+    return np.asarray(up + (of_falling @ rotors.mixing.T).reshape(-1))

@@ -28,6 +28,9 @@ from transport.protocol.scenario.own_class import (
 from transport.protocol.scenario.plant_sections import PlantSection
 from transport.protocol.scenario.setup import Setup
 
+# An interval of a whole number of steps, but for rounding, takes that number.
+_ROUNDING = 1e-9
+
 
 class Rods:
     """Massless rigid rods, no ground; steps are halved where their local error is large.
@@ -52,7 +55,7 @@ class Rods:
 
         Return the local error estimate.
         """
-        steps = math.ceil(duration_s / self._step_s - 1e-9)
+        steps = math.ceil(duration_s / self._step_s - _ROUNDING)
         self._x, error = self._model.integrate(
             self._x, u, duration_s, steps, forces=forces, tolerance=self._tolerance
         )
@@ -66,10 +69,10 @@ class Rods:
 class Physics(Protocol):
     """Integration of the ground truth in the layout and the signs of `model.state`, SI.
 
-    An engine is made of the plant's actual `System` and its section of the scenario. Wind, drag,
-    noise, mass errors and failures are the plant's. `version`, if there is one, is recorded, else a
-    hash of its file; `tensions`, of one with cables, are their least tensions in the last interval,
-    (N,), N. A run ends with the text of any exception.
+    An engine is made of the plant's actual `System` and its section of the scenario. The plant adds
+    wind, drag, noise, mass errors and failures. The run records the engine's `version`, or a hash of
+    its file if it has none. An engine with cables has `tensions`, the least tension of each in the
+    last interval, (N,), N. A run ends with the text of any exception.
     """
 
     def reset(self, x: Array) -> None:
@@ -81,11 +84,14 @@ class Physics(Protocol):
     def advance(self, u: Array, forces: Array | None, duration_s: float) -> float | None:
         """Integrate a sampling period or a part of one.
 
-        Return the largest local error of a component, if known.
+        Args:
+            u: Held thrust and moments of each UAV, (4 N,), N and N m, in its body frame; a thrust is
+                >= 0 and acts along -b3.
+            forces: Held external forces on the centres of mass of payload and UAVs, (3 + 3 N,),
+                inertial frame, N, or None.
+            duration_s: Length of the interval.
 
-        Held are thrust and moments of each UAV, (4 N,), N and N m, in its body frame, with thrust
-        >= 0 along -b3, and external forces on the centres of mass of payload and UAVs, (3 + 3 N,),
-        inertial frame, N, or None.
+        Returns: The largest local error of a component, if known.
         """
 
     def state(self) -> Array:
@@ -96,7 +102,7 @@ class Physics(Protocol):
 _SAME_STATE = 1e-6
 # Largest deviation of the length of a rod direction from 1: beyond rounding, below any error of a
 # real rod.
-_UNIT = 1e-3
+_LENGTH_ERROR = 1e-3
 UNKNOWN_ERROR = -1.0
 
 
@@ -144,16 +150,18 @@ class Engine:
         if type(self._physics) is Rods:  # not checked: that takes longer than its steps
             error = self._physics.advance(u, forces, duration_s)
             self._x = self._physics.state()
-            return self._x, error if math.isfinite(error) else UNKNOWN_ERROR
+            known_error = error if math.isfinite(error) else UNKNOWN_ERROR
+            return self._x, known_error
 
         error = UNKNOWN_ERROR
-        if not self.failure:
-            with self._failing():
-                with errors_of("advance"):
-                    told_error = self._physics.advance(u, forces, duration_s)
-                    if told_error is not None and math.isfinite(told_error):
-                        error = float(told_error)
-                self._x = self._read()
+        if self.failure:
+            return self._x, error
+        with self._failing():
+            with errors_of("advance"):
+                told_error = self._physics.advance(u, forces, duration_s)
+                if told_error is not None and math.isfinite(told_error):
+                    error = float(told_error)
+            self._x = self._read()
         return self._x, error
 
     @property
@@ -175,8 +183,10 @@ class Engine:
             self._physics.reset(x.copy())
 
         taken = self._read()
-        furthest = int(np.argmax(np.abs(taken - x)))
-        if not abs(taken[furthest] - x[furthest]) <= _SAME_STATE:
+        differences = np.abs(taken - x)
+        furthest = int(np.argmax(differences))  # the place of a NaN if there is one
+        is_taken = differences[furthest] <= _SAME_STATE  # false for NaN
+        if not is_taken:
             got = f"{taken[furthest]:g} instead of {x[furthest]:g} at index {furthest}"
             raise OwnClassError(f"state: expected the state given to reset, got {got}")
 
@@ -188,7 +198,7 @@ class Engine:
             raise OwnClassError(f"state: expected shape {self._x.shape}, got {x.shape}")
 
         lengths = np.linalg.norm(StateView(x).e_P, axis=1)
-        wrong = np.flatnonzero(np.abs(lengths - 1.0) > _UNIT)
+        wrong = np.flatnonzero(np.abs(lengths - 1.0) > _LENGTH_ERROR)
         if len(wrong) and np.isfinite(x).all():
             expected = f"expected a unit vector as rod direction of UAV{wrong[0] + 1}"
             raise OwnClassError(f"state: {expected}, got length {lengths[wrong[0]]:g}")

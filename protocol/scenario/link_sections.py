@@ -28,7 +28,11 @@ _PROCESS = "agent1, agent2, ..., plant"
 
 
 def _read_samples(value: Any, info: ValidationInfo) -> Any:
-    """Return the delays in a scenario's file; a change during a run has no folder and no file."""
+    """Return the delays in the file that a scenario names, else the value as it is.
+
+    The name is relative to the scenario's folder. A change during a run has none, so its value passes
+    unread.
+    """
     if isinstance(value, str) and info.context is not None:
         return delays_of(info.context / value)
     return value
@@ -55,12 +59,15 @@ def _checked_trace(rows: list[list[float]] | None) -> list[list[float]] | None:
     for number, row in enumerate(rows, start=1):
         if len(row) != 2:
             raise ValueError(f"row {number}: expected a time and a delay, got {row}")
-        if not (row[0] >= 0.0 and row[0] > before_s):
-            raise ValueError(f"row {number}: expected rising times from 0 on, got {row[0]:g} s")
-        if row[1] > LONGEST_SAMPLE_S:
-            expected = f"expected seconds, at most {LONGEST_SAMPLE_S:g}, got {row[1]:g}"
-            raise ValueError(f"row {number}: {expected}: did you mean {row[1] / 1000.0:g}?")
-        before_s = row[0]
+        time_s, delay_s = row
+        rises = time_s >= 0.0 and time_s > before_s  # false for NaN
+        if not rises:
+            raise ValueError(f"row {number}: expected rising times from 0 on, got {time_s:g} s")
+        if delay_s > LONGEST_SAMPLE_S:
+            expected = f"expected seconds, at most {LONGEST_SAMPLE_S:g}, got {delay_s:g}"
+            meant_s = delay_s / 1000.0
+            raise ValueError(f"row {number}: {expected}: did you mean {meant_s:g}?")
+        before_s = time_s
     return rows
 
 
@@ -169,7 +176,7 @@ class LinkSection(Section):
 
     @property
     def perfect(self) -> bool:
-        """Return whether every message arrives at once, once."""
+        """Return whether all keys have their defaults: every message arrives at once, once."""
         fields = LinkSection.model_fields
         return all(getattr(self, key) == field.default for key, field in fields.items())
 
@@ -201,7 +208,9 @@ class LinkOverrideSection(LinkSection):
 
 def _is_end(name: str | None, process: str) -> bool:
     """Return whether a process is a named end of a link, or any agent if no name is given."""
-    return process == name if name is not None else process != PLANT
+    if name is None:
+        return process != PLANT
+    return process == name
 
 
 class LinkChangeSection(LinkOverrideSection):

@@ -1,4 +1,8 @@
-"""Section of the radio and the run around it, as the parts of `protocol/radio` need them."""
+"""Parameters of the radio, from the section `[radio]` of a scenario and the run around it.
+
+Channel, propagation, instants at which agents send, and lengths of their slots, in the types of
+`protocol/radio`.
+"""
 
 from dataclasses import dataclass
 
@@ -57,14 +61,18 @@ def send_times(setup: Setup, section: RadioSection) -> SendTimes:
     the plans are negotiated: then each exchange has all slots, however short.
     """
     exchanges = setup.scenario.controller.negotiation_iterations
-    cycle = section.cycle_ticks
-    if cycle is None and exchanges == 1 and section.offsets == "slots":
-        spread_ns = _send_times(setup, section, 1).spread_ns
-        cycle = fewest_periods(len(setup.owned), spread_ns, slot_need_ns(setup, section))
-    return _send_times(setup, section, cycle or 1)
+    takes_turns = section.cycle_ticks is None and exchanges == 1 and section.offsets == "slots"
+    if not takes_turns:
+        return _with_cycle(setup, section, cycle=section.cycle_ticks or 1)
+
+    # The time that slots may take together does not depend on the cycle.
+    spread_ns = _with_cycle(setup, section, cycle=1).spread_ns
+    need_ns = slot_need_ns(setup, section)
+    cycle = fewest_periods(len(setup.owned), spread_ns, need_ns)
+    return _with_cycle(setup, section, cycle=cycle)
 
 
-def _send_times(setup: Setup, section: RadioSection, cycle: int) -> SendTimes:
+def _with_cycle(setup: Setup, section: RadioSection, *, cycle: int) -> SendTimes:
     return SendTimes(
         period_ns=setup.period_ns,
         stations=len(setup.owned),
@@ -81,7 +89,7 @@ def _send_times(setup: Setup, section: RadioSection, cycle: int) -> SendTimes:
 class SlotLengths:
     """Slots of a run, and what a plan needs of them."""
 
-    plan_bytes: int  # of the longest plan
+    plan_bytes: int  # of a plan as long as `plan_length` tells
     plan_s: float  # for which it occupies an idle channel, with its waits and without repetitions
     slot_s: float
     slots: int  # of a tick, or of an exchange of a negotiation
@@ -119,7 +127,7 @@ def slot_lengths(setup: Setup) -> SlotLengths | None:
 
 
 def slot_need_ns(setup: Setup, section: RadioSection) -> int:
-    """Return the time that the longest plan occupies an idle channel, ns, without repetitions."""
+    """Return the time that a plan (`plan_length`) occupies an idle channel, ns, without repetitions."""
     receivers = len(setup.owned) - 1 if section.delivery == "unicast" else None
     standard = STANDARDS[section.standard]
     lengths = frame_lengths(plan_length(setup, section))
@@ -134,21 +142,27 @@ def length_on_air(plan: Plan, section: RadioSection) -> int:
 
 
 def plan_length(setup: Setup, section: RadioSection) -> int:
-    """Return the bytes of the longest plan on the air, without data of a controller of the user."""
+    """Return the bytes on the air of a solved plan of the agent with most UAVs at the end of the run.
+
+    Without data of a controller of the user. Plans of other statuses and with many notes and reports
+    before them, which count in their sequence, take some bytes more.
+    """
     owned = max(setup.owned, key=len)
-    agent = setup.agents[-1]
-    tick = setup.ticks
+    # MessagePack encodes large integers longer.
+    last_agent = setup.agents[-1]
+    last_tick = setup.ticks
+
     horizon = setup.settings.horizon
     is_corrected = setup.settings.prediction == "closed_loop"
     reported = REPORTS * REPORTED if setup.scenario.plant.sensors == "vehicle" else PER_UAV
     inputs = INPUTS * len(owned)
-    longest = Plan(
-        sender=agent_name(agent),
+    plan = Plan(
+        sender=agent_name(last_agent),
         incarnation=0,
-        sequence=tick,
-        tick=tick,
-        agent=agent,
-        start_tick=tick,
+        sequence=last_tick,
+        tick=last_tick,
+        agent=last_agent,
+        start_tick=last_tick,
         negotiation=0,
         shared=True,
         uavs=tuple(uav + 1 for uav in owned),
@@ -157,4 +171,4 @@ def plan_length(setup: Setup, section: RadioSection) -> int:
         corrections=np.zeros((horizon if is_corrected else 0, inputs)),
         status="solved",
     )
-    return length_on_air(longest, section)
+    return length_on_air(plan, section)

@@ -12,6 +12,8 @@ from pydantic import AfterValidator, Field, model_validator
 
 from transport.model.parameters import GRAVITY
 from transport.mpc.settings import (
+    DEFAULT_HORIZON,
+    DEFAULT_RELAXATION,
     ControllerSettings,
     Key,
     NotNegative,
@@ -28,16 +30,20 @@ from transport.protocol.wire.messages import MAX_HORIZON, MAX_NEGOTIATION_ITERAT
 from transport.protocol.wire.names import MAX_UAVS
 
 
-def _inertia(value: list[Any]) -> list[Any]:
-    """Check that an inertia has three principal moments or three rows of three numbers."""
-    widths = [len(row) if isinstance(row, list) else 1 for row in value]
-    if widths not in ([1, 1, 1], [3, 3, 3]):
+def _checked_inertia(value: list[Any]) -> list[Any]:
+    """Return an inertia that has three principal moments or three rows of three numbers."""
+    rows = [row for row in value if isinstance(row, list)]
+    are_moments = len(value) == 3 and not rows
+    are_rows = len(value) == len(rows) == 3 and all(len(row) == 3 for row in rows)
+    if not are_moments and not are_rows:
         raise ValueError(f"expected 3 principal moments or 3 rows of 3 numbers, got {value}")
     return value
 
 
 Inertia = Annotated[
-    list[float] | list[list[float]], AfterValidator(_inertia), Key(type="3 numbers or 3 rows of 3")
+    list[float] | list[list[float]],
+    AfterValidator(_checked_inertia),
+    Key(type="3 numbers or 3 rows of 3"),
 ]
 Relaxation = Annotated[
     Annotated[float, Interval(gt=0.0, le=1.0)] | Literal["auto"],
@@ -82,7 +88,7 @@ class SystemSection(Section):
 
 
 class DisturbanceSection(Section):
-    """Estimate of a constant force on the payload, compensated by the controller."""
+    """Estimate of constant forces on payload and UAVs, compensated by the controller."""
 
     estimate: Annotated[bool, Key(short="estimate_disturbance")] = False
     """true: each agent estimates constant forces on payload and UAVs (a wrong mass, wind) and
@@ -96,9 +102,9 @@ class ControllerSection(ControllerSettings):
 
     horizon: Annotated[
         int, Interval(ge=1, le=MAX_HORIZON), Key(label="horizon", shown="steps", short="horizon")
-    ] = 20
+    ] = DEFAULT_HORIZON
     """prediction horizon N_p, in sampling periods"""
-    relaxation: Relaxation = 1.0  # type: ignore[assignment]  # a number in `Setup.settings`
+    relaxation: Relaxation = DEFAULT_RELAXATION  # type: ignore[assignment]  # a number in `Setup.settings`
     """share w of the new optimum in the published plan, the rest is the previous plan; with
     closed_loop of the corrections alone. auto: 1 over the number of agents"""
     received_plans: Literal["by_age", "by_one", "held"] = "by_age"
@@ -131,17 +137,22 @@ class ControllerSection(ControllerSettings):
     share_heartbeat_s: Annotated[Positive, Key(label="longest time without a plan")] = 1.0
     """with on_change: longest interval between two plans sent, so that a lost plan is replaced"""
     silence: Literal["alone", "law"] = "alone"
-    """with closed_loop, an agent whose news of the others are overdue, or late on average with a
-    filter: each of its UAVs gradually follows its part of the motion of the team alone, by its own sensors
-    ([equations.md](equations.md#silence)), or the shared control law by the agent's estimate"""
+    """with closed_loop, what an agent does when its news of the others are overdue, or late on average
+    with a filter. alone: each of its UAVs gradually follows its part of the motion of the team alone,
+    by its own sensors ([equations.md](equations.md#silence)); law: they follow the shared control law
+    by the agent's estimate"""
     disturbance: DisturbanceSection = DisturbanceSection()
+
+
+UavIds = Annotated[list[int], Field(min_length=1)]
+Groups = Annotated[list[UavIds], Field(min_length=1)]
 
 
 class AgentsSection(Section):
     """UAVs and controller of each agent. One agent for each UAV by default."""
 
     owned: Annotated[
-        Annotated[list[Annotated[list[int], Field(min_length=1)]], Field(min_length=1)] | None,
+        Groups | None,
         Key(type="list of lists of UAV ids", label="UAVs of each agent", short="owned"),
     ] = None
     """UAVs of each agent: agent 1 owns the first list, and so on; each UAV once. If omitted: one
@@ -198,7 +209,9 @@ class ClockSection(Section):
     @property
     def next_tick(self) -> bool:
         """Return whether inputs act one tick after their state, as on hardware and in real time."""
-        return self.mode == "realtime" if self.actuation is None else self.actuation == "next_tick"
+        if self.actuation is None:
+            return self.mode == "realtime"
+        return self.actuation == "next_tick"
 
 
 class FaultSection(Section):
@@ -258,7 +271,7 @@ class Scenario(Section):
     ]
     """name of the run, part of every network key and of the run folder"""
     seed: Annotated[int, Interval(ge=0, lt=2**63), Key(type="integer >= 0", short="seed")] = 0
-    """seed of all random numbers of a run: `[links]`, wind and noise"""
+    """seed of all random numbers of a run: `[links]`, `[radio]`, wind and noise"""
     system: SystemSection
     maneuver: ManeuverSection
     obstacle: Annotated[list[ObstacleSection], Key(short="obstacles")] = []
@@ -273,7 +286,7 @@ class Scenario(Section):
 
     @property
     def owned(self) -> tuple[tuple[int, ...], ...]:
-        """Return the UAV ids of agent 1, agent 2, ..."""
+        """Return the UAV ids of agent 1, agent 2, ...; those of `Setup.owned` count from 0."""
         if self.agents.owned is None:
             return tuple((uav.id,) for uav in self.system.uav)
         return tuple(tuple(sorted(group)) for group in self.agents.owned)

@@ -81,15 +81,18 @@ class TeamRadio:
             power_mw=milliwatts(section.sensitivity_dbm + _OTHERS_DB),
             seed=setup.scenario.seed,
         )
-        # Ends of the rods in the payload frame, whose distances are those of the UAVs.
-        uavs = [setup.system.uavs[owned[0]] for owned in setup.owned]
-        e = state.E.start + np.arange(3)
-        # Places of their unit vectors in the state of the plant, (agents, 3).
-        self._e = np.array([state.PAYLOAD + state.PER_UAV * owned[0] + e for owned in setup.owned])
+        # Each agent has one radio, on the first of its UAVs (docs/radio.md).
+        radio_uavs = [owned[0] for owned in setup.owned]
+        uavs = [setup.system.uavs[uav] for uav in radio_uavs]
         self._rho_P = np.array([uav.rho for uav in uavs])
         self._rod_m = np.array([[uav.rod_length] for uav in uavs])
+        # Places of their rod directions in the state of the plant, (agents, 3).
+        in_block = np.arange(state.E.start, state.E.stop)
+        self._places_of_e = np.array(
+            [state.PAYLOAD + state.PER_UAV * uav + in_block for uav in radio_uavs]
+        )
 
-        stations = self._agents + (section.background > 0.0)
+        stations = self._agents + 1 if section.background > 0.0 else self._agents
         self._state = ChannelState.idle(stations, self._standard)
         self._is_near = self._all_are_near()
         self._others = BackgroundState()
@@ -142,7 +145,9 @@ class TeamRadio:
         others, self._others = self._background.frames(
             self._others, self._standard, self._channel.parameters.rate_mbps, until_ns
         )
-        frames = [*self._put_on_air(tick - 1), *others]
+        # A window ends with a period, that of the tick before, or with an exchange in the tick's own.
+        period_tick = tick if negotiation > 0 else tick - 1
+        frames = [*self._put_on_air(period_tick), *others]
         self._state, outcomes, counts = self._channel.advance(
             self._state, powers, frames, until_ns, near=self._is_near
         )
@@ -179,7 +184,9 @@ class TeamRadio:
 
         Two UAVs are at most their rods and the distance of their attachment points apart.
         """
-        powers_mw = [self._background.power_mw] * (self._background.share > 0.0)
+        powers_mw = []
+        if self._background.share > 0.0:
+            powers_mw.append(self._background.power_mw)
         for one, other in combinations(range(self._agents), 2):
             apart_m = float(np.linalg.norm(self._rho_P[one] - self._rho_P[other]))
             farthest_m = _ROUNDING * (apart_m + float(self._rod_m[one, 0] + self._rod_m[other, 0]))
@@ -194,7 +201,9 @@ class TeamRadio:
 
     def _positions(self, x: Array) -> list[list[float]]:
         """Return positions of the stations relative to the payload, payload frame, m."""
-        positions: list[list[float]] = (self._rho_P - self._rod_m * x[self._e]).tolist()
+        # r_i - r_0 = rho_i - l_i e_i, payload frame: (14).
+        relative = self._rho_P - self._rod_m * x[self._places_of_e]
+        positions: list[list[float]] = relative.tolist()
         return positions
 
     def _news(self, outcomes: Sequence[Outcome]) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire import messages
 
 _NS_PER_MS = 1e6
+_TOTAL = messages.STAGES.index("total")  # time of a step in a report
 # Agent, 1-based, and its incarnation.
 _Member = tuple[int, int]
 
@@ -26,7 +27,7 @@ def rest_of_tick_ms(setup: Setup, log: RunLog) -> dict[int, float]:
 
     slowest_ms: dict[int, float] = {}
     for report in log.of(messages.StepReport):
-        step_ms = float(report.times_ms[-1])
+        step_ms = float(report.times_ms[_TOTAL])
         slowest_ms[report.tick] = max(step_ms, slowest_ms.get(report.tick, 0.0))
 
     received_ns = log.received_ns(messages.Tick)
@@ -41,9 +42,10 @@ def rest_of_tick_ms(setup: Setup, log: RunLog) -> dict[int, float]:
 
 
 def deadline(setup: Setup, log: RunLog) -> dict[str, Any]:
-    """Return plans that missed their deadline, or ticks held for them, and how late ticks opened.
+    """Return how many plans missed their deadline, and how late ticks opened.
 
-    There are none in lockstep.
+    With `clock.on_overrun` hold, `plans` and `missed` are ticks: those that waited for a plan. There
+    are none in lockstep.
     """
     if setup.scenario.clock.mode != "realtime":
         return {
@@ -55,25 +57,24 @@ def deadline(setup: Setup, log: RunLog) -> dict[str, Any]:
         }
 
     ticks = {tick.tick: tick for tick in log.of(messages.Tick)}
-    pairs = [
-        (tick, ticks[number + 1]) for number, tick in sorted(ticks.items()) if number + 1 in ticks
-    ]
+    followed = [number for number in sorted(ticks) if number + 1 in ticks]
+    pairs = [(ticks[number], ticks[number + 1]) for number in followed]
     if setup.scenario.clock.on_overrun == "hold":
         # No plan is missing when a tick opens: a deadline is missed by the tick that waited for a
         # late plan.
-        plans = len(pairs)
+        due = len(pairs)
         missed = sum(after.overrun_ns > 0 for _, after in pairs)
     else:
-        plans = sum(len(tick.members) for tick, _ in pairs)
+        due = sum(len(tick.members) for tick, _ in pairs)
         missed = sum(len(set(tick.members) - set(after.answered)) for tick, after in pairs)
 
     worst_ms = max((tick.overrun_ns / _NS_PER_MS for tick in ticks.values()), default=None)
-    if missed and not worst_ms:
+    if missed > 0 and worst_ms == 0.0:
         worst_ms = None  # the delay of a plan that never came is unknown, not 0
     return {
-        "plans": plans,
+        "plans": due,
         "missed": missed,
-        "share": missed / plans if plans else None,
+        "share": missed / due if due else None,
         "worst_ms": worst_ms,
         "tick_late_ms": percentiles(tick.late_ns / _NS_PER_MS for tick in ticks.values()),
     }
@@ -114,6 +115,7 @@ def _usable_ticks(
         member = report.agent, report.incarnation
         steps.setdefault(member, set()).add(report.tick)
 
+    # In lockstep a step uses the plans of the tick before.
     if setup.scenario.clock.mode != "realtime":
         return {member: {tick - 1 for tick in taken} for member, taken in steps.items()}
 
@@ -138,12 +140,12 @@ def _joined(log: RunLog) -> dict[_Member, int]:
 
 def _sent(shared: Iterable[messages.Plan], usable: dict[_Member, Collection[int]]) -> int:
     """Return the number of shared plans, one for each other agent that could use it."""
-    return sum(
-        plan.tick in ticks
-        for plan in shared
-        for (receiver, _), ticks in usable.items()
-        if receiver != plan.agent
-    )
+    sent = 0
+    for plan in shared:
+        for (receiver, _), ticks in usable.items():
+            if receiver != plan.agent and plan.tick in ticks:
+                sent += 1
+    return sent
 
 
 def rejections(log: RunLog) -> list[dict[str, Any]]:

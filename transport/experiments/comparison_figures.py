@@ -52,11 +52,11 @@ _ABOVE_IN = 0.17
 # Larger cost ratios are drawn at the upper edge of the panel, diverged runs above it.
 _LOWEST = 0.6
 _HIGHEST = 3.0
-_DIVERGED = 3.35
+_DIVERGED = _HIGHEST + 0.35
 _TICKS = (1.0, 1.5, 2.0, 2.5, _HIGHEST)
 _ABOVE_DIVERGED = 0.2
 # Height of the name of the vertical line, and its style.
-_NAME = 2.65
+_NAME = _HIGHEST - 0.35
 _NAME_STYLE: Mapping[str, Any] = {
     "ha": "right",
     "va": "center",
@@ -125,19 +125,26 @@ def _draw_curve(panel: Axes, curve: Curve, budget: str) -> None:
     style = _style(curve.controller, curve.kept)
     rows = list(curve.rows())
     x = np.median(curve.loads[budget], axis=1)
-    ratios = np.array([row[COST_RATIO] or 0.0 for row in rows])
-    half_widths = np.array([row[f"{COST_RATIO}_ci95"] or 0.0 for row in rows])
-
     is_diverged = np.isinf(curve.ratios).any(axis=1)
-    ratios[is_diverged] = np.nan
+
+    # None where no run completed, and of a single run, which has no interval.
+    means = np.array([row[COST_RATIO] or 0.0 for row in rows])
+    half_widths = np.array([row[f"{COST_RATIO}_ci95"] or 0.0 for row in rows])
+    ratios = np.where(is_diverged, np.nan, means)
     heights = np.minimum(ratios, _HIGHEST)
-    panel.errorbar(x, heights, half_widths, linewidth=1.0, elinewidth=0.8, **style)
+    panel.errorbar(x, heights, yerr=half_widths, linewidth=1.0, elinewidth=0.8, **style)
     panel.plot(x[is_diverged], np.full(is_diverged.sum(), _DIVERGED), **style | DIVERGED)
 
 
-def _mark_reference(panel: Axes, whole: Curve, reference: Cell, budget: str) -> None:
+def _median_load(curve: Curve, cell: Cell, budget: str) -> float:
+    """Return the computation of a cell, the median over repetitions, s/s."""
+    place = curve.cells.index(cell)
+    return float(np.median(curve.loads[budget][place]))
+
+
+def _mark_reference(panel: Axes, centralized: Curve, reference: Cell, budget: str) -> None:
     """Draw a vertical line at the computation of the reference, with its name."""
-    x = np.median(whole.loads[budget][whole.cells.index(reference)])
+    x = _median_load(centralized, reference, budget)
     panel.axvline(x, color=REFERENCE, linewidth=0.8, zorder=0)
     name = f"centralized\nat {1e3 * reference.period_s:g} ms"
     panel.annotate(name, (x, _NAME), (-3.0, 0.0), textcoords="offset points", **_NAME_STYLE)
@@ -156,7 +163,7 @@ def draw_maneuver(
 ) -> list[Path]:
     """Draw the runs of the paper's Fig. 3, 5 and 6 over one another, in still air.
 
-    The horizon has as many steps in all of them. These are the centralized controller, the paper's
+    The horizon has the same number of steps in all of them. These are the centralized controller, the paper's
     algorithm at the same rate, and at the period of the grid nearest to the same computation of one
     agent. They are simulated again: the runs are deterministic.
 
@@ -177,11 +184,11 @@ def draw_maneuver(
 def _shown_cells(curves: Sequence[Curve], reference: Cell) -> dict[Cell, str]:
     """Return the cells whose maneuvers are drawn, with their names."""
     still = {(curve.controller, curve.kept): curve for curve in curves if curve.weather == STILL}
-    whole = still[CENTRALIZED, STEPS]
+    centralized = still[CENTRALIZED, STEPS]
     distributed = still[PAPER, STEPS]
 
     # The cell whose computation differs least from the reference's, as a ratio.
-    reference_load = np.median(whole.loads[AGENT][whole.cells.index(reference)])
+    reference_load = _median_load(centralized, reference, AGENT)
     loads = np.median(distributed.loads[AGENT], axis=1)
     nearest = int(np.argmin(np.abs(np.log(loads / reference_load))))
     return {

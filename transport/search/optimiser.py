@@ -1,9 +1,14 @@
 """Search in the unit cube: severe points first, then the worst of them changed, one event at a time.
 
-Three sources of points. Quasi-random ones, drawn towards the severe ends of coordinates that have
-one: longer silences, stronger gusts. An evolution, which changes one or two events of a bad point
-or takes events from another: a failure is a coincidence of few events, of which the others are no
-part. CMA-ES (package `cma`), which follows a valley, anew from the next point when it stalls.
+The smallest value is the worst case, which the search looks for. Three sources of points:
+
+- Quasi-random ones at first, drawn towards the severe ends of coordinates that have one: longer
+  silences, stronger gusts.
+- Then, in turns, a generation of an evolution, which changes one or two events of a bad point or
+  takes events from another: a failure is a coincidence of few events, of which the others are no
+  part.
+- And one of CMA-ES (package `cma`), which follows a valley from the worst point. When it stalls, it
+  starts anew from the worst point apart from its earlier starts.
 
 Deterministic: the same values told give the same points asked, so that a search is resumed by
 telling it again what has been evaluated.
@@ -24,7 +29,7 @@ _LEAST_RANDOM = 16  # points before the first generation, one for each dimension
 _SEVERITY = 6.0  # a severe coordinate is u^(1/6): above one half with probability 0.98
 _SIGMA = 0.25  # first step of CMA-ES, in sides of the cube
 _STALL = 4  # generations of CMA-ES without progress after which it starts anew
-_APART = 0.3  # distance of starts, in sides of the cube and root of the dimension
+_APART = 0.3  # least distance of starts, as a multiple of the root of the dimension
 
 # Evolution.
 _PRESSURE = 0.25  # a parent is the worst point with this probability, else the next with it, ...
@@ -32,6 +37,7 @@ _STEPS = (0.02, 0.3)  # standard deviation of a change, log-uniform between, sid
 _REDRAWN = 0.15  # share of the coordinates of a changed event that are drawn anew
 _CROSSED = 0.3  # share of the points with events of a second parent
 _FRESH = 0.1  # share of the points that are drawn anew
+_MOST_CHANGES = 2  # events of a child that are changed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +54,12 @@ class Layout:
 
     def severely(self, points: Array) -> Array:
         """Return uniform points, (..., dimension), drawn towards the severe ends."""
-        return np.where(self.severe, points ** (1.0 / _SEVERITY), points)
+        return _towards_one(points, self.severe)
+
+
+def _towards_one(uniform: Array, severe: Array) -> Array:
+    """Return uniform numbers in which those of severe coordinates are drawn towards 1."""
+    return np.where(severe, uniform ** (1.0 / _SEVERITY), uniform)
 
 
 class Optimiser:
@@ -72,6 +83,7 @@ class Optimiser:
                 warnings.simplefilter("ignore", UserWarning)  # batches need not be powers of two
                 return list(self._layout.severely(self._sampler.random(BATCH)))
 
+        # The smallest value is the worst.
         order = np.argsort(self._values, kind="stable")
         worst_first = [self._points[index] for index in order]
         if self._descends:
@@ -82,10 +94,12 @@ class Optimiser:
         """Take in the values of all points asked for, in the same order."""
         if self._descends:
             self._descent.tell(points, values)
-        is_generation = self._random_left <= 0
         self._points += list(points)
         self._values += list(values)
-        self._descends = is_generation and not self._descends
+
+        # After the random points generations alternate, CMA-ES first.
+        random_points_are_done = self._random_left <= 0
+        self._descends = random_points_are_done and not self._descends
 
     def _child(self, worst_first: Sequence[Array]) -> Array:
         """Return a point whose events are those of bad points, one or two of them changed."""
@@ -101,7 +115,7 @@ class Optimiser:
                 if rng.random() < 0.5:
                     child[event] = other[event]
 
-        changes = min(len(layout.events), int(rng.integers(1, 3)))
+        changes = min(len(layout.events), int(rng.integers(1, _MOST_CHANGES + 1)))
         for index in rng.choice(len(layout.events), changes, replace=False):
             event = layout.events[index]
             child[event] = self._changed(child[event], layout.severe[event])
@@ -116,9 +130,11 @@ class Optimiser:
         """Return coordinates of an event a step away, some of them drawn anew."""
         rng = self._rng
         low, high = np.log(_STEPS)
-        moved = event + np.exp(rng.uniform(low, high)) * rng.standard_normal(len(event))
-        drawn = rng.random(len(event))
-        drawn = np.where(severe, drawn ** (1.0 / _SEVERITY), drawn)
+        # The order of the draws decides a search: it stays.
+        step = np.exp(rng.uniform(low, high))
+        direction = rng.standard_normal(len(event))
+        moved = event + step * direction
+        drawn = _towards_one(rng.random(len(event)), severe)
         is_drawn = rng.random(len(event)) < _REDRAWN
         return np.clip(np.where(is_drawn, drawn, moved), 0.0, 1.0)
 
@@ -135,7 +151,7 @@ class Descent:
         self._stalled = 0
 
     def ask(self, worst_first: Sequence[Array]) -> list[Array]:
-        """Return the next generation; points known so far are where it starts."""
+        """Return the next generation; a new start is at one of the points known so far."""
         if self._evolution is None or self._evolution.stop() or self._stalled >= _STALL:
             self._start(worst_first)
         return [np.array(point) for point in self._evolution.ask()]
