@@ -17,8 +17,6 @@ from transport.mpc.decision import Decision
 from transport.mpc.qp import QP
 from transport.mpc.shared_rows import default_penalties
 
-# Penalty on a violation over that of a soft constraint: it is a wall, as a hard constraint is.
-_STEEPER = 20.0
 # Violation that is the tolerance of a solver, in units of the expression.
 _NONE = 1e-6
 # Characters of an expression in a note, which has room for a thousand.
@@ -56,26 +54,38 @@ class Softening:
         self._rows = np.concatenate(rows) if rows else np.zeros(0, dtype=np.intp)
         self._constraint = np.concatenate(of_constraint) if rows else np.zeros(0, dtype=np.intp)
         settings = decision.settings
-        of_places, _ = default_penalties(settings.weights, decision.system.N, settings.horizon)
-        self._penalty = _STEEPER * of_places
+        # That of a soft constraint on places: with a steeper one several agents, each of which
+        # corrects an equality on states that none can meet, overshoot until the team is lost.
+        self._penalty, _ = default_penalties(settings.weights, decision.system.N, settings.horizon)
 
     def softened(self, qp: QP) -> QP:
         """Return the program with two slacks for each hard constraint: above and below its bounds.
 
-        minimise ... + p (s + 1/2 s's)   subject to   lower <= A z - s_above + s_below <= upper
+        minimise ... + p (s + 1/2 s's)   subject to   A z - s_above <= upper,   lower <= A z + s_below
+
+        The rows of an equality are there twice: in one row its slacks would be an offset, the same at
+        each step.
         """
         n = len(qp.g)
+        m = len(qp.A)
         count = len(self.texts)
         slacks = 2 * count
+        is_equality = np.isfinite(qp.row_lower[self._rows])
+        repeated = self._rows[is_equality]
 
         H = np.zeros((n + slacks, n + slacks))
         H[:n, :n] = qp.H
         H[n:, n:] = self._penalty * np.eye(slacks)
 
-        A = np.zeros((len(qp.A), n + slacks))
-        A[:, :n] = qp.A
+        A = np.zeros((m + len(repeated), n + slacks))
+        A[:m, :n] = qp.A
+        A[m:, :n] = qp.A[repeated]
         A[self._rows, n + self._constraint] = -1.0
-        A[self._rows, n + count + self._constraint] = 1.0
+        A[m + np.arange(len(repeated)), n + count + self._constraint[is_equality]] = 1.0
+
+        row_lower = np.concatenate([qp.row_lower, qp.row_lower[repeated]])
+        row_upper = np.concatenate([qp.row_upper, np.full(len(repeated), np.inf)])
+        row_lower[self._rows] = -np.inf
         return replace(
             qp,
             H=H,
@@ -83,6 +93,8 @@ class Softening:
             lower=np.concatenate([qp.lower, np.zeros(slacks)]),
             upper=np.concatenate([qp.upper, np.full(slacks, np.inf)]),
             A=A,
+            row_lower=row_lower,
+            row_upper=row_upper,
         )
 
     def violations(self, z: Array) -> Mapping[str, float]:

@@ -49,6 +49,16 @@ def test_a_constraint_that_no_plan_meets_is_violated_least(relation: str) -> Non
     assert violations == {text: pytest.approx(first_N - 1.0, abs=HELD)}
 
 
+def test_an_equality_that_several_agents_cannot_meet_costs_no_step() -> None:
+    """A height that the maneuver leaves: each step has a plan, and the team stays level."""
+    own = "controller.constraint=[{expression='r0[2] == -10.2'}]"
+    run = runs.ready("resilient", runs.ticks(100), own)
+    summary = summarise(AnalysedRun.of(run, log_of(completed(run))))
+    assert summary["solver"]["failures"] == 0
+    assert summary["own_constraints"][0]["softened_steps"] > 0
+    assert summary["attitude_max_deg"] < 1.0
+
+
 def test_constraints_that_contradict_each_other_share_the_violation() -> None:
     """Of two bounds a newton apart the plan is between, and both are named."""
     _, free_N = _plan()

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import tomli_w
+from msgspec import structs
 
 from tests.support import runs
 from tests.support.logs import log_of
@@ -26,24 +27,24 @@ def flight() -> list[Message]:
 
 def without(messages: list[Message], gone: Callable[[Message], bool]) -> str:
     """Return the sentence about a log that lacks some messages."""
-    return missing(log_of([message for message in messages if not gone(message)]))
+    return missing(log_of([message for message in messages if not gone(message)]), None)
 
 
 def test_a_whole_log(flight: list[Message]) -> None:
     """Nothing is missing from a whole log, an empty one, or one with notes of faults and rejections."""
-    assert missing(log_of(flight)) == ""
-    assert missing(log_of([])) == ""
+    assert missing(log_of(flight), None) == ""
+    assert missing(log_of([]), None) == ""
     head = {"incarnation": 0, "sequence": 7, "tick": 3}
     note = FaultNote(sender="recorder", target="agent1", what="killed", origin="person", **head)
     refusal = Rejected(
         sender="agent1", offender="agent2", reason="past", count=1, example="", **head
     )
-    assert missing(log_of([note, *flight, refusal])) == ""
+    assert missing(log_of([note, *flight, refusal]), None) == ""
 
 
 def test_a_restarted_agent_leaves_no_gap() -> None:
     """The end of one incarnation is no gap, and the next one counts from 0."""
-    assert missing(log_of(runs.recorded(runs.setup(runs.SHORT, *RESILIENT, *FAULTS)))) == ""
+    assert missing(log_of(runs.recorded(runs.setup(runs.SHORT, *RESILIENT, *FAULTS))), None) == ""
 
 
 def test_a_standstill_of_the_recorder(flight: list[Message]) -> None:
@@ -68,6 +69,28 @@ def test_a_plant_whose_messages_stop(flight: list[Message]) -> None:
         without(flight, lambda m: m.tick >= 12 or (isinstance(m, PlantState) and m.tick == 11))
         == ""
     )
+
+
+def test_an_agent_whose_messages_stop(flight: list[Message]) -> None:
+    """Plans that the plant followed are missing, although no number of the agent's messages is."""
+    silent = without(flight, lambda m: m.sender == "agent1" and m.tick >= 12)
+    assert silent == "some messages of ticks 12 to 29 did not reach the recorder"
+
+
+def test_a_member_whose_late_plans_are_not_followed(flight: list[Message]) -> None:
+    """In real time a member that is silent for longer than the coordinator's timeout has gaps."""
+    unfollowed = [
+        structs.replace(message, plan_ticks=(-2,) * len(message.plan_ticks))
+        if isinstance(message, PlantState)
+        else message
+        for message in flight
+        if not (message.sender == "agent1" and message.tick >= 12)
+    ]
+    realtime = (runs.SHORT, "clock.mode=realtime")
+    for timeout_s, gap in ((0.2, " ticks 12 to 29 "), (5.0, "")):
+        run = runs.setup(*realtime, f"clock.barrier_timeout_s={timeout_s}")
+        assert gap in missing(log_of(unfollowed), run)
+        assert bool(missing(log_of(unfollowed), run)) == bool(gap)
 
 
 def test_the_summary_says_so(flight: list[Message], tmp_path: Path) -> None:

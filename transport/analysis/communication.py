@@ -81,18 +81,20 @@ def deadline(setup: Setup, log: RunLog) -> dict[str, Any]:
 
 
 def plans_between_agents(
-    setup: Setup, log: RunLog, reports: Sequence[messages.StepReport]
+    setup: Setup, log: RunLog, reports: Sequence[messages.StepReport], *, replaced: int
 ) -> dict[str, int]:
     """Return numbers of the plans between agents.
 
-    A shared one is sent to every other agent that takes a step able to use it. Plans neither
-    delivered nor lost were in transit when the run, or their receiver, ended.
+    A shared one is sent to every other agent that takes a step able to use it. `replaced` were not
+    put on the air, as newer ones had their slots. Plans neither delivered, lost nor replaced were in
+    transit when the run, or their receiver, ended.
     """
     plans = [plan for plan in log.of(messages.Plan) if not plan.negotiation]
     shared = [plan for plan in plans if plan.shared]
     sent = _sent(shared, _usable_ticks(setup, log, reports))
     delivered = sum(report.delivered for report in reports)
     lost = sum(report.lost for report in reports)
+    in_transit = sent - delivered - lost - replaced
 
     return {
         "planned": len(plans),
@@ -100,7 +102,7 @@ def plans_between_agents(
         "sent": sent,
         "delivered": delivered,
         "lost": lost,
-        "in_transit": max(0, sent - delivered - lost),  # a restarted receiver may report more
+        "in_transit": max(0, in_transit),  # a restarted receiver may report more
         "late": sum(report.late for report in reports),
         "rejected": sum(notice.count for notice in log.of(messages.Rejected)),
     }

@@ -36,6 +36,8 @@ def summarise(run: AnalysedRun) -> dict[str, Any]:
     series = run.series
     control = next(log.of(messages.Control), None)
     reports = list(log.of(messages.StepReport))
+    radio = radio_of(setup, log)
+    replaced = 0 if radio is None else radio["replaced"]
 
     return {
         "run_id": log.header.get("run_id", ""),
@@ -52,8 +54,8 @@ def summarise(run: AnalysedRun) -> dict[str, Any]:
         "rest_of_tick_ms": percentiles(rest_of_tick_ms(setup, log).values()),
         "deadline": deadline(setup, log),
         "plan_age_ticks": _plan_ages(reports),
-        "messages": plans_between_agents(setup, log, reports),
-        "radio": radio_of(setup, log),
+        "messages": plans_between_agents(setup, log, reports, replaced=replaced),
+        "radio": radio,
         "rejections": rejections(log),
         "solver": _solver(setup, reports),
         "faults": events(setup, log, control),

@@ -47,7 +47,7 @@ def info(path: LogArgument = None, output: FormatOption = Format.text) -> None:
     Example: transport log info runs/20260102-101500-paper
     """
     file, log, setup = _open(path)
-    lost = _gaps(log)
+    lost = _gaps(log, setup)
     topics = _topics(log)
 
     control = next(log.of(Control), None)
@@ -81,9 +81,9 @@ def _topics(log: RunLog) -> list[dict[str, Any]]:
     ]
 
 
-def _gaps(log: RunLog) -> list[str]:
+def _gaps(log: RunLog, setup: Setup | None) -> list[str]:
     """Return a sentence about each kind of messages that is missing from a log."""
-    return [sentence for sentence in (log.cut, missing(log)) if sentence]
+    return [sentence for sentence in (log.cut, missing(log, setup)) if sentence]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,7 +168,7 @@ def export(
             count = _export_scenes(log, setup, target, is_bag=option == "--ros2")
             written.append((target, count, "ticks"))
 
-    for sentence in _gaps(log):
+    for sentence in _gaps(log, setup):
         typer.echo(f"warning: {sentence}", err=True)
     content = [{"file": str(target), entries: count} for target, count, entries in written]
     lines = [f" {target}  {count} {entries}" for target, count, entries in written]

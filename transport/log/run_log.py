@@ -283,8 +283,9 @@ def open_run(folder: Path, *, horizons: bool = True, setup: Setup | None = None)
         setup = setup_of(folder)
 
     log = read_log(path, horizons=horizons, setup=setup)
-    cut = "; ".join(filter(None, (log.cut, missing(log))))
-    return RecordedRun(folder=folder, setup=setup or setup_of(folder), log=replace(log, cut=cut))
+    setup = setup or setup_of(folder)
+    cut = "; ".join(filter(None, (log.cut, missing(log, setup))))
+    return RecordedRun(folder=folder, setup=setup, log=replace(log, cut=cut))
 
 
 def setup_of(folder: Path) -> Setup:
@@ -296,11 +297,15 @@ def setup_of(folder: Path) -> Setup:
     return Setup.of(read_scenario(path, allow_large=True), str(path))  # its run has been allowed
 
 
-def missing(log: RunLog) -> str:
+# Ticks between a timeout of the coordinator and the next roster, at most.
+_SLACK_TICKS = 3
+
+
+def missing(log: RunLog, setup: Setup | None) -> str:
     """Return a sentence with the ticks between which messages are missing; empty if none is.
 
-    Every process numbers its messages; ticks after the last plant state are known from other
-    messages.
+    Every process numbers its messages. Those missing at its end leave no gap: they are known from
+    the messages of others, and from the roster if the run is known.
     """
     # Rejections have numbers of their own.
     messages = [
@@ -312,6 +317,9 @@ def missing(log: RunLog) -> str:
     last_simulated = _last_simulated(log, messages)
     if last_simulated > last_recorded:
         ticks += [last_recorded + 1, last_simulated]
+    ticks += _ticks_of_unrecorded_plans(log)
+    if setup is not None:
+        ticks += _ticks_of_silent_members(log, setup)
 
     if not ticks:
         return ""
@@ -334,6 +342,50 @@ def _ticks_around_gaps(messages: Sequence[Message]) -> list[int]:
             if behind > before + 1:
                 around += [tick_of[before], tick_of[behind]]
     return around
+
+
+def _ticks_of_unrecorded_plans(log: RunLog) -> list[int]:
+    """Return the first and last tick of plans that the plant followed and the recorder lacks."""
+    recorded: dict[int, int] = {}  # newest tick by UAV, 1-based
+    for plan in log.of(Plan):
+        for uav in plan.uavs:
+            recorded[uav] = max(plan.tick, recorded.get(uav, -1))
+
+    followed: dict[int, int] = {}
+    for state in log.of(wire.PlantState):
+        for uav, tick in enumerate(state.plan_ticks, start=1):
+            followed[uav] = max(tick, followed.get(uav, -1))
+
+    ticks: list[int] = []
+    for uav, last_followed in followed.items():
+        last_recorded = recorded.get(uav, -1)
+        if last_followed > last_recorded:
+            ticks += [last_recorded + 1, last_followed]
+    return ticks
+
+
+def _ticks_of_silent_members(log: RunLog, setup: Setup) -> list[int]:
+    """Return the ticks on the roster of agents after their last plan, if these are too many.
+
+    In real time the coordinator hears of each member within its timeout, else it removes it.
+    """
+    clock = setup.scenario.clock
+    if clock.mode != "realtime":
+        return []
+
+    timeout_s = clock.speed * clock.barrier_timeout_s
+    longest = timeout_s / setup.settings.sampling_period_s + _SLACK_TICKS
+    member: dict[int, int] = {}
+    for opened in log.of(wire.Tick):
+        member |= dict.fromkeys(opened.members, opened.tick)
+    planned = {plan.agent: plan.tick for plan in log.of(Plan)}
+
+    ticks: list[int] = []
+    for agent, last_member in member.items():
+        last_planned = planned.get(agent, -1)
+        if last_member > last_planned + longest:
+            ticks += [last_planned + 1, last_member]
+    return ticks
 
 
 def _last_simulated(log: RunLog, messages: Iterable[Message]) -> int:

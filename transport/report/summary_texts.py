@@ -100,6 +100,8 @@ def radio_text(radio: Mapping[str, Any]) -> str:
     if delays["p50"] is not None:
         parts.append("delay median {p50:.1f} ms, p99 {p99:.1f} ms".format(**delays))
     parts += [f"{radio[key]} {words}" for key, words in _LOSSES.items() if radio[key]]
+    if radio["replaced"]:
+        parts.append(f"{radio['replaced']} replaced by newer ones before their slots")
 
     slots = radio["slots"]
     if slots is not None and slots["cycle_ticks"] > 1:

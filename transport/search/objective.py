@@ -12,9 +12,16 @@ Measure = Literal["attitude", "separation", "payload", "constraint", "cost"]
 MEASURES = get_args(Measure)
 
 # Default limits: attitude and payload error as in docs/guarantees.md; violation of the user's own
-# constraints and of the limits, in their units; cost as a multiple of the run without events.
+# constraints, in their units, and of limits, as a share of their range; mean cost.
 _LIMITS: Mapping[str, float] = {"attitude": 10.0, "payload": 1.0, "constraint": 0.1, "cost": 10.0}
 _SEPARATION_SHARE = 0.9  # of the minimum of the constraint, which is soft
+
+
+def _largest_violation(summary: Mapping[str, Any]) -> float | None:
+    """Return the largest violation of a limit or of an own constraint; None if one is not finite."""
+    own = [constraint["violation_max"] for constraint in summary["own_constraints"]]
+    violations = [summary["constraint_violation_max"], *own]
+    return None if None in violations else max(violations)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +55,7 @@ class Objective:
             "attitude": summary["attitude_max_deg"],
             "separation": summary["separation_min_m"],
             "payload": summary["payload_tracking"]["max_m"],
-            "constraint": summary["constraint_violation_max"],
+            "constraint": _largest_violation(summary),
             "cost": summary["cost"]["mean"],
         }[self.measure]
         if value is None:

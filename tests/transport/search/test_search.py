@@ -7,10 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.runs import SCENARIOS, SHORT
+from tests.support.logs import log_of
+from tests.support.runs import SCENARIOS, SHORT, recorded
+from transport.analysis.analysed_run import AnalysedRun
+from transport.analysis.metrics import summarise
 from transport.experiments.cases import ExperimentError
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.file import read_scenario
+from transport.protocol.scenario.setup import Setup
 from transport.search.candidate import Base, Candidate
 from transport.search.evaluation import Evaluation, Problem
 from transport.search.events import Death, Gusts, Silence
@@ -164,6 +168,22 @@ def test_a_scenario_that_fails_without_events_is_refused() -> None:
     space = Space(KINDS, read_bounds(None, 25.0), scenario)
     with pytest.raises(ScenarioError, match="holds its limit without events"):
         Search(problem=failing, space=space, budget=8).run(Evaluations(None, {}), fly, Quiet())
+
+
+def test_own_constraints_count_as_violations_as_limits_do() -> None:
+    """The objective is the largest of them: in the constraint's unit, of limits as a share."""
+    own = 'controller.constraint=[{expression="v0[2] >= -0.05"}]'
+    scenario = read_scenario(FILE, [SHORT, own])
+    base = Base(scenario=scenario, source=str(FILE))
+    objective = Objective.of("constraint", 0.2, scenario)
+    evaluation = Problem(base=base, objective=objective).evaluate(Candidate(()))
+
+    setup = Setup.of(scenario, str(FILE))
+    summary = summarise(AnalysedRun.of(setup, log_of(recorded(setup))))
+    violation = summary["own_constraints"][0]["violation_max"]
+    assert violation > summary["constraint_violation_max"]
+    assert evaluation.value == violation
+    assert objective.value(summary | {"own_constraints": []}) < violation
 
 
 def test_a_run_ends_as_soon_as_it_has_failed() -> None:
