@@ -3,6 +3,7 @@
 import json
 import os
 import re
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -113,14 +114,42 @@ def test_the_shell_completes(
     ],
 )  # fmt: skip
 def test_the_shell_completes_settings(word: str, expected: list[str]) -> None:
-    """A key is followed by its choices, or by nothing and the value that the scenario has.
+    """A key is followed by its choices, or by nothing and the value that the scenario has."""
+    context = typer.Context(TyperCommand("run"), info_name="run")
+    context.params["scenario"] = "resilient"
+    assert complete_setting(context, word) == expected
 
-    bash splits `--set links.loss=0.1` at the sign, which changes nothing.
-    """
-    line = f"transport run resilient --set links.loss = 0.1 --set {word}"
-    asked = {"_TRANSPORT_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": "8"}
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("controller.hor", ["controller.horizon=", "controller.horizon=20"]),
+        ("controller.solver =", ["daqp", "clarabel"]),
+        ("controller.solver = da", ["daqp"]),
+        ("controller.horizon =", ["20"]),
+        ("links.loss = 0.1 --set controller.preview = t", ["true"]),
+        ("links.loss = 0.1 --set clock.m", ["clock.mode=lockstep", "clock.mode=realtime"]),
+    ],
+)
+def test_bash_completes_what_is_behind_the_sign(words: str, expected: list[str]) -> None:
+    """bash splits a setting at its sign, and replaces the part behind it."""
+    line = f"transport run resilient --set {words}"
+    place = str(len(line.split()) - 1)
+    asked = {"_TRANSPORT_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": place}
     done = CliRunner().invoke(app, [], prog_name="transport", env=asked)
     assert done.stdout.split() == expected, done.stderr
+
+
+def test_the_shell_completes_scenarios() -> None:
+    """Names of ready scenarios are those of the folder that a wheel has, too."""
+    asked = {
+        "_TRANSPORT_COMPLETE": "complete_bash",
+        "COMP_WORDS": "transport run re",
+        "COMP_CWORD": "2",
+    }
+    done = CliRunner().invoke(app, [], prog_name="transport", env=asked)
+    assert done.stdout.split() == ["resilient"]
+    assert (Path(str(files("transport"))) / "scenarios" / "resilient.toml").is_file()
 
 
 def test_every_key_is_completed() -> None:

@@ -16,6 +16,8 @@ from typing import Annotated, Any, ClassVar, get_origin
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from transport.cli.setting_words import rejoin_settings
+
 _PLAIN: dict[str, Any] = {
     "add_completion": False,
     "pretty_exceptions_enable": False,
@@ -132,6 +134,7 @@ class LazyGroup(TyperGroup):
 
     def main(self, *arguments: Any, **options: Any) -> Any:
         """Run the command line; a usage error is one line, like every other error."""
+        rejoin_settings()
         try:
             code = super().main(*arguments, **options | {"standalone_mode": False})
         except typer.TyperException as error:

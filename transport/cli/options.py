@@ -24,7 +24,7 @@ def _scenarios(incomplete: str) -> list[str]:
 
     The shell adds files itself.
     """
-    folder = Path(__file__).resolve().parents[2] / "scenarios"
+    folder = Path(__file__).parents[1] / "scenarios"
     return sorted(path.stem for path in folder.glob("*.toml") if path.stem.startswith(incomplete))
 
 

@@ -1,6 +1,8 @@
 """Completion of `--set KEY=VALUE` by the shell: keys of a scenario, and the values they may have."""
 
-from collections.abc import Iterator
+import os
+import shlex
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import Any, Literal, get_args, get_origin
 
@@ -8,6 +10,52 @@ import typer
 
 # Stands in a key for the number of an entry of a list.
 _NUMBER = "#"
+# Environment of a completion: its kind, the words of the line, and the place of the one completed.
+_KIND = "_TRANSPORT_COMPLETE"
+_BASH = "complete_bash"
+_WORDS = "COMP_WORDS"
+_PLACE = "COMP_CWORD"
+# The key whose value is completed, of which the completed word has no part.
+_KEY = "_TRANSPORT_COMPLETE_KEY"
+
+
+def rejoin_settings() -> None:
+    """Join the words of settings in a completion by bash, which splits KEY=VALUE at the sign.
+
+    It replaces the part behind the sign alone: of the setting that is completed only this is a word.
+    """
+    if os.environ.get(_KIND) != _BASH:
+        return
+    try:
+        words = shlex.split(os.environ[_WORDS])
+    except ValueError:  # an open quotation mark
+        return
+    joined, place = _rejoined(words, int(os.environ[_PLACE]))
+    key, sign, value = joined[place].partition("=")
+    if sign and joined[place - 1] == "--set":
+        os.environ[_KEY] = key
+        joined[place] = value
+    os.environ |= {_WORDS: shlex.join(joined), _PLACE: str(place)}
+
+
+def _rejoined(words: Sequence[str], place: int) -> tuple[list[str], int]:
+    """Return words with those of a setting in one, and the place of the completed one in them."""
+    if place == len(words):
+        words = [*words, ""]  # a new word is completed
+
+    joined: list[str] = []
+    joined_place = 0
+    is_value = False
+    for index, word in enumerate(words):
+        is_sign = word == "=" and joined[-2:-1] == ["--set"]
+        if is_sign or is_value:
+            joined[-1] += word
+        else:
+            joined.append(word)
+        is_value = is_sign
+        if index == place:
+            joined_place = len(joined) - 1
+    return joined, joined_place
 
 
 def complete_setting(ctx: typer.Context, incomplete: str) -> list[str]:
@@ -16,6 +64,15 @@ def complete_setting(ctx: typer.Context, incomplete: str) -> list[str]:
     The values of the last key that is left follow it: all of a choice, else none and the one that
     the scenario has. Shells add a space to a single word, which a key must not have.
     """
+    key_before = os.environ.pop(_KEY, None)
+    if key_before is not None:
+        settings = _settings(f"{key_before}={incomplete}", ctx)
+        return [setting.removeprefix(f"{key_before}=") for setting in settings]
+    return _settings(incomplete, ctx)
+
+
+def _settings(incomplete: str, ctx: typer.Context) -> list[str]:
+    """Return the keys, or the settings of one key, that begin like an incomplete setting."""
     typed_key, has_value, _ = incomplete.partition("=")
     keys = dict(_keys(typed_key.split(".")))
     found = [key for key in keys if key.startswith(typed_key)]
