@@ -22,6 +22,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 from transport.deploy.hosts import (
@@ -33,7 +34,6 @@ from transport.deploy.hosts import (
     placements,
     render,
 )
-from transport.deploy.keys import LOOPBACK, OTHERS, make_certificates
 from transport.protocol.network.endpoints import process_names
 from transport.protocol.network.parent import ENVIRONMENT, python
 from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
@@ -153,6 +153,8 @@ def unavailable() -> str:
     missing = [tool for tool in _TOOLS if shutil.which(tool) is None]
     if missing:
         return f"no {missing[0]} (util-linux, iproute2)"
+    if find_spec("cryptography") is None:
+        return "no package cryptography (pip install 'payload-transport[deploy]')"
     tried = subprocess.run(
         [*_enter(), "ip", "link", "add", "x", "type", "bridge"], capture_output=True, check=False
     )
@@ -180,6 +182,9 @@ def simulate(setup: Setup, out: Path, cuts: Sequence[Cut], timeout_s: float) -> 
     Returns: Exit codes by process (None for those that had to be ended), and the changes of cables.
     Raises: LabError: the lab cannot be built, or the run does not begin.
     """
+    # Not at the top: `unavailable` says what it needs.
+    from transport.deploy.keys import LOOPBACK, OTHERS, make_certificates
+
     processes = process_names(setup.scenario)
     inventory = one_host_each(processes, setup.scenario.name)
     addresses = {host.name: [*LOOPBACK, host.address] for host in inventory.host}

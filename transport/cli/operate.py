@@ -24,6 +24,7 @@ from transport.protocol.scenario.link_sections import LinkSection
 from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.named_files import points_of
 from transport.protocol.scenario.schema import Scenario
+from transport.protocol.wire.keys import Keys
 from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER
 
 # Numbers in the answer of a process to `health` (docs/protocol.md): name in Prometheus and
@@ -113,8 +114,11 @@ def metrics(
     from prometheus_client import CollectorRegistry, start_http_server
 
     described = read_setup(scenario, settings, allow_large=True).scenario
+    name = run or described.name
+    if not Keys.allows(name):
+        fail(f"--run: expected the name of a run, as its processes have it, got {name!r}")
     registry = CollectorRegistry()
-    registry.register(Exporter(run or described.name, process_endpoints(described, connect)))
+    registry.register(Exporter(name, process_endpoints(described, connect)))
     try:
         server, thread = start_http_server(port, "127.0.0.1", registry)
     except OSError as error:

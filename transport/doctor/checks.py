@@ -188,8 +188,8 @@ def cores(setup: Setup) -> Finding:
         f"of {os.cpu_count()} in this machine"
     )
     advice = (
-        "lockstep works, but slower; real time needs a core for each process: more cores, "
-        "or fewer agents"
+        "runs take longer; in real time processes share cores as long as all steps fit into a "
+        "period: a run's summary counts deadlines missed"
     )
     return judged(state, usable < wanted, advice)
 

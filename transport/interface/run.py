@@ -13,7 +13,7 @@ from transport.analysis.steps import steps_rows
 from transport.flight.run_files import create
 from transport.interface.scenario import Scenario
 from transport.interface.series import RunSeries
-from transport.interface.settings import ArgumentError, printed
+from transport.interface.settings import ArgumentError, import_pandas, printed
 from transport.log.run_log import RunLog
 from transport.log.writer import LogWriter
 from transport.protocol.scenario.setup import Setup
@@ -103,10 +103,9 @@ class Run:
         Columns of "series" are those of `RunSeries.columns`, with time as index. Needs the extra
         `pandas`.
 
-        Raises: ArgumentError: no such table.
+        Raises: ArgumentError: no such table, or pandas is missing.
         """
-        import pandas as pd
-
+        pd = import_pandas()
         if table not in ("series", "steps"):
             raise ArgumentError(f"table: expected 'series' or 'steps', got {table!r}")
 

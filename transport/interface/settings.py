@@ -21,6 +21,16 @@ class ArgumentError(TransportError, TypeError):
     """
 
 
+def import_pandas() -> Any:
+    """Return the package pandas. Raises: ArgumentError: it is not installed."""
+    try:
+        import pandas as pd
+    except ModuleNotFoundError as error:
+        remedy = "pip install 'payload-transport[pandas]'"
+        raise ArgumentError(f"expected the package pandas, got none: {remedy}") from error
+    return pd
+
+
 class ShortSettings(TypedDict, total=False):
     """Keyword arguments that stand for keys of the scenario.
 

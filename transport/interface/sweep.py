@@ -18,7 +18,7 @@ from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.fly import console
 from transport.interface.scenario import Scenario
-from transport.interface.settings import ArgumentError, key_of, plain, printed
+from transport.interface.settings import ArgumentError, import_pandas, key_of, plain, printed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -140,10 +140,12 @@ class Sweep:
         return self._swept.rows(table)
 
     def to_pandas(self, table: Literal["points", "runs"] = "points") -> "pd.DataFrame":
-        """Return the rows as a table of pandas (extra `pandas`)."""
-        import pandas as pd
+        """Return the rows as a table of pandas (extra `pandas`).
 
-        return pd.DataFrame(self.rows(table))
+        Raises: ArgumentError: pandas is missing.
+        """
+        frame: pd.DataFrame = import_pandas().DataFrame(self.rows(table))
+        return frame
 
     def plot(self, x: str | None = None, kind: Literal["curves", "map"] = "curves") -> RunFigure:
         """Return a figure of completed runs, mean cost and payload attitude over a setting.
