@@ -2,7 +2,6 @@
 
 import shlex
 from collections import Counter
-from collections.abc import Iterable
 from pathlib import Path
 
 import tomli_w
@@ -17,8 +16,12 @@ from transport.model.state import INPUTS
 from transport.protocol.scenario.budget import estimate
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.radio_settings import slot_lengths
+from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.team import FEWEST, MOST, Team, given_values
 from transport.protocol.wire.exit_codes import EXIT_CHECK_FAILED
+
+# Share of the largest thrust at hover above which a scenario is said to have little left.
+_MOST_HOVER = 0.85
 
 
 def new(
@@ -79,7 +82,7 @@ def new(
     if out is not None:
         with blame("--out"):
             out.write_text(text, encoding="utf-8")
-        thrusts = hover_thrusts(setup.hover.u[::INPUTS])
+        thrusts = hover_thrusts(setup)
         team = f"{uavs} UAVs, {len(setup.agents)} agents, {thrusts}"
         command = f"transport run {shlex.quote(str(out))}"
         typer.echo(f"{team}; run it with: {command}", err=True)
@@ -95,12 +98,22 @@ def _by_option(error: ScenarioError, load_kg: float | None, name: str | None) ->
     return error
 
 
-def hover_thrusts(thrusts_N: Iterable[float]) -> str:
-    """Return the hover thrusts of UAV1, UAV2, ... in words; once if all are the same."""
+def hover_thrusts(setup: Setup) -> str:
+    """Return the hover thrusts of UAV1, UAV2, ... in words; once if all are the same.
+
+    Says so where little is left of the largest thrust.
+    """
+    thrusts_N = setup.hover.u[::INPUTS]
     texts = [f"{thrust_N:.2f}" for thrust_N in thrusts_N]
+    text = f"hover thrusts {', '.join(texts)} N"
     if len(set(texts)) == 1:
-        return f"hover thrust {texts[0]} N"
-    return f"hover thrusts {', '.join(texts)} N"
+        text = f"hover thrust {texts[0]} N"
+
+    _, largest_N = setup.settings.limits.thrust_N
+    share = float(max(thrusts_N)) / largest_N
+    if share > _MOST_HOVER:
+        text += f" ({share:.0%} of the limit: little is left to manoeuvre)"
+    return text
 
 
 def validate(
@@ -124,7 +137,7 @@ def validate(
         return
 
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"
-    thrusts = hover_thrusts(setup.hover.u[::INPUTS])
+    thrusts = hover_thrusts(setup)
     classes = ", ".join(f"{kind} {name}" for kind, name in own_classes.items())
     typer.echo(f"valid: {sizes}, {thrusts}, digest {digest}, {classes}", err=True)
     slots = slot_lengths(setup)

@@ -52,7 +52,7 @@ def draw_arena(figure: Figure, measured: Sequence[PointStatistics]) -> None:
     _draw_map(panels[0], measured, algorithms, styles)
     for panel, (number, title, factor, is_log) in zip(panels[1:], _STRIPS, strict=True):
         _draw_strip(panel, measured, algorithms, styles, (number, factor))
-        head(panel, title, legend=False)
+        head(panel, f"{title}; logarithmic" if is_log else title, legend=False)
         if is_log and panel.has_data():
             panel.set_yscale("log")
             low, high = panel.get_ylim()

@@ -14,8 +14,9 @@ from transport.experiments.statistics import PointStatistics
 from transport.report.column import Room, column_panels, head
 from transport.report.style import COLUMN_IN, SMALL, TEXT, label_decades
 
-# Height of a row, room above a map and beside it, distance and width of the colour bar, in.
+# Height of a row and of a map, room above a map and beside it, distance and width of the colour bar, in.
 _ROW_IN = 0.27
+_LEAST_IN = 1.05  # the vertical axis has its title
 _ABOVE_IN = 0.2
 _RIGHT_IN = 0.42
 _BAR_GAP_IN = 0.08
@@ -39,7 +40,7 @@ def draw_maps(
     rows = _values(measured, y)
     scale = _scale(measured)
 
-    heights_in = [_ROW_IN * len(rows)] * len(scenarios)
+    heights_in = [max(_ROW_IN * len(rows), _LEAST_IN)] * len(scenarios)
     room = Room(right_in=_RIGHT_IN, top_in=_ABOVE_IN)
     panels = column_panels(figure, heights_in, x_label=x.title, room=room)
     for panel, (scenario, own) in zip(panels, scenarios.items(), strict=True):

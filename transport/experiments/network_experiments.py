@@ -156,7 +156,7 @@ def _jitter_settings(name: str, deviation_s: float, mean_s: float) -> tuple[str,
 def matrix(_: Scenario, delay: Sequence[float], loss: Sequence[float]) -> Iterator[Point]:
     """Maps of cost and completion over delay and loss.
 
-    One map for each scenario: every delay with every loss.
+    One map for each scenario: every delay with every loss, and none of either as the baseline.
 
     Example: transport experiment matrix --delay 0 --delay 0.2 --loss 0 --loss 0.3
     """

@@ -182,6 +182,8 @@ _ATTITUDE = Column("attitude\n(deg)", "attitude_max_deg", 1.0, 2, True)
 _SWING = Column("swing\n(m)", "swing_m")
 _APART = Column("apart\n(m)", "separation_min_m", 1.0, 3)
 _AGE = Column("age\n(tick)", "plan_age_mean_ticks")
+_ERROR = Column("error rms\n(cm)", "payload_rms_m", 100.0, 2, True)
+_LARGEST_ERROR = Column("largest\n(cm)", "payload_max_m", 100.0, 1)
 _COLUMNS = [
     _DIVERGED,
     _COST,
@@ -193,16 +195,19 @@ _COLUMNS = [
     _AGE,
 ]
 
-# Columns of experiments whose points have a label: plans that are not sent, speeds, and teams,
-# which are timed.
+# Columns of experiments whose points have a label: weather, plans that are not sent, speeds, and
+# teams, which are timed.
 _FURTHER = {
+    "weather": [
+        *(_DIVERGED, _ERROR, _LARGEST_ERROR),
+        *(_COST, _RATIO, _ATTITUDE, _APART, _AGE),
+    ],
     "share_threshold": [
         Column("plans\nsent (%)", "plans_shared_share", 100.0, 1, True),
         *(_COST, _RATIO, _ATTITUDE, _AGE),
     ],
     "speed_mps": [
-        Column("error rms\n(cm)", "payload_rms_m", 100.0, 2, True),
-        Column("largest\n(cm)", "payload_max_m", 100.0, 1),
+        *(_ERROR, _LARGEST_ERROR),
         *(_DIVERGED, _RATIO, _ATTITUDE, _APART, _AGE),
     ],
     "ownership": [

@@ -22,6 +22,8 @@ from transport.report.summary_texts import (
 ACCURATE = 1e-6
 # Number of faults in the table, so that it fits a screen.
 _SHOWN_FAULTS = 20
+# Mean NEES from which a filter is said to be inconsistent, as a multiple of that of a consistent one.
+_INCONSISTENT = 10.0
 # Degrees of freedom of a pose, the mean NEES of a consistent filter.
 _POSE_AXES = 6
 _MS_PER_S = 1e3
@@ -161,7 +163,13 @@ def _estimate(estimate: Mapping[str, Any]) -> str:
     """Return errors of the estimates and how they match their covariance."""
     accuracy = "payload rms {position_rms_m:.3f} m, {attitude_rms_deg:.2f} deg".format(**estimate)
     nis = number_text(estimate["nis"], "{:.2f}")
-    return f"{accuracy}; NEES {estimate['nees']:.1f} of {_POSE_AXES}, NIS {nis} of 1"
+    consistency = f"NEES {estimate['nees']:.1f} of {_POSE_AXES}, NIS {nis} of 1"
+    if estimate["nees"] > _INCONSISTENT * _POSE_AXES:
+        consistency += (
+            ": far more wrong than it says; forces of wind or mass, if any, are estimated with "
+        )
+        consistency += "controller.disturbance.estimate=true"
+    return f"{accuracy}; {consistency}"
 
 
 def _constraint_rows(summary: _Summary) -> Iterator[_Row]:
