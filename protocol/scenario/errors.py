@@ -11,7 +11,13 @@ from transport.model.arrays import ShapeError
 from transport.model.parameters import ParameterError
 from transport.mpc.feedback import FeedbackError
 from transport.mpc.settings import SettingsError
-from transport.protocol.scenario.keys import milliseconds, names_of, out_of_range, section_in
+from transport.protocol.scenario.keys import (
+    milliseconds,
+    names_of,
+    out_of_range,
+    section_in,
+    short_names,
+)
 from transport.protocol.scenario.origins import Origin, source_of
 from transport.protocol.wire.errors import MessageError, TransportError
 from transport.protocol.wire.exit_codes import EXIT_SCENARIO
@@ -22,6 +28,9 @@ S = TypeVar("S", bound=BaseModel)
 # Keys whose name has changed, by their old one.
 RENAMED = {"samples": "samples_s"}
 
+# Of a share: 100 %, and the least number that is taken for one in per cent.
+_PERCENT = 100.0
+_LEAST_PERCENT = 2.0
 _LONGEST_SHOWN = 80  # characters of a value that an error repeats
 _SIMILAR = 0.5  # similarity from which on a known name is offered for a mistyped one
 
@@ -172,7 +181,11 @@ def _problem_text(problem: Mapping[str, Any], section: type[BaseModel]) -> str:
     """Return one of pydantic's problems within a section in words."""
     kind = problem["type"]
     if kind == "extra_forbidden":
-        return f"unknown key; {hint(str(problem['loc'][-1]), names_of(section))}"
+        name = str(problem["loc"][-1])
+        full = short_names().get(name)
+        if full is not None and len(problem["loc"]) == 1:  # a short name of Python
+            return f"unknown key; did you mean {full!r}?"
+        return f"unknown key; {hint(name, names_of(section))}"
     if kind == "missing":
         return "expected a value, got nothing"
     if kind == "value_error":  # of a validator, whose text says all
@@ -180,9 +193,12 @@ def _problem_text(problem: Mapping[str, Any], section: type[BaseModel]) -> str:
 
     value = problem["input"]
     if kind == "less_than_equal" and isinstance(value, int | float):
-        asked = milliseconds(str(problem["loc"][-1]), value, problem["ctx"]["le"])
+        largest = problem["ctx"]["le"]
+        asked = milliseconds(str(problem["loc"][-1]), value, largest)
         if asked:
             return asked
+        if largest == 1.0 and _LEAST_PERCENT <= value <= _PERCENT:
+            return f"expected a share, at most 1, got {value:g}: did you mean {value / _PERCENT:g}?"
 
     expected = problem["msg"].replace("Input should be", "expected")
     if isinstance(value, tuple):  # lists of numbers become tuples

@@ -28,7 +28,7 @@ ONE_LINE = {
     "run --port x": "invalid value for '--port'",
     "run paper windy": "unexpected extra argument",
     "agent": "missing option '--id'",
-    "link set --loss 2": "loss: expected less than or equal to 1, got 2.0",
+    "link set --loss 2": "loss: expected a share, at most 1, got 2: did you mean 0.02?",
     "link set --distribution foo": "distribution: expected 'uniform', 'normal', 'exponential', 'lognormal' or",
     "view": "expected a run folder, got none, and there is no run in runs/",
     "plot": "expected a run folder, got none, and there is no run in runs/",

@@ -6,6 +6,7 @@ an exit code here.
 
 import gc
 import inspect
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
@@ -15,8 +16,6 @@ from typing import Annotated, Any, ClassVar, get_origin
 
 import typer
 from typer.core import TyperCommand, TyperGroup
-
-from transport.cli.setting_words import rejoin_settings
 
 _PLAIN: dict[str, Any] = {
     "add_completion": False,
@@ -134,7 +133,10 @@ class LazyGroup(TyperGroup):
 
     def main(self, *arguments: Any, **options: Any) -> Any:
         """Run the command line; a usage error is one line, like every other error."""
-        rejoin_settings()
+        if os.environ.get("_TRANSPORT_COMPLETE"):
+            from transport.cli.setting_words import rejoin_settings
+
+            rejoin_settings()
         try:
             code = super().main(*arguments, **options | {"standalone_mode": False})
         except typer.TyperException as error:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
+from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
@@ -147,7 +148,16 @@ def run_folder(given: Path | None) -> Path:
     """
     if given is not None:
         in_runs = RUNS / given
-        return in_runs if not given.exists() and in_runs.exists() else given
+        if given.exists():
+            return given
+        if in_runs.exists():
+            return in_runs
+        folders = newest_runs()
+        known = [*map(str, folders), *(folder.name for folder in folders)]
+        similar = get_close_matches(str(given), known, n=1)
+        if similar:
+            fail(f"{given}: no such run; did you mean {similar[0]}?")
+        return given
 
     runs = newest_runs()
     if not runs:
