@@ -16,7 +16,8 @@ from transport.log.run_log import RunLog, missing, read_log, setup_in, topic_of
 from transport.log.tables import INPUT_NAMES, RATE_NAMES, Row, columns, tables
 from transport.log.whole_files import write_csv
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.wire.messages import KINDS, Control
+from transport.protocol.wire.codec import encode
+from transport.protocol.wire.messages import KINDS, Control, Message
 
 LogArgument = Annotated[
     Path | None,
@@ -71,14 +72,25 @@ def info(path: LogArgument = None, output: FormatOption = Format.text) -> None:
 
 
 def _topics(log: RunLog) -> list[dict[str, Any]]:
-    """Return a row for each topic of a log, with its number of messages and its ticks."""
-    ticks_by_topic: dict[str, list[int]] = {}
+    """Return a row for each topic of a log: its messages, their mean length, and their ticks."""
+    by_topic: dict[str, list[Message]] = {}
     for entry in log.messages:
-        ticks_by_topic.setdefault(topic_of(entry.message), []).append(entry.message.tick)
-    return [
-        {"topic": topic, "messages": len(ticks), "first_tick": min(ticks), "last_tick": max(ticks)}
-        for topic, ticks in sorted(ticks_by_topic.items())
-    ]
+        by_topic.setdefault(topic_of(entry.message), []).append(entry.message)
+
+    topics = []
+    for topic, messages in sorted(by_topic.items()):
+        ticks = [message.tick for message in messages]
+        lengths = [len(encode(message)) for message in messages]
+        topics.append(
+            {
+                "topic": topic,
+                "messages": len(messages),
+                "mean_bytes": round(sum(lengths) / len(lengths)),
+                "first_tick": min(ticks),
+                "last_tick": max(ticks),
+            }
+        )
+    return topics
 
 
 def _gaps(log: RunLog, setup: Setup | None) -> list[str]:
