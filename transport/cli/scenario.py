@@ -13,7 +13,7 @@ from transport.cli.output import Format, blame, fail, show
 from transport.flight.run_files import checked
 from transport.interface.scenario import Scenario
 from transport.model.state import INPUTS
-from transport.protocol.scenario.budget import estimate
+from transport.protocol.scenario.budget import check_budget, estimate
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.radio_settings import slot_lengths
 from transport.protocol.scenario.setup import Setup
@@ -85,6 +85,11 @@ def new(
         thrusts = hover_thrusts(setup)
         team = f"{uavs} UAVs, {len(setup.agents)} agents, {thrusts}"
         command = f"transport run {shlex.quote(str(out))}"
+        try:
+            check_budget(made.validated, str(out))
+        except ScenarioError as error:
+            typer.echo(str(error), err=True)
+            command += " --allow-large"
         typer.echo(f"{team}; run it with: {command}", err=True)
 
 
