@@ -68,6 +68,15 @@ class ScenarioError(TransportError, ValueError):
 class HoverError(ScenarioError):
     """A limit that hover exceeds, as masses and limits do not fit."""
 
+    def blaming(self, settings: Sequence[str]) -> "ScenarioError":
+        """Return the same error with the settings of the limit, else with those of the bodies."""
+        blamed = super().blaming(settings)
+        of_bodies = [setting for setting in settings if key_of(setting).startswith("system.")]
+        if blamed is not self or not of_bodies:
+            return blamed
+        given = " ".join(option(setting) for setting in of_bodies)
+        return HoverError(f"{self.source} with {given}", self.field, self.problem)
+
 
 class RequestError(TransportError, MessageError):
     """A change of links or a target that is refused; the text has expected and got."""

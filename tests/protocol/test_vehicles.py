@@ -115,5 +115,8 @@ def test_errors_name_the_source_of_the_value(tmp_path: Path) -> None:
         template.resized(4, vehicle=file, load_kg=40.0)
 
     made = template.resized(4, vehicle=file, load_kg=2.0)
-    with pytest.raises(ScenarioError, match=r"own\.toml: controller\.limits\.thrust_N: .*hover"):
+    changed = (
+        r"own\.toml with system\.payload\.mass_kg=40\.0: controller\.limits\.thrust_N: .*hover"
+    )
+    with pytest.raises(ScenarioError, match=changed):
         made.system.payload.mass_kg = 40.0
