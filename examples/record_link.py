@@ -3,16 +3,19 @@
 On one computer:   python record_link.py answer
 On the other one:  python record_link.py record ADDRESS FILE [SECONDS]
 
-The delay of a message is half of its round trip; a message without an answer is lost.
+The delay of a message is half of its round trip; a message without an answer is lost. SECONDS are 60
+by default; Ctrl-C ends the recording earlier and writes what there is.
 """
 
 import socket
 import struct
 import sys
 import time
+from contextlib import suppress
 
 PORT = 7450
 PERIOD_S = 0.05
+EVERY_S = 10.0  # between lines of progress
 MESSAGE_BYTES = 1500  # of a plan of one UAV over 20 steps
 _NUMBER = struct.Struct("<q")
 
@@ -33,10 +36,16 @@ def record(address: str, path: str, seconds: float = 60.0, port: int = PORT) -> 
     count = max(2, round(seconds / PERIOD_S))
     round_trips_s: dict[int, float] = {}
     sent_s: list[float] = []
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
+    with (
+        suppress(KeyboardInterrupt),
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened,
+    ):
         begin_s = time.monotonic()
         # Answers to the last message are awaited for a second.
         for number in range(count + round(1.0 / PERIOD_S)):
+            if number % round(EVERY_S / PERIOD_S) == 0:
+                answers = f"{len(round_trips_s)} of {len(sent_s)} messages answered"
+                print(f"{number * PERIOD_S:.0f} of {seconds:g} s: {answers}", file=sys.stderr)
             if number < count:
                 sent_s.append(time.monotonic())
                 opened.sendto(_NUMBER.pack(number).ljust(MESSAGE_BYTES, b"\0"), (address, port))
@@ -52,11 +61,11 @@ def record(address: str, path: str, seconds: float = 60.0, port: int = PORT) -> 
 
     with open(path, "w", encoding="utf-8") as file:  # noqa: PTH123  # the path is a text of the user
         file.write("t_s,delay_s\n")
-        for number in range(count):
+        for number in range(len(sent_s)):
             round_trip_s = round_trips_s.get(number)
             delay = "lost" if round_trip_s is None else f"{round_trip_s / 2.0:.6f}"
             file.write(f"{number * PERIOD_S:.3f},{delay}\n")
-    return count - len(round_trips_s)
+    return len(sent_s) - len(round_trips_s)
 
 
 if __name__ == "__main__":
