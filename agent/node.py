@@ -1,10 +1,9 @@
 """An agent as a state machine: one measurement in, one plan out.
 
-A measurement opens its tick. In lockstep the agent then waits for the plans of the tick before that
-the clock waited for (they may still be on their way), plans, and answers; with several iterations
-of negotiation it exchanges plans with the others within the tick before that. In real time it does
-not wait: it uses the messages received by the time it is free, and of several measurements the
-newest.
+A measurement opens its tick k. In lockstep the agent then waits for the plans of tick k - 1 that the
+coordinator received, as they may still be on their way. With several iterations of negotiation it
+next exchanges proposals with the others, and only then sends its plan. In real time it does not
+wait: when it is free it uses the messages that are here, and of several measurements the newest.
 """
 
 from collections import deque
@@ -72,12 +71,12 @@ class AgentNode(Participant):
         )
         self._measurement: Measurement | None = None  # of the open tick, until its step begins
         self._step: OpenStep | None = None  # being negotiated
-        # Others' proposals by tick and exchanges to come, and agent.
+        # Proposals of the others by tick and iterations still to come, then by agent.
         self._proposals: dict[tuple[int, int], dict[int, Plan]] = {}
 
     @property
     def wake_ns(self) -> int | None:
-        """Time of the next poll: in real time at once when a measurement is here, else none."""
+        """Time of the next poll, ns: 0, at once, in real time with a measurement; else None."""
         is_due = self._measurement is not None and not self._waits
         return 0 if is_due else None
 
@@ -95,7 +94,10 @@ class AgentNode(Participant):
         return self._work(now_ns, polled=True)
 
     def check_moment(self, message: Message) -> None:
-        """Refuse also measurements of earlier starts. Raises: MessageError: with the reason."""
+        """Refuse also a measurement sent before this start of the agent was put on the roster.
+
+        Raises: MessageError: with the reason.
+        """
         super().check_moment(message)
         is_off_roster = self._agent not in self._membership.since
         if not isinstance(message, Measurement) or not is_off_roster:
@@ -107,6 +109,7 @@ class AgentNode(Participant):
     # Messages that arrive.
 
     def _head(self, target: Target) -> None:
+        """Keep a target until its tick, with the run that has it (`self._setup` by now)."""
         self._targets.append((target.tick, self._setup))
 
     def _take(self, message: Message, now_ns: int) -> None:
@@ -185,8 +188,8 @@ class AgentNode(Participant):
         k = measurement.tick
         membership = self._membership
 
-        # A message is usable when its link says so, even if it is here earlier, and in an order of
-        # its own.
+        # The simulated link decides when a message may be used, and in which order, not its arrival
+        # at this process.
         plans, lost_plans = self._plans.take(k, now_ns)
         measurements, _ = self._measurements.take(k, now_ns)
         self._forget_before(k)

@@ -93,7 +93,7 @@ class CoordinatorNode:
 
     @property
     def wake_ns(self) -> int | None:
-        """Next pacing, barrier or real-time deadline."""
+        """Time of the next poll, ns: end of a timeout, or opening of the next tick; None without."""
         if self.state in (State.WAITING, State.STOPPED):
             return None
         if self.state is State.HELD:
@@ -127,7 +127,10 @@ class CoordinatorNode:
         if self.state is State.HELD:
             if now_ns < self._clock.hold_ends_ns:
                 return ()
-            return [self._roster.give_up(self.tick + 1), *self._advance(now_ns)]
+            # Without the agents given up the tick is not held again.
+            gave_up = self._roster.give_up(self.tick + 1)
+            opened = self._advance(now_ns)
+            return [gave_up, *opened]
 
         expired = now_ns >= self._clock.expires_ns
         if expired and self.state is State.DIVERGED:
@@ -284,7 +287,10 @@ class CoordinatorNode:
         return self._lose([agent], f"{name} is gone", now_ns)
 
     def _lose(self, agents: Collection[int], reason: str, now_ns: int) -> Sequence[Message]:
-        """Take agents off the roster, and continue or end the run by `clock.on_agent_loss`."""
+        """Take agents off the roster, and continue or end the run by `clock.on_agent_loss`.
+
+        Before the first tick the run ends.
+        """
         reason = f"{reason} at {self._roster.time(max(self.tick, 0))}"
         if self._setup.scenario.clock.on_agent_loss == "abort" or self.state is State.WAITING:
             return self._stop(EXIT_UNREACHABLE, reason)
@@ -340,6 +346,7 @@ class CoordinatorNode:
         tick = self.tick + 1
         joined, changes = self._roster.begin(tick)
         air = [] if self._air is None else self._air.opened(tick, self._roster.members - joined)
+        # Before the resets below: it tells who answered the tick before.
         opened = self._tick_message(tick, now_ns)
 
         self.tick = tick

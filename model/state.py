@@ -35,6 +35,9 @@ VELOCITY = slice(3, 6)  # inertial frame, m/s
 SPECIFIC_FORCE = slice(12, 15)  # acceleration minus gravity, UAV body frame, m/s^2
 # Numbers that a plan reports of a tick: 1 if it is known, else 0; measurements; inputs until then.
 REPORTED = 1 + SENSED + INPUTS
+IS_KNOWN = 0
+SENSED_VALUES = slice(1, 1 + SENSED)
+REPORTED_INPUTS = slice(1 + SENSED, REPORTED)
 REPORTS = 4  # of the last ticks, the newest first
 
 # Largest plausible state, input or correction, SI; results computed from such numbers stay far

@@ -1,4 +1,7 @@
-"""The reference of a run at its sampling instants, as a value: with a target it is another one."""
+"""The reference of a run at its sampling instants.
+
+It never changes: a target gives a new one.
+"""
 
 import math
 from dataclasses import dataclass, field
@@ -13,7 +16,8 @@ from transport.model.maneuver import Maneuver
 from transport.model.target import Target
 from transport.mpc.shared import SharedResults
 
-# Instants before a target for which the law before it is kept: more than estimators look back.
+# Instants before a target for which a track and its gains are kept: more than estimators look back
+# (`WINDOW` of agent/estimation/history.py).
 KEPT = 128
 
 # References with targets, which all nodes of a process follow: sampled once.
@@ -22,9 +26,9 @@ _WITH_TARGETS: SharedResults["Reference"] = SharedResults()
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Change:
-    """Part of a reference that its newest target has changed: until it is at rest."""
+    """The part of a reference from its newest target on, until the payload is at rest."""
 
-    first: int  # instant from which on it is another one than before
+    first: int  # first instant at which it differs from the reference before the target
     X: Array  # states from then on, (L, n); the last one is held
     track: Track | None  # with a flat reference, that at the same instants
 
@@ -35,7 +39,7 @@ class Sampled:
 
     X: Array  # states, (K, n), SI
     Y: Array = field(default_factory=lambda: np.zeros((0, 0)))  # outputs, (K, 4 N + 9), SI
-    track: Track | None = None  # states and inputs of a flat reference
+    track: Track | None = None  # of a flat reference; after a target it begins at `track.first`
     change: Change | None = None  # by the newest target
 
     @property
@@ -51,8 +55,8 @@ class Sampled:
 class Reference:
     """Reference of a maneuver: outputs and states at any time, and sampled for controllers.
 
-    It is sampled when that is first needed, with the same numbers whenever that is. After a target
-    the samples before it stay as they were, bit for bit.
+    It is sampled at its first use; the numbers do not depend on when that is. After a target the
+    samples before it stay as they were, bit for bit.
     """
 
     def __init__(
@@ -103,7 +107,7 @@ class Reference:
     @property
     def sampled(self) -> Sampled:
         """The reference of controllers at the sampling instants."""
-        # From the newest reference that has samples, one target after the other.
+        # Go back to the newest reference with samples, then add one target after the other.
         pending: list[Reference] = []
         reference = self
         while reference._sampled is None and reference._before is not None:
@@ -116,7 +120,7 @@ class Reference:
         for later in reversed(pending):
             samples = later._changed(samples)
             later._sampled = samples
-            later._before = None
+            later._before = None  # not needed any more
         return samples
 
     def _whole(self) -> Sampled:
@@ -132,13 +136,15 @@ class Reference:
         """Return the samples after the newest target, from those before it."""
         target = self.maneuver.targets[-1]
         first = round(target.since_s / self._period_s)
-        at_rest = min(math.ceil(target.ends_s / self._period_s) + 2, self._instants)
-        Y_part, X_part = self._path.followed(self.times_s[first:at_rest])
+        # The last row is held: at rest, also where the division by the period has been rounded down.
+        last = math.ceil(target.ends_s / self._period_s) + 1
+        behind = min(last + 1, self._instants)
+        Y_part, X_part = self._path.followed(self.times_s[first:behind])
         frozen(X_part)
 
         part = None
         if isinstance(self._path, FlatReference):
-            part = self._path.track(at_rest - first, self._period_s, first)
+            part = self._path.track(behind - first, self._period_s, first)
         track = part
         if part is not None and before.track is not None:
             track = continued(before.track, part, KEPT)
@@ -153,7 +159,7 @@ class Reference:
 
 
 def _replaced(whole: Array, part: Array, first: int) -> Array:
-    """Return rows with others from `first` on; those behind are like the last of them."""
+    """Return a copy with a part from row `first` on, whose last row is repeated to the end."""
     rows = whole.copy()
     after = first + len(part)
     rows[first:after] = part

@@ -51,11 +51,13 @@ def main() -> "NoReturn":
             _serve()
         else:
             code = _code_of_command()
-    except KeyboardInterrupt:  # between the last steps
+    except KeyboardInterrupt:  # between the command's last step and the handlers of `_end`
         code = EXIT_INTERRUPTED
+    except BaseException as error:  # noqa: BLE001  # `_end` leaves no time for Python's own report
+        code = _code_of_error(error)
     finally:
         while True:
-            with suppress(KeyboardInterrupt):  # before its first step
+            with suppress(KeyboardInterrupt):  # until `_end` has its own handlers
                 _end(code)
 
 
@@ -102,7 +104,7 @@ def _code_of_error(error: BaseException) -> int:
     return 1
 
 
-def _serve() -> None:
+def _serve() -> "NoReturn":
     """Be the fork server (`transport.flight.fork_server`), whose processes begin with `main`."""
     import itertools
     import socket
@@ -115,8 +117,11 @@ def _serve() -> None:
     from transport.flight.fork_server import serve
 
     def prepare(arguments: list[str]) -> None:
+        """Compute the model of a run once: the processes share its memory."""
+        scenario = arguments[arguments.index("--scenario") + 1]
         settings = [value for option, value in itertools.pairwise(arguments) if option == "--set"]
-        read_setup(arguments[arguments.index("--scenario") + 1], settings, allow_large=True).model  # noqa: B018
+        setup = read_setup(scenario, settings, allow_large=True)  # `transport run` has checked it
+        _ = setup.model  # computed and kept when it is first asked for
 
     for name in (
         "transport.cli.main",

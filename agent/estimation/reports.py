@@ -10,10 +10,6 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.wire.messages import Measurement, Plan
 
-# Places in the row of a tick in a plan, see `model.state.REPORTED`.
-VALUES = slice(1, 1 + state.SENSED)
-INPUTS = slice(1 + state.SENSED, state.REPORTED)
-
 
 class UavReport(NamedTuple):
     """A UAV at a tick."""
@@ -77,7 +73,7 @@ class Reports:
     def rows(self, k: int, uavs: Sequence[int]) -> Array:
         """Return measurements and inputs of some UAVs for a plan of tick k, (uavs, 80).
 
-        They are those of the last ticks, so that a lost plan takes none of them.
+        Each plan repeats those of the last ticks: the loss of one plan loses no measurement.
         """
         rows = np.zeros((len(uavs), state.REPORTS, state.REPORTED))
         for age in range(state.REPORTS):
@@ -85,9 +81,9 @@ class Reports:
             for index, uav in enumerate(uavs):
                 report = reports.get(uav)
                 if report is not None:
-                    rows[index, age, 0] = 1.0
-                    rows[index, age, VALUES] = report.values
-                    rows[index, age, INPUTS] = report.inputs
+                    rows[index, age, state.IS_KNOWN] = 1.0
+                    rows[index, age, state.SENSED_VALUES] = report.values
+                    rows[index, age, state.REPORTED_INPUTS] = report.inputs
         return rows.reshape(len(uavs), -1)
 
     def forget_before(self, tick: int) -> None:

@@ -16,14 +16,14 @@ from transport.agent.estimation.history import History, Recursion
 from transport.agent.estimation.motion import Failure, Motion
 from transport.agent.estimation.noise import OthersErrors
 from transport.agent.estimation.payload_pose import NAMES, pose_numbers
-from transport.agent.estimation.reports import INPUTS, VALUES, News, Reports, UavReport, by_uav
+from transport.agent.estimation.reports import News, Reports, UavReport, by_uav
 from transport.agent.estimation.team_filter import Filter, Period, Sensed
 from transport.model import state
 from transport.model.arrays import Array, ShapeError
 from transport.protocol.wire.messages import Measurement, Plan
 
-# Gain of the shared control law at a tick, (m, n), with motor lag (m, n + m); of UAVs without
-# agents their fail-safe's.
+# Gain of the shared control law at a tick, (m, n), with motor lag (m, n + m). Rows of UAVs without an
+# agent hold the gain of the fail-safe.
 Feedback = Callable[[int], Array]
 
 
@@ -81,10 +81,14 @@ class SensorEstimator:
             return
         self.news.take(plan)
         for uav, rows in zip(plan.uavs, plan.uav_states, strict=True):
-            for age, row in enumerate(rows.reshape(state.REPORTS, state.REPORTED)):
-                if row[0] > 0.0 and self._is_news(plan.tick - age, uav - 1):
-                    report = UavReport(values=row[VALUES], inputs=row[INPUTS])
-                    self._tell(plan.tick - age, uav - 1, report)
+            newest_first = rows.reshape(state.REPORTS, state.REPORTED)
+            for age, row in enumerate(newest_first):
+                tick = plan.tick - age
+                if row[state.IS_KNOWN] > 0.0 and self._is_news(tick, uav - 1):
+                    report = UavReport(
+                        values=row[state.SENSED_VALUES], inputs=row[state.REPORTED_INPUTS]
+                    )
+                    self._tell(tick, uav - 1, report)
 
     def measure(self, measurement: Measurement) -> None:
         """Take in a measurement of a tick not later than the one to be estimated."""
@@ -94,7 +98,7 @@ class SensorEstimator:
                 self._tell(measurement.tick, uav, report)
 
     def _is_news(self, tick: int, uav: int) -> bool:
-        """Return whether a report of a UAV, 0-based, would change an estimate: most are repeats."""
+        """Return whether a report of a UAV, 0-based, is new: most repeat one of an earlier plan."""
         return self._history.keeps(tick) and not self._reports.has(tick, uav)
 
     def _tell(self, tick: int, uav: int, report: UavReport) -> None:
@@ -134,7 +138,7 @@ class SensorEstimator:
         return None if entry is None else entry.posterior.x
 
     def start_state(self, tick: int) -> Array | None:  # noqa: ARG002  # of any tick
-        """Return None: a plan's first step differs from the law by its sender's errors."""
+        """Return None: a plan differs at its first step mostly by its sender's estimation error."""
         return None
 
     def inputs_until(self, k: int, announced: AnnouncedInputs) -> Array:
@@ -149,7 +153,7 @@ class SensorEstimator:
     def reported(self, k: int, x: Array) -> Array:  # noqa: ARG002  # measurements, not the estimate
         """Return measurements and inputs of the own UAVs for the plan of tick k, (owned, 80).
 
-        They are those of the last ticks, so that a lost plan takes none of them.
+        Each plan repeats those of the last ticks: the loss of one plan loses no measurement.
         """
         return self._reports.rows(k, self._owned)
 
@@ -170,17 +174,23 @@ class SensorEstimator:
 
     def _period(self, belief: Belief, tick: int, announced: AnnouncedInputs, k: int) -> Period:
         """Return the period after `tick` as it is understood at tick k."""
+        # What plans announced, replaced in place by what UAVs have reported: a report at tick + 1
+        # has the inputs that acted from `tick` on.
         u = announced.in_force(tick, before=k, x=belief.x)
-        untold = announced.untold(tick, before=k)
         self._reports.apply_inputs(tick + 1, u)
+
+        # Inputs that are not told answer to the state: du = K dx. The gain is that of the law of
+        # now, whenever the covariance is computed.
+        untold = announced.untold(tick, before=k)
         for uav in self._reports.uavs(tick + 1):
             untold.tell(uav)
-
-        # The gain is that of the law of now, whenever the covariance is computed.
         K = self._feedback(tick) if untold.any() else None
+
+        # x(k' + 1) of k' = tick, under the estimated forces: (13b).
+        forces = self._filter.forces(belief)
         return Period(
             model=self._motion.model_at(tick),
-            end=self._motion.predict(belief.x, tick, u, self._filter.forces(belief)),
+            end=self._motion.predict(belief.x, tick, u, forces),
             u=u,
             untold=untold,
             K=K,
@@ -201,7 +211,8 @@ class SensorEstimator:
         if posterior is not None:
             return Tick(prior=entry.prior, posterior=posterior)
 
-        # Out of range: begin anew about the reference. What led there may be a measurement of now.
+        # Out of range: begin anew about the reference. The cause may be a measurement of this tick:
+        # then without it.
         self.resets.add(tick)
         anew = self._filter.first(self._motion.reference_at(tick))
         return Tick(prior=anew, posterior=self._plausible(anew, tick) or anew)
@@ -219,7 +230,10 @@ class SensorEstimator:
         return self._reports.uavs(tick).get(uav)
 
     def _sensed(self, tick: int) -> list[Sensed]:
-        """Return all measurements of quantities at a tick."""
+        """Return all measurements of quantities at a tick.
+
+        A sensor of age d reports at tick k + d what was at tick k: z(k + d) = h(x(k)).
+        """
         sensed = []
         for age, sensors in self._sensors_by_age:
             reports = self._reports.uavs(tick + age)

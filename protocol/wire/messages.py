@@ -372,7 +372,7 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
     shared: bool  # whether the other agents receive it: it travels under another key if not
     uavs: Ids  # owned UAVs, 1-based ids, ascending
     # Their states at `tick`, (owned, 12), SI; with `plant.sensors` vehicle the measurements and
-    # inputs of the last four ticks, (owned, 80), so that a lost message takes none of them
+    # inputs of the last four ticks, (owned, 80): the loss of one plan loses no measurement
     # (`model.state.REPORTED`).
     uav_states: Array
     # Absolute inputs per step from `start_tick` on, (steps, 4 owned), N and N m or rad/s.

@@ -12,7 +12,15 @@ from typer.testing import CliRunner, Result
 from tests.support import logs, runs
 from transport.cli.main import app
 from transport.model import state
-from transport.protocol.wire.messages import KINDS, Message, Plan, PlantState, StepReport
+from transport.protocol.wire.messages import (
+    KINDS,
+    Airtime,
+    Message,
+    Plan,
+    PlantState,
+    StepReport,
+    Target,
+)
 
 KILL = (
     *(
@@ -136,6 +144,31 @@ def test_tables_hold_the_bits(flight: tuple[Path, list[Message]], tmp_path: Path
     assert float(planned["correction_thrust_N[0]"]) == plan.corrections[0, 0]
     reports = [message for message in messages if isinstance(message, StepReport)]
     assert len(rows(tmp_path / "report.csv")) == len(reports)
+
+
+@pytest.mark.parametrize("form", ["--csv", "--parquet"])
+def test_targets_and_airtime_have_tables(form: str, tmp_path: Path) -> None:
+    """Their arrays are texts that read back as the same bits, in both formats."""
+    hover = "maneuver.phase=[{name='hover',duration_s=6.0,displacement_m=[0.0,0.0,0.0]}]"
+    target = "maneuver.target=[{at_s=0.5,points_m=[[0.4,0.1,-10.0]],speed_mps=0.5}]"
+    messages = logs.record_run(runs.setup(hover, "radio={}", target), tmp_path / "run")
+    sent = next(message for message in messages if isinstance(message, Target))
+    air = [message for message in messages if isinstance(message, Airtime)]
+
+    assert ask("export", tmp_path / "run", "--out", tmp_path, form).exit_code == 0
+    found = {}
+    for kind in ("target", "airtime"):
+        found[kind] = (
+            rows(tmp_path / f"{kind}.csv")
+            if form == "--csv"
+            else pq.read_table(tmp_path / f"{kind}.parquet").to_pylist()
+        )
+    points = np.array(found["target"][0]["points"].split(), dtype=np.float64)
+    assert points.tobytes() == sent.points.ravel().tobytes()
+    for row, one in zip(found["airtime"], air, strict=True):
+        arrivals = np.array(row["arrivals"].split(), dtype=np.float64)
+        assert arrivals.tobytes() == one.arrivals.ravel().tobytes()
+        assert row["plan_ticks"] == " ".join(map(str, one.plan_ticks))
 
 
 @pytest.mark.parametrize(

@@ -55,13 +55,13 @@ _SCENARIO = (
     "deaths, sharing: resilient; agile: eight). Repeatable."
 )
 _QUICK_SEEDS = 2
-# Drawing of the experiments whose runs are timed.
+# Experiments that are drawn so measure processor times.
 _TIMED = "scaling"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExperimentOptions:
-    """Options of all experiments, after the declaration of one, which has its defaults."""
+    """Options of one declared experiment: what is not given comes from its declaration."""
 
     declared: Experiment
 
@@ -129,6 +129,8 @@ class ExperimentOptions:
     ) -> tuple[Experiment, list[Case]]:
         """Return the experiment with its points for some of its own options, and all its runs.
 
+        With `simulated_before` the setups are not checked, which takes a second for a large team.
+
         Raises: ExperimentError: options are refused. ScenarioError: a scenario is refused.
         """
         experiment = self.declared.experiment(self.read(), given, quick=self.quick)
@@ -178,9 +180,9 @@ class ExperimentOptions:
 
 
 def _options_of(declared: Experiment) -> Callable[..., ExperimentOptions]:
-    """Return the options of an experiment.
+    """Return what makes the options of an experiment: values bound here are no options any more.
 
-    One with teams of its own takes no scenario and runs on this machine.
+    An experiment with teams of its own takes neither --scenario nor --dask.
     """
     bound: dict[str, Any] = {} if declared.scenarios else {"scenarios": None, "dask": None}
     return partial(ExperimentOptions, declared=declared, **bound)
@@ -206,27 +208,25 @@ def __getattr__(name: str) -> Callable[..., None]:
 
 
 def _parameter(name: str, values: Values) -> inspect.Parameter:
-    """Return an option as a parameter of its command.
-
-    None stands for a default that depends on `--quick`.
-    """
+    """Return an option as a parameter of its command."""
     is_list = isinstance(values.default, list)
-    is_open = is_list or values.quick is not None
-    option = Option(
-        f"--{name}",
-        metavar=values.metavar,
-        help=_help_of(values) if is_open else values.help,
-        min=values.least,
-        max=values.most,
-    )
+    example = values.default[0] if is_list else values.default
+    kind: Any = list[type(example)] if is_list else type(example)  # type: ignore[misc]
 
-    element = type(values.default[0] if is_list else values.default)
-    kind: Any = list[element] if is_list else element  # type: ignore[valid-type]
+    # With `--quick` another default may hold, and lists have none on the command line: None is the
+    # default then, and the help tells the values.
+    default = values.default
+    text = values.help
+    if is_list or values.quick is not None:
+        default = None
+        kind = kind | None
+        text = _help_of(values)
+
+    option = Option(
+        f"--{name}", metavar=values.metavar, help=text, min=values.least, max=values.most
+    )
     return inspect.Parameter(
-        name,
-        inspect.Parameter.KEYWORD_ONLY,
-        default=None if is_open else values.default,
-        annotation=Annotated[kind | None if is_open else kind, option],
+        name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option]
     )
 
 

@@ -66,9 +66,9 @@ def info(path: LogArgument = None, output: FormatOption = Format.text) -> None:
     }
 
     warnings = [("lost", Text(sentence, "yellow")) for sentence in lost]
-    tables = [rows(topics, "topic")] if topics else []
+    shown = [rows(topics, "topic")] if topics else []
     content = {**about, "lost": lost, "channels": topics}
-    show(output, content, facts([*about.items(), *warnings]), *tables)
+    show(output, content, facts([*about.items(), *warnings]), *shown)
 
 
 def _topics(log: RunLog) -> list[dict[str, Any]]:
@@ -188,7 +188,7 @@ def export(
 
 
 def _check_copy(option: str, target: Path) -> None:
-    """End the command if a copy of the log cannot have a name."""
+    """End the command if the file of a copy does not end in .mcap or already exists."""
     if target.suffix != ".mcap":  # players tell the format by it
         fail(f"{option}: expected a file name that ends in .mcap, got {target}")
     if target.exists():

@@ -26,8 +26,8 @@ from transport.protocol.wire.exit_codes import EXIT_DIFFERENT
 from transport.protocol.wire.messages import Measurement
 from transport.report.replay_figure import draw_replay
 
-# Smaller differences of inputs, N or N m, are rounding: other numbers on the way to the same
-# decision.
+# Smaller differences of thrusts, N, and of moments, N m, or body rates, rad/s, are rounding: other
+# numbers on the way to the same decision.
 _ROUNDING = 1e-6
 
 
@@ -218,12 +218,13 @@ def _verdict(agent: int, comparison: Comparison) -> list[str]:
         return [f"agent{agent}: all {comparison.plans} plans of {ticks} are identical, bit for bit"]
 
     different = comparison.plans - comparison.identical
+    beyond = comparison.first_beyond(_ROUNDING)
     return [
         f"agent{agent}: {different} of {comparison.plans} plans of {ticks} are different "
         f"from tick {first.tick} on",
         f"  first: {first.field} {first.where}: got {first.got}, expected {first.expected}",
-        f"  first tick with inputs that differ by more than {_ROUNDING:g} N or N m: "
-        f"{comparison.first_beyond(_ROUNDING)}",
+        f"  first tick with inputs that differ by more than {_ROUNDING:g} (SI): "
+        f"{'none' if beyond is None else beyond}",
     ]
 
 

@@ -18,7 +18,7 @@ from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
 Item = TypeVar("Item")
 Value = TypeVar("Value")
 
-# Timeout of the cluster, s.
+# Time within which the scheduler must answer the connection, s.
 _ANSWER_S = 15.0
 # Period at which a worker checks that its parent lives, s.
 _CHECK_S = 0.5
@@ -38,7 +38,7 @@ def on_cores(cases: Sequence[Case], jobs: int | None = None) -> Iterator[Result]
 def map_on_cores(
     function: Callable[[Item], Value], items: Sequence[Item], jobs: int | None = None
 ) -> Iterator[Value]:
-    """Apply a function to items in worker processes, in any order; one job is done in this process.
+    """Apply a function to items in worker processes, in any order; with one job in this process.
 
     Args:
         function: Picklable; returns one result.
@@ -90,7 +90,7 @@ class Workers:
         # Not loky alone: with all items in its queue its thread may raise while workers are killed.
         team = joblib.Parallel(
             n_jobs=self.jobs, return_as="generator_unordered", batch_size=1, max_nbytes=None,
-            initializer=_serve, initargs=(os.getpid(),),
+            initializer=_prepare_worker, initargs=(os.getpid(),),
         )  # fmt: skip
         try:
             yield from team(joblib.delayed(function)(item) for item in items)
@@ -149,7 +149,7 @@ def _check_threads(address: str, threads: Sequence[int]) -> None:
     raise refused("--dask", expected, got, EXIT_UNREACHABLE)
 
 
-def _serve(parent: int) -> None:
+def _prepare_worker(parent: int) -> None:
     """Prepare a worker: ignore Ctrl-C, which the parent handles, and end with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 

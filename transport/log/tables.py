@@ -3,12 +3,14 @@
 Arrays are flattened into columns whose names end in their units.
 """
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
+
+import numpy as np
 
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
-from transport.model.state import INPUTS, PAYLOAD, PER_UAV, SENSED
+from transport.model.state import INPUTS, IS_KNOWN, PAYLOAD, PER_UAV, SENSED, SENSED_VALUES
 from transport.protocol.wire.messages import (
     KINDS,
     STAGES,
@@ -45,14 +47,14 @@ SENSED_NAMES = (
 INPUT_NAMES = ("thrust_N", "moment_x_Nm", "moment_y_Nm", "moment_z_Nm")
 RATE_NAMES = ("thrust_N", "rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
 
-# Fields that are spread over several columns or rows.
-_SPREAD = {
-    # of measurements, plans and actual inputs
-    *("payload", "uavs", "uav_states", "inputs", "corrections", "data", "cables", "tensions"),
-    # of plant states, reports and notes
-    *("x", "u", "plan_ticks"),
-    *("peers", "plan_ages", "state_ages", "force", "times_ms"),
-    *("names", "values"),
+# Fields that `_spread` writes to columns or rows of their own, by kind of message.
+_SPREAD: Mapping[str, Collection[str]] = {
+    Measurement.kind: ("payload", "uavs", "uav_states", "inputs"),
+    Plan.kind: ("uavs", "uav_states", "inputs", "corrections", "data"),
+    StepReport.kind: ("peers", "plan_ages", "state_ages", "force", "times_ms"),
+    Note.kind: ("names", "values"),
+    PlantState.kind: ("x", "u", "plan_ticks"),
+    ActualInputs.kind: ("uavs", "inputs", "cables", "tensions"),
 }
 
 
@@ -64,8 +66,8 @@ def tables(
 ) -> dict[str, list[Row]]:
     """Return the messages of a log by kind, each row as values by column (docs/log.md).
 
-    Measurements, plans and actual inputs have one row per UAV, other messages one row. Tuples of
-    numbers become text with blanks in between.
+    Measurements, plans and actual inputs have one row per UAV, other messages one row. Ids and other
+    arrays become text with blanks in between.
 
     Args:
         log: The log.
@@ -87,14 +89,22 @@ def tables(
             "sequence": message.sequence,
         }
 
+        spread_fields = _SPREAD.get(message.kind, ())
         for name in message.__struct_fields__:
-            if name in row or name in _SPREAD:
-                continue
-            value = getattr(message, name)
-            row[name] = " ".join(map(str, value)) if isinstance(value, tuple) else value
+            if name not in row and name not in spread_fields:
+                row[name] = _cell(getattr(message, name))
 
         rows_by_kind[message.kind] += [row | spread for spread in _spread(message, commands)]
     return {kind: rows for kind, rows in rows_by_kind.items() if rows}
+
+
+def _cell(value: Any) -> Any:
+    """Return a field as a cell; ids and arrays, row by row, are text with blanks in between."""
+    if isinstance(value, np.ndarray):
+        return " ".join(map(repr, value.ravel().tolist()))  # reads back as the same bits
+    if isinstance(value, tuple):
+        return " ".join(map(str, value))
+    return value
 
 
 def columns(rows: list[Row]) -> list[str]:
@@ -181,8 +191,9 @@ def _uav_columns(values: Array) -> Row:
         return _named("", UAV_STATE_NAMES, values)
     if len(values) == SENSED:
         return _named("", SENSED_NAMES, values)
-    is_known = values[0] > 0.0
-    return _named("", SENSED_NAMES, values[1 : 1 + SENSED]) if is_known else {}
+    if values[IS_KNOWN] == 0.0:
+        return {}
+    return _named("", SENSED_NAMES, values[SENSED_VALUES])
 
 
 def _named(prefix: str, names: tuple[str, ...], values: Array) -> Row:

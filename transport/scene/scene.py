@@ -31,8 +31,8 @@ _AIR_S = 1.0
 class Air(NamedTuple):
     """The radio of the team over the last second."""
 
-    airtime_share: float
-    delivered_share: float | None  # None without plans
+    airtime_share: float  # of that second
+    delivered_share: float | None  # of the copies of plans; None without any
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,6 +114,11 @@ class SceneBuilder:
         attachments_I = [view.r0_I + R_payload @ uav.rho for uav in setup.system.uavs]
         error_m, cost = self.error_and_cost(tick)
 
+        # F_i = -f_i R_i e_z: with z down a UAV lifts along its body axis -z.
+        thrusts_N = plant_state.u[::INPUTS]
+        body_z_I = R_uavs[:, :, 2]
+        thrusts_I = -thrusts_N[:, None] * body_z_I
+
         return Scene(
             tick=tick,
             time_s=time_s,
@@ -124,7 +129,7 @@ class SceneBuilder:
             uavs_I=positions_I[1:],
             R_uavs=R_uavs,
             attachments_I=np.array(attachments_I),
-            thrusts_I=-plant_state.u[::INPUTS, None] * R_uavs[:, :, 2],
+            thrusts_I=thrusts_I,
             predictions=self._predictions.paths(tick),
             links=self._links(tick),
             members=frozenset(setup.agents if roster is None else roster.agents),
@@ -148,7 +153,7 @@ class SceneBuilder:
         for shown in range(tick - ticks + 1, tick + 1):
             news += self.history.airtimes.get(shown, [])
 
-        # Negative for lost ones.
+        # Times of arrival, s; lost copies have negative codes.
         arrivals = [one.of_sent() for one in news]
         decided = np.concatenate(arrivals) if arrivals else np.zeros(0)
         return Air(

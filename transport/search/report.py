@@ -32,6 +32,12 @@ _AFTER_S = 2.0  # shown after the failure
 _LONGEST_S = 15.0  # shown at most
 _WIDTH = 100  # columns of a comment
 _HEIGHT_IN = 0.9
+# Labels of the panels, by the measure that each shows.
+_LABELS = {
+    "attitude": "attitude (deg)",
+    "payload": "payload error (m)",
+    "separation": "distance (m)",
+}
 _SILENT = "#f3d9d9"
 _DEATH: Any = {"color": "#004488", "linewidth": 0.9, "linestyle": "--"}
 _TARGET: Any = {"color": "#D55E00", "linewidth": 0.9, "linestyle": "-."}
@@ -95,26 +101,29 @@ def _minimal(minimal: Minimal) -> dict[str, Any]:
 
 def in_words(minimal: Minimal) -> list[str]:
     """Return what happens in the minimal case, a sentence each."""
-    objective, evaluation = minimal.problem.objective, minimal.evaluation
+    objective = minimal.problem.objective
+    evaluation = minimal.evaluation
     events = [f"{_capital(event.in_words())}." for event in minimal.candidate.events]
     end = f"At {evaluation.end_s:g} s the run fails: {objective.in_words(evaluation.value)}"
     limit = f"(limit {objective.limit:g})."
-    fault = (
+    verdict = (
         "One agent for all UAVs with perfect information fails as well: the case is beyond physics."
         if minimal.beyond_physics
         else "One agent for all UAVs with perfect information survives the same weather and targets."
     )
 
-    return [*events, f"{end} {limit}", fault]
+    return [*events, f"{end} {limit}", verdict]
 
 
 def _capital(text: str) -> str:
+    """Return a text with a capital at its beginning."""
     return text[:1].upper() + text[1:]
 
 
 def scenario_text(minimal: Minimal) -> str:
     """Return the scenario of the minimal case as TOML, with a comment that says what happens."""
     scenario = minimal.candidate.scenario(minimal.problem.base)
+    # At most 40 characters, the longest name of a scenario.
     name = f"{minimal.problem.base.scenario.name[:32]}-worst"
     sentences = [f"Minimal case of a search on {minimal.problem.base.scenario.name}."]
     comment = [
@@ -125,7 +134,7 @@ def scenario_text(minimal: Minimal) -> str:
     tree = scenario.model_copy(update={"name": name}).model_dump(
         mode="json", by_alias=True, exclude_none=True, exclude_defaults=True
     )
-    tree = {"schema": scenario.tree()["schema"], **tree}
+    tree = {"schema": scenario.tree()["schema"], **tree}  # a default that each file must have
 
     return "\n".join(comment) + "\n" + tomli_w.dumps(tree)
 
@@ -145,10 +154,13 @@ def draw(figure: Figure, minimal: Minimal) -> Figure:
     setup, log = flown_again(minimal)
     series = series_of(setup, log)
     end_s = min(float(series.times_s[-1]), minimal.evaluation.end_s + _AFTER_S)
-    begin_s = min(end_s, _first_s(minimal.candidate.events)) - _BEFORE_S
-    begin_s = max(0.0, begin_s, end_s - _LONGEST_S)
+    first_s = _first_s(minimal.candidate.events)  # infinite: all of them last for the whole run
+    earliest_s = max(0.0, end_s - _LONGEST_S)
+    begin_s = max(earliest_s, min(end_s, first_s) - _BEFORE_S)
 
-    panels = column_panels(figure, [_HEIGHT_IN] * 3, legend=_legend(minimal.candidate.events))
+    objective = minimal.problem.objective
+    legend = _legend(minimal.candidate.events, objective.measure)
+    panels = column_panels(figure, [_HEIGHT_IN] * len(_LABELS), legend=legend)
     curves = _curves(series)
     shown = (series.times_s >= begin_s) & (series.times_s <= end_s)
 
@@ -157,14 +169,12 @@ def draw(figure: Figure, minimal: Minimal) -> Figure:
         panel.set_ylabel(label)
         _mark(panel, minimal.candidate.events)
         panel.set_xlim(begin_s, end_s)
-
-    limited = {"attitude": 0, "payload": 1, "separation": 2}.get(minimal.problem.objective.measure)
-    if limited is not None:
-        panels[limited].axhline(minimal.problem.objective.limit, **_LIMIT)
+        if label == _LABELS.get(objective.measure):
+            panel.axhline(objective.limit, **_LIMIT)
     return figure
 
 
-def _legend(events: Sequence[Event]) -> list[Line2D]:
+def _legend(events: Sequence[Event], measure: str) -> list[Line2D]:
     """Return the entries of the kinds of marks that the figure has."""
     kinds = {
         "silence": (Silence, {"color": _SILENT, "linewidth": 5.0}),
@@ -176,7 +186,9 @@ def _legend(events: Sequence[Event]) -> list[Line2D]:
         for name, (kind, style) in kinds.items()
         if any(isinstance(event, kind) for event in events)
     ]
-    return [*lines, Line2D([], [], label="limit", **_LIMIT)]
+    if measure in _LABELS:
+        lines.append(Line2D([], [], label="limit", **_LIMIT))
+    return lines
 
 
 def _first_s(events: Sequence[Event]) -> float:
@@ -189,9 +201,9 @@ def _first_s(events: Sequence[Event]) -> float:
 def _curves(series: Series) -> dict[str, Array]:
     """Return the curves of the panels by their labels, each (T,)."""
     return {
-        "attitude (deg)": series.attitude_max_deg,
-        "payload error (m)": np.linalg.norm(series.payload_error_I, axis=-1),
-        "distance (m)": series.separation_m,
+        _LABELS["attitude"]: series.attitude_max_deg,
+        _LABELS["payload"]: np.linalg.norm(series.payload_error_I, axis=-1),
+        _LABELS["separation"]: series.separation_m,
     }
 
 
