@@ -31,7 +31,7 @@ from tables import ROOT, place, put
 from transport.experiments.cases import ERROR, Case, Result, simulate
 from transport.experiments.workers import map_on_cores
 from transport.flight.progress import compile_models
-from transport.protocol.scenario.budget import most_workers
+from transport.protocol.scenario.budget import estimate, most_workers
 
 # Declarations by name: a table is planned only when it is needed, as that reads its scenarios.
 _EXPERIMENTS: Mapping[str, Callable[[], Measured]] = {
@@ -43,6 +43,10 @@ _OF_PAGES: Mapping[str, Callable[[], Measured]] = {
     for one in tables
 }
 TABLES = {**_EXPERIMENTS, **_OF_PAGES}
+
+
+# Time of a step with the Kalman filter over one without, about.
+_FILTER = 4.0
 
 
 class Task(NamedTuple):
@@ -74,13 +78,23 @@ def fly(tasks: Sequence[Task], *, one_at_a_time: bool = False) -> Iterator[tuple
     compile_models((task.case.scenario for task in tasks), Console(stderr=True))
     most = min(joblib.cpu_count(), most_workers(task.case.scenario for task in tasks))
     jobs = 1 if one_at_a_time else most
-    simulated = map_on_cores(_simulated, list(enumerate(tasks)), jobs)
+    # The longest first: a long one at the end would leave cores idle.
+    longest_first = sorted(enumerate(tasks), key=lambda numbered: -expected_s(numbered[1].case))
+    simulated = map_on_cores(_simulated, longest_first, jobs)
     for count, (index, result) in enumerate(simulated, start=1):
         task = tasks[index]
         if result.outcome == ERROR:
             raise SystemExit(f"{task.table}: {task.text}: {result.reason}")
         say(f"{count} of {len(tasks)} runs: {task.table}, {task.text}: {result.outcome}")
         yield task, result
+
+
+def expected_s(case: Case) -> float:
+    """Return about how long a run takes, s."""
+    scenario = case.scenario
+    budget = estimate(scenario)
+    steps_s = budget.ticks * len(scenario.owned) * budget.step_s
+    return _FILTER * steps_s if scenario.controller.estimator == "kalman" else steps_s
 
 
 def _simulated(numbered: tuple[int, Task]) -> tuple[int, Result]:
