@@ -77,10 +77,13 @@ def fly(tasks: Sequence[Task], *, one_at_a_time: bool = False) -> Iterator[tuple
     """
     compile_models((task.case.scenario for task in tasks), Console(stderr=True))
     most = min(joblib.cpu_count(), most_workers(task.case.scenario for task in tasks))
-    jobs = 1 if one_at_a_time else most
-    # The longest first: a long one at the end would leave cores idle.
-    longest_first = sorted(enumerate(tasks), key=lambda numbered: -expected_s(numbered[1].case))
-    simulated = map_on_cores(_simulated, longest_first, jobs)
+    numbered = list(enumerate(tasks))
+    jobs = 1
+    if not one_at_a_time:
+        jobs = most
+        # The longest first: a long one at the end would leave cores idle.
+        numbered.sort(key=lambda entry: -expected_s(entry[1].case))
+    simulated = map_on_cores(_simulated, numbered, jobs)
     for count, (index, result) in enumerate(simulated, start=1):
         task = tasks[index]
         if result.outcome == ERROR:
