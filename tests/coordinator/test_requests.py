@@ -159,7 +159,10 @@ def test_other_groups_are_refused(groups: Any) -> None:
             {"settings": {"samples_s": [0.125] * 200}},
             "settings: expected at most 1000 characters, got 1",
         ),
-        ({"settings": {"loss": 2.0}}, "loss: expected a share, at most 1, got 2: did you mean 0.02?"),
+        (
+            {"settings": {"loss": 2.0}},
+            "loss: expected a share, at most 1, got 2: did you mean 0.02?",
+        ),
     ],
 )
 def test_an_invalid_change_is_refused(given: dict[str, Any], problem: str) -> None:
