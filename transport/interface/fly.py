@@ -1,5 +1,6 @@
 """Simulating a run, loading a recorded one, and targets for an active one."""
 
+import sys
 import time
 from collections.abc import Sequence
 from os import PathLike
@@ -31,9 +32,11 @@ RUNS = Path("runs")
 def console(*, shown: bool) -> Console:
     """Return the console for progress, on standard error.
 
-    In a notebook it writes lines of text, without widgets.
+    In a notebook it writes lines of text, without widgets; kernels ask for colours (FORCE_COLOR),
+    which rich takes for a terminal.
     """
-    return Console(stderr=True, quiet=not shown, force_jupyter=False)
+    is_terminal = sys.stderr.isatty()
+    return Console(stderr=True, quiet=not shown, force_jupyter=False, force_terminal=is_terminal)
 
 
 def fly(
