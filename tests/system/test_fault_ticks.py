@@ -117,5 +117,6 @@ def test_a_stop_longer_than_a_connection_lasts(tmp_path: Path) -> None:
     """An agent stopped for 12 s at speed 1 loses its connections after 10 s, and returns at its tick."""
     hover = "maneuver.phase=[{name='hover',duration_s=13.0,displacement_m=[0,0,0]}]"
     events = "faults.event=[{at_s=0.5,target='agent2',do='stop'},{at_s=12.5,target='agent2',do='continue'}]"
-    changes = (hover, CONTINUE, BARRIER, events)
+    # The default timeout of the barrier: on a busy host an agent needs seconds for new connections.
+    changes = (hover, CONTINUE, events)
     assert with_processes(tmp_path, *changes, "clock.speed=1.0") == in_memory(*changes)
