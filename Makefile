@@ -1,4 +1,4 @@
-# Everything from nothing but python3 (3.11 or newer, with venv), make and git. uv is used when it is there.
+# Everything from nothing but python3 (3.11 or newer, with venv), make and git. uv installs, or pip where it cannot.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -104,7 +104,7 @@ clean: ## remove the environment and what tools left
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed, $(PYTHON) is " + sys.version.split()[0])'
 	@if command -v uv >/dev/null 2>&1; then uv venv --quiet --python "$(PYTHON)" $(VENV); else \
-		$(PYTHON) -m venv $(VENV); \
+		$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); exit 1; }; \
 		$(BIN)/python -m pip install --quiet --disable-pip-version-check uv 2>/dev/null \
 			|| echo "no uv for this machine: pip installs, which takes a minute longer"; \
 	fi

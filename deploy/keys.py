@@ -34,10 +34,11 @@ def make_certificates(folder: Path, addresses: Mapping[str, Sequence[str]], days
     Keep those that exist.
     """
     try:
-        if not folder.exists():
-            folder.mkdir(parents=True, mode=0o700)
-            # Private keys are not for a repository that the folder may be in.
-            (folder / ".gitignore").write_text("*\n", encoding="utf-8")
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        # Private keys are not for a repository that the folder may be in.
+        ignored = folder / ".gitignore"
+        if not ignored.exists():
+            ignored.write_text("*\n", encoding="utf-8")
         file = folder / AUTHORITY
         if file.exists():
             known = x509.load_pem_x509_certificate(file.read_bytes())

@@ -30,9 +30,11 @@ def rejoin_settings() -> None:
         words = shlex.split(os.environ[_WORDS])
     except ValueError:  # an open quotation mark
         return
-    joined, place = _rejoined(words, int(os.environ[_PLACE]))
+    place = int(os.environ[_PLACE])
+    is_split = "=" in words[place - 1 : place + 1]
+    joined, place = _rejoined(words, place)
     key, sign, value = joined[place].partition("=")
-    if sign and joined[place - 1] == "--set":
+    if is_split and sign and joined[place - 1] == "--set":
         os.environ[_KEY] = key
         joined[place] = value
     os.environ |= {_WORDS: shlex.join(joined), _PLACE: str(place)}

@@ -35,7 +35,8 @@ def console(*, shown: bool) -> Console:
     In a notebook it writes lines of text, without widgets; kernels ask for colours (FORCE_COLOR),
     which rich takes for a terminal.
     """
-    is_terminal = sys.stderr.isatty()
+    is_notebook = "ipykernel" in sys.modules
+    is_terminal = False if is_notebook else None  # None: rich finds out
     return Console(stderr=True, quiet=not shown, force_jupyter=False, force_terminal=is_terminal)
 
 

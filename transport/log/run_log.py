@@ -367,18 +367,26 @@ def _ticks_of_unrecorded_plans(log: RunLog) -> list[int]:
 def _ticks_of_silent_members(log: RunLog, setup: Setup) -> list[int]:
     """Return the ticks on the roster of agents after their last plan, if these are too many.
 
-    In real time the coordinator hears of each member within its timeout, else it removes it.
+    In real time the coordinator removes a member of which it does not hear within its timeout. The
+    plan that it hears then may itself be as old: twice the timeout is allowed.
     """
     clock = setup.scenario.clock
     if clock.mode != "realtime":
         return []
 
     timeout_s = clock.speed * clock.barrier_timeout_s
-    longest = timeout_s / setup.settings.sampling_period_s + _SLACK_TICKS
+    longest = 2.0 * timeout_s / setup.settings.sampling_period_s + _SLACK_TICKS
     member: dict[int, int] = {}
     for opened in log.of(wire.Tick):
         member |= dict.fromkeys(opened.members, opened.tick)
-    planned = {plan.agent: plan.tick for plan in log.of(Plan)}
+    # Newest tick with a plan, or before the newest return to the roster.
+    planned: dict[int, int] = {}
+    before: tuple[int, ...] = ()
+    for roster in log.of(wire.Roster):
+        planned |= {agent: roster.tick - 1 for agent in roster.agents if agent not in before}
+        before = roster.agents
+    for plan in log.of(Plan):
+        planned[plan.agent] = max(plan.tick, planned.get(plan.agent, -1))
 
     ticks: list[int] = []
     for agent, last_member in member.items():
