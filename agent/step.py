@@ -209,8 +209,7 @@ class Planner:
     def plan(self, step: Step, out: Outbox, publish_ns: int) -> list[Message]:
         """Solve a step's problem; return a proposal, or at the end the tick's plan and report.
 
-        The step's `negotiation` counts down to 0; the messages of the previous tick took
-        `publish_ns` to publish.
+        The step's `negotiation` counts down to 0; the last messages took `publish_ns` to publish.
         """
         acts_alone = self._handover.share == 1.0
         result = self._shifted(step) if acts_alone else self._solved(step)

@@ -191,9 +191,9 @@ def _uav_columns(values: Array) -> Row:
         return _named("", UAV_STATE_NAMES, values)
     if len(values) == SENSED:
         return _named("", SENSED_NAMES, values)
-    if values[IS_KNOWN] == 0.0:
-        return {}
-    return _named("", SENSED_NAMES, values[SENSED_VALUES])
+    if values[IS_KNOWN] > 0.0:
+        return _named("", SENSED_NAMES, values[SENSED_VALUES])
+    return {}
 
 
 def _named(prefix: str, names: tuple[str, ...], values: Array) -> Row:
