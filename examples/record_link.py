@@ -16,6 +16,7 @@ from contextlib import suppress
 PORT = 7450
 PERIOD_S = 0.05
 EVERY_S = 10.0  # between lines of progress
+PATIENCE_S = 1.0  # a message without an answer by then is lost
 MESSAGE_BYTES = 1500  # of a plan of one UAV over 20 steps
 _NUMBER = struct.Struct("<q")
 
@@ -41,8 +42,8 @@ def record(address: str, path: str, seconds: float = 60.0, port: int = PORT) -> 
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened,
     ):
         begin_s = time.monotonic()
-        # Answers to the last message are awaited for a second.
-        for number in range(count + round(1.0 / PERIOD_S)):
+        # Answers to the last message are awaited.
+        for number in range(count + round(PATIENCE_S / PERIOD_S)):
             if number % round(EVERY_S / PERIOD_S) == 0:
                 answers = f"{len(round_trips_s)} of {len(sent_s)} messages answered"
                 print(f"{number * PERIOD_S:.0f} of {seconds:g} s: {answers}", file=sys.stderr)
@@ -59,13 +60,16 @@ def record(address: str, path: str, seconds: float = 60.0, port: int = PORT) -> 
                 (of,) = _NUMBER.unpack_from(data)
                 round_trips_s.setdefault(of, time.monotonic() - sent_s[of])
 
+    # After Ctrl-C answers to the newest messages may be on their way: those are not lost.
+    end_s = time.monotonic()
+    decided = sum(at_s <= end_s - PATIENCE_S for at_s in sent_s)
     with open(path, "w", encoding="utf-8") as file:  # noqa: PTH123  # the path is a text of the user
         file.write("t_s,delay_s\n")
-        for number in range(len(sent_s)):
+        for number in range(decided):
             round_trip_s = round_trips_s.get(number)
             delay = "lost" if round_trip_s is None else f"{round_trip_s / 2.0:.6f}"
             file.write(f"{number * PERIOD_S:.3f},{delay}\n")
-    return len(sent_s) - len(round_trips_s)
+    return decided - sum(number < decided for number in round_trips_s)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Hard constraints of the user that no plan meets (docs/equations.md (30e))."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import pytest
 
@@ -27,6 +28,16 @@ def _plan(*constraints: Constraint) -> tuple[Mapping[str, float], Array]:
     return result.solution.violations, result.U[:, 0]
 
 
+def _softened(expression: str, *, ticks: int) -> Any:
+    """Return the summary of a run whose steps meet no constraint and do not fail."""
+    own = f"controller.constraint=[{{expression='{expression}'}}]"
+    run = runs.ready("resilient", runs.ticks(ticks), own)
+    summary = summarise(AnalysedRun.of(run, log_of(completed(run))))
+    assert summary["solver"]["failures"] == 0
+    assert summary["own_constraints"][0]["softened_steps"] > 0
+    return summary
+
+
 def test_a_constraint_that_a_plan_meets_stays_hard() -> None:
     """A bound just below the present thrust holds, and there is nothing to report."""
     _, free_N = _plan()
@@ -51,11 +62,7 @@ def test_a_constraint_that_no_plan_meets_is_violated_least(relation: str) -> Non
 
 def test_an_equality_that_several_agents_cannot_meet_costs_no_step() -> None:
     """A height that the maneuver leaves: each step has a plan, and the team stays level."""
-    own = "controller.constraint=[{expression='r0[2] == -10.2'}]"
-    run = runs.ready("resilient", runs.ticks(100), own)
-    summary = summarise(AnalysedRun.of(run, log_of(completed(run))))
-    assert summary["solver"]["failures"] == 0
-    assert summary["own_constraints"][0]["softened_steps"] > 0
+    summary = _softened("r0[2] == -10.2", ticks=100)
     assert summary["attitude_max_deg"] < 1.0
 
 
@@ -69,10 +76,6 @@ def test_constraints_that_contradict_each_other_share_the_violation() -> None:
 
 def test_the_summary_counts_softened_steps() -> None:
     """All thrusts together at most half the weight: no step fails, each is counted and named."""
-    own = "controller.constraint=[{expression='thrust1 + thrust2 + thrust3 + thrust4 <= 60'}]"
-    run = runs.ready("resilient", runs.ticks(4), own)
-    summary = summarise(AnalysedRun.of(run, log_of(completed(run))))
-    assert summary["solver"]["failures"] == 0
-    assert summary["own_constraints"][0]["softened_steps"] > 0
+    summary = _softened("thrust1 + thrust2 + thrust3 + thrust4 <= 60", ticks=4)
     notices = [event["what"] for event in summary["faults"]]
     assert any("no plan meets thrust1" in text for text in notices)

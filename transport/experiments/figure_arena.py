@@ -52,17 +52,23 @@ def draw_arena(figure: Figure, measured: Sequence[PointStatistics]) -> None:
     _draw_map(panels[0], measured, algorithms, styles)
     for panel, (number, title, factor, is_log) in zip(panels[1:], _STRIPS, strict=True):
         _draw_strip(panel, measured, algorithms, styles, (number, factor))
-        head(panel, f"{title}; logarithmic" if is_log else title, legend=False)
         if is_log and panel.has_data():
-            panel.set_yscale("log")
-            low, high = panel.get_ylim()
-            if high < _FEW_DECADES * low:  # else the numbers would touch
-                label_decades(panel.yaxis)
+            _set_logarithmic(panel)
+            title = f"{title}; logarithmic"
+        head(panel, title, legend=False)
     for panel in panels:
         panel.set_xlim(-0.5, len(algorithms) - 0.5)
         panel.set_xticks(range(len(algorithms)), [""] * len(algorithms))
     names = [name.rpartition(":")[2] for name in algorithms]
     panels[-1].set_xticks(range(len(algorithms)), names, rotation=40, ha="right")
+
+
+def _set_logarithmic(panel: Axes) -> None:
+    """Set a logarithmic axis, with plain numbers if they do not touch."""
+    panel.set_yscale("log")
+    low, high = panel.get_ylim()
+    if high < _FEW_DECADES * low:
+        label_decades(panel.yaxis)
 
 
 def _values(measured: Sequence[PointStatistics], label: str) -> list[str]:

@@ -114,11 +114,6 @@ class SceneBuilder:
         attachments_I = [view.r0_I + R_payload @ uav.rho for uav in setup.system.uavs]
         error_m, cost = self.error_and_cost(tick)
 
-        # F_i = -f_i R_i e_z: with z down a UAV lifts along its body axis -z.
-        thrusts_N = plant_state.u[::INPUTS]
-        body_z_I = R_uavs[:, :, 2]
-        thrusts_I = -thrusts_N[:, None] * body_z_I
-
         return Scene(
             tick=tick,
             time_s=time_s,
@@ -129,7 +124,7 @@ class SceneBuilder:
             uavs_I=positions_I[1:],
             R_uavs=R_uavs,
             attachments_I=np.array(attachments_I),
-            thrusts_I=thrusts_I,
+            thrusts_I=_thrusts(plant_state, R_uavs),
             predictions=self._predictions.paths(tick),
             links=self._links(tick),
             members=frozenset(setup.agents if roster is None else roster.agents),
@@ -208,6 +203,16 @@ class SceneBuilder:
             uavs_I = self.setup.model.outputs(x)[: self._positions_count].reshape(-1, 3)
             self._positions[tick] = np.vstack([StateView(x).r0_I, uavs_I])
         return self._positions[tick]
+
+
+def _thrusts(plant_state: PlantState, R_uavs: Array) -> Array:
+    """Return the thrust of each UAV as a force, (N, 3), inertial frame, N.
+
+    F_i = -f_i R_i e_z: with z down a UAV lifts along its body axis -z.
+    """
+    thrusts_N = plant_state.u[::INPUTS]
+    body_z_I = R_uavs[:, :, 2]
+    return np.asarray(-thrusts_N[:, None] * body_z_I)
 
 
 def _without_plan(plant_state: PlantState) -> tuple[int, ...]:
