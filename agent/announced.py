@@ -190,6 +190,13 @@ class AnnouncedInputs:
         """Return how old another agent's news are at a tick, also for past ticks by those of now."""
         return self._age(agent, self.newest(agent, before, started=tick), tick)
 
+    def oldest_news(self, agents: Iterable[int], k: int) -> NewsAge:
+        """Return the largest ages of the news of some agents at a tick."""
+        ages = [self.age(agent, k, before=k) for agent in agents]
+        mean = max((age.mean for age in ages), default=0.0)
+        overdue = max((age.overdue for age in ages), default=0.0)
+        return NewsAge(mean=mean, overdue=overdue)
+
     def _age(self, agent: int, plan: Plan | None, tick: int) -> NewsAge:
         """Return how old an agent's news are at a tick, of which a plan, if any, is the newest."""
         if agent == self._own or agent in self.off_roster:

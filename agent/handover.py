@@ -123,17 +123,29 @@ class News:
         window, recent = (1, 1) if silence is None else (silence.window, silence.recent)
         self._ages: dict[int, deque[int]] = {agent: deque(maxlen=window) for agent in peers}
         self._recent: dict[int, deque[int]] = {agent: deque(maxlen=recent) for agent in peers}
-        # Computed once a tick: they are asked for at every tick that an estimator repeats.
+        # Smallest age in the window; sum and mean of the recent ones. The sum of integers is exact.
         self._usual: dict[int, int] = {}
+        self._sums = dict.fromkeys(self._recent, 0)
         self._mean: dict[int, float] = {}
 
     def observe(self, agent: int, age: int) -> None:
         """Take in the age of the newest plan of an agent at the next tick."""
-        ages, recent = self._ages[agent], self._recent[agent]
+        ages = self._ages[agent]
+        leaving = ages[0] if len(ages) == ages.maxlen else None
         ages.append(age)
+
+        usual = self._usual.get(agent, age)
+        if age <= usual:
+            self._usual[agent] = age
+        elif leaving == usual:
+            self._usual[agent] = min(ages)
+
+        recent = self._recent[agent]
+        if len(recent) == recent.maxlen:
+            self._sums[agent] -= recent[0]
         recent.append(age)
-        self._usual[agent] = min(ages)
-        self._mean[agent] = sum(recent) / len(recent)
+        self._sums[agent] += age
+        self._mean[agent] = self._sums[agent] / len(recent)
 
     def usual(self, agent: int) -> int:
         """Return the smallest age of an agent's news in the window; 1 where there have been none."""

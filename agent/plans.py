@@ -19,10 +19,12 @@ class ReceivedPlans:
     def add(self, plan: Plan) -> None:
         """Keep a plan, in any order of arrival; a second plan of the same tick is ignored."""
         plans = self._plans[plan.agent]
-        index = bisect_left(plans, plan.tick, key=attrgetter("tick"))
-        is_new = index == len(plans) or plans[index].tick != plan.tick
-        if is_new:
-            plans.insert(index, plan)
+        if not plans or plans[-1].tick < plan.tick:
+            plans.append(plan)  # as most arrive
+        else:
+            index = bisect_left(plans, plan.tick, key=attrgetter("tick"))
+            if plans[index].tick != plan.tick:
+                plans.insert(index, plan)
         if len(plans) > KEPT_PLANS:
             del plans[0]
 

@@ -35,6 +35,7 @@ class CompiledStep:
         # Keeps the library loaded as long as the address is used.
         self._functions = functions
         self._length_s = np.zeros(1)
+        self._known = native.Addresses()
 
         # CasADi's sizes of the rooms: arguments, results, integers and numbers.
         sizes = (ctypes.c_longlong * 4)()
@@ -65,14 +66,22 @@ class CompiledStep:
         """
         p, F = acting
         self._length_s[0] = duration_s
-        self._arguments[_PARAMETERS] = native.address(p)
-        self._arguments[_FORCES] = native.address(F)
+        self._arguments[_PARAMETERS] = self._known.of("p", p)
+        self._arguments[_FORCES] = self._known.of("F", F)
 
         Z = np.empty((len(feedback.at_x) + 1, len(x)))
         U = np.empty(feedback.at_x.shape)
         Z[0] = x
-        arrays = feedback.K, feedback.at_x, feedback.lower, feedback.upper, Z, U
         native.KERNELS.rollout(
-            len(U), len(x), len(feedback.K), *self._addresses, *map(native.address, arrays)
+            len(U),
+            len(x),
+            U.shape[1],
+            *self._addresses,
+            self._known.of("K", feedback.K),
+            native.address(feedback.at_x),
+            self._known.of("lower", feedback.lower),
+            self._known.of("upper", feedback.upper),
+            native.address(Z),
+            native.address(U),
         )
         return Z, U

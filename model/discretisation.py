@@ -44,23 +44,25 @@ def zero_order_hold(
     if not native.AVAILABLE:
         return by_exponential(linear, period_s)
 
-    n, m = linear.pattern.shapes[1]
-    _, accelerations = linear.pattern.shapes[2]
+    jacobians = linear.jacobians
+    n, m = jacobians.pattern.shapes[1]
+    _, accelerations = jacobians.pattern.shapes[2]
     sizes = n, m, accelerations
-    A = np.empty((n, n))
-    B = np.empty((n, m))
+    is_known = known is not None
+    A = np.empty((0, 0) if is_known else (n, n))
+    B = np.empty((0, 0) if is_known else (n, m))
     f_d = np.empty(n)
 
     theta = native.KERNELS.zero_order_hold(
         *sizes,
-        *linear.pattern.addresses,
-        native.address(linear.values),
+        *jacobians.pattern.addresses,
+        jacobians.address,
         native.address(linear.f),
         period_s,
         _THETA_MAX,
         _THETA_POSSIBLE,
         remainder,
-        known is not None,
+        is_known,
         native.address(A),
         native.address(B),
         native.address(f_d),

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from transport.model import integration
+from transport.model import integration, native
 from transport.model.arrays import Array
 from transport.model.compiled import Compiled, functions
 from transport.model.compiled_step import CompiledStep, Feedback
@@ -20,32 +20,16 @@ from transport.model.pattern import NAMES, Pattern
 from transport.model.state import input_indices
 
 
-@dataclass(frozen=True, kw_only=True)
-class Linearisation:
-    """The first-order expansion about any pair (x0, u0).
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Jacobians:
+    """Derivatives of a linearisation as factors, most of whose entries are zero.
 
-    The Jacobians are kept as factors, most of whose entries are zero:
-        A_c = X + P V_x,   B_c = U + P V_u
+    A_c = X + P V_x,   B_c = U + P V_u
     Source: docs/equations.md (15), (15b).
     """
 
-    f: Array  # x' at (x0, u0), (n,), SI
-    y: Array  # h(x0), (p,)
     pattern: Pattern  # places of the entries of the factors and of C
     values: Array  # the entries
-
-    @staticmethod
-    def of(f: Array, A_c: Array, B_c: Array, y: Array, C: Array) -> "Linearisation":
-        """Return an expansion whose factors are not known: X = A_c, U = B_c, no P and V."""
-        n, m = B_c.shape
-        P = np.zeros((n, 0))
-        V_x = np.zeros((0, n))
-        V_u = np.zeros((0, m))
-
-        factors = [A_c, B_c, P, V_x, V_u, C]
-        pattern = Pattern.of([np.ones_like(factor) for factor in factors])
-        values = np.concatenate([factor.reshape(-1) for factor in factors])
-        return Linearisation(f=f, y=y, pattern=pattern, values=values)
 
     @cached_property
     def A_c(self) -> Array:
@@ -64,8 +48,50 @@ class Linearisation:
         """dh/dx, (p, n)."""
         return self._factor("C")
 
+    @cached_property
+    def address(self) -> int:
+        """Address of the entries, for the compiled kernels."""
+        return native.address(self.values)
+
     def _factor(self, name: str) -> Array:
         return self.pattern.dense(self.values, name)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Linearisation:
+    """The first-order expansion about any pair (x0, u0). Source: docs/equations.md (15)."""
+
+    f: Array  # x' at (x0, u0), (n,), SI
+    y: Array  # h(x0), (p,)
+    jacobians: Jacobians
+
+    @staticmethod
+    def of(f: Array, A_c: Array, B_c: Array, y: Array, C: Array) -> "Linearisation":
+        """Return an expansion whose factors are not known: X = A_c, U = B_c, no P and V."""
+        n, m = B_c.shape
+        P = np.zeros((n, 0))
+        V_x = np.zeros((0, n))
+        V_u = np.zeros((0, m))
+
+        factors = [A_c, B_c, P, V_x, V_u, C]
+        pattern = Pattern.of([np.ones_like(factor) for factor in factors])
+        values = np.concatenate([factor.reshape(-1) for factor in factors])
+        return Linearisation(f=f, y=y, jacobians=Jacobians(pattern=pattern, values=values))
+
+    @property
+    def A_c(self) -> Array:
+        """df/dx, (n, n), as of `Jacobians`."""
+        return self.jacobians.A_c
+
+    @property
+    def B_c(self) -> Array:
+        """df/du, (n, m)."""
+        return self.jacobians.B_c
+
+    @property
+    def C(self) -> Array:
+        """dh/dx, (p, n)."""
+        return self.jacobians.C
 
 
 class Model:
@@ -209,7 +235,8 @@ class Model:
 
         values = results[first_factor.start :]
         values[self._without_effect] = 0.0
-        return Linearisation(f=results[f], y=results[y], pattern=self._pattern, values=values)
+        jacobians = Jacobians(pattern=self._pattern, values=values)
+        return Linearisation(f=results[f], y=results[y], jacobians=jacobians)
 
     def force_effect(self, x: Array, u: Array) -> Array:
         """Return df/dF, (n, 3 + 3 N), SI per N, exact, as f is affine in the forces.

@@ -7,14 +7,14 @@ acceleration at once, omega + omega' / K.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
 from transport.model.arrays import Array, padded
-from transport.model.linearisation import Linearisation, Model
+from transport.model.linearisation import Jacobians, Linearisation, Model
 from transport.model.pattern import NAMES, Pattern
 from transport.model.state import INPUTS, OMEGA, PAYLOAD, PER_UAV
 
@@ -209,16 +209,21 @@ def with_lag(
     a' = (u - a) / lambda, with commanded body rates + omega'.
     Source: docs/equations.md (55), (58a).
     """
+    before = linear.jacobians
     rate = np.full(len(a), 1.0 / lag_s)
     on_itself = -rate
     moving = (u - a) / lag_s
 
     if rates:
         in_inputs, in_states = rate_places(len(a))
-        U = linear.pattern.dense(linear.values, "U")
+        U = before.pattern.dense(before.values, "U")
         on_itself[in_inputs] += U[in_states, in_inputs]
         moving[in_inputs] += linear.f[in_states]
 
-    pattern, order = _pattern_with_lag(linear.pattern, rates)
-    values = np.concatenate([linear.values, on_itself, rate])[order]
-    return replace(linear, f=np.concatenate([linear.f, moving]), pattern=pattern, values=values)
+    pattern, order = _pattern_with_lag(before.pattern, rates)
+    values = np.concatenate([before.values, on_itself, rate])[order]
+    return Linearisation(
+        f=np.concatenate([linear.f, moving]),
+        y=linear.y,
+        jacobians=Jacobians(pattern=pattern, values=values),
+    )

@@ -91,6 +91,38 @@ def address(array: npt.NDArray[Any]) -> int:
         raise TypeError(f"{expected}, {got}") from None
 
 
+class Addresses:
+    """Addresses of arrays by name, kept as long as a name stands for the same array."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, tuple[npt.NDArray[Any], int]] = {}
+
+    def array(self, name: str) -> npt.NDArray[Any] | None:
+        """Return the array that a name stands for."""
+        known = self._known.get(name)
+        return None if known is None else known[0]
+
+    def of(self, name: str, array: npt.NDArray[Any]) -> int:
+        """Return the address of an array, which a name stands for from now on."""
+        known = self._known.get(name)
+        if known is not None and known[0] is array:
+            return known[1]
+        found = address(array)
+        self._known[name] = array, found
+        return found
+
+    def copied(self, name: str, array: Array) -> int:
+        """Return the address of a copy of an array, made in the one of that name before.
+
+        A copy takes less time than the address of a new array, above all of a read-only one.
+        """
+        known = self._known.get(name)
+        if known is None or known[0].shape != array.shape:
+            return self.of(name, np.array(array, order="C"))
+        known[0][...] = array
+        return known[1]
+
+
 class _WorkSpace:
     """Memory for a kernel, aligned."""
 

@@ -54,11 +54,16 @@ class CompiledProgram:
         self._by_kernel = [each for each in stack.constraints if each.in_kernel]
         self._law: FeedbackLaw | None = None  # of the newest prediction
         self._newest: Prediction | None = None
-        # Inputs of the kernels that are mostly the arrays of the step before: array and address.
-        self._inputs: dict[str, tuple[np.ndarray, int]] = {}
-        self._changed: set[str] = set()  # those that changed since the QP before
+        # Inputs of the kernels: those that are mostly the arrays of the step before, of which some
+        # have changed since the QP before, and copies of those that are new at each step.
+        self._kept = native.Addresses()
+        self._changed: set[str] = set()
+        self._copies = native.Addresses()
 
         self._arrays: dict[str, np.ndarray] = {}  # alive as long as the struct has their addresses
+        # Inputs and corrections that `conclude` writes.
+        self._plan = np.empty(decision.shape), np.empty(decision.shape)
+        self._addresses_of_plan = [native.address(part) for part in self._plan]
         self._problem = native.Problem()
         self._set_constants(outputs, effort)
         self._closed = self._set_prediction()
@@ -86,15 +91,15 @@ class CompiledProgram:
         With `only_new` the numbers stay as they are if neither is: `follow` replaces them.
         Source: docs/equations.md (22)-(24), (35).
         """
-        address = native.address
+        copied = self._copies.copied
         problem = self._problem
         problem.A = self._input("A", discrete.A)
         problem.B = self._input("B", discrete.B)
         problem.K = self._input("K", _NO_GAIN if law is None else law.K)
-        problem.f_d = address(discrete.f_d)
-        problem.u0 = address(linear.u0)
-        problem.uncorrected = 0 if law is None else address(law.uncorrected)
-        problem.announced = address(U) if law is None else address(law.c)
+        problem.f_d = copied("f_d", discrete.f_d)
+        problem.u0 = copied("u0", linear.u0)
+        problem.uncorrected = 0 if law is None else copied("uncorrected", law.uncorrected)
+        problem.announced = copied("announced", U if law is None else law.c)
 
         is_new = not self._changed.isdisjoint(("A", "B", "K"))
         if is_new or not only_new:
@@ -110,7 +115,7 @@ class CompiledProgram:
         without a control law the derivatives are those of the tick's own state.
         Source: docs/equations.md (26)-(30), (36e), (48).
         """
-        address = native.address
+        copied = self._copies.copied
         problem = self._problem
         linear = objective.linear
         problem.terminal = objective.terminal
@@ -118,19 +123,19 @@ class CompiledProgram:
         problem.answering = self._input("answering", objective.responding)
         problem.Q = self._input("Q", objective.Q)
         problem.slope = self._input("slope", self._like_before("slope", objective.slopes))
-        problem.at_x0 = address(objective.terms)
-        problem.x0 = address(linear.x0)
-        problem.y = address(linear.model.y)
-        problem.y_ref = address(objective.y_ref)
-        problem.u_target = address(linear.u_target)
+        problem.at_x0 = copied("at_x0", objective.terms)
+        problem.x0 = copied("x0", linear.x0)
+        problem.y = copied("y", linear.model.y)
+        problem.y_ref = copied("y_ref", objective.y_ref)
+        problem.u_target = copied("u_target", linear.u_target)
         problem.model_outputs = len(linear.model.y)
         self._set_end(objective.end)
 
         # Rows of C among those of all factors of the linearisation.
-        pattern = linear.model.pattern
+        pattern = linear.model.jacobians.pattern
         begin, problem.index = pattern.addresses
         problem.begin = begin + np.dtype(np.intp).itemsize * pattern.first_rows[-2]
-        problem.value = self._input("value", linear.model.values)
+        problem.value = self._input("value", linear.model.jacobians.values)
 
         problem.known = keeps and not self._changed
         native.KERNELS.fill(ctypes.addressof(problem))
@@ -138,11 +143,10 @@ class CompiledProgram:
 
     def relaxed(self, z: Array, w: float) -> tuple[Array, Array]:
         """Return inputs and corrections, (N_p, m_own), as `mpc.relaxation.relaxed`."""
-        U = np.empty(self._decision.shape)
-        c = np.empty(self._decision.shape)
-        problem = ctypes.addressof(self._problem)
-        native.KERNELS.conclude(problem, native.address(z), w, native.address(U), native.address(c))
-        return U, c
+        z_address = self._copies.copied("z", z)
+        native.KERNELS.conclude(ctypes.addressof(self._problem), z_address, w, *self._addresses_of_plan)
+        inputs, corrections = self._plan
+        return inputs.copy(), corrections.copy()
 
     def follows(self, prediction: Prediction, law: FeedbackLaw) -> bool:
         """Return whether prediction and law are those of the newest `respond`."""
@@ -153,21 +157,15 @@ class CompiledProgram:
 
         Only a read-only array that is the same object has certainly the same numbers.
         """
-        before = self._inputs.get(name)
-        if before is not None and before[0] is array:
-            if array.flags.writeable:
-                self._changed.add(name)
-            return before[1]
-        address = native.address(array)
-        self._inputs[name] = array, address
-        self._changed.add(name)
-        return address
+        if array.flags.writeable or self._kept.array(name) is not array:
+            self._changed.add(name)
+        return self._kept.of(name, array)
 
     def _like_before(self, name: str, array: Array) -> Array:
         """Return the array of the step before if it has the same numbers, as of linear terms."""
-        before = self._inputs.get(name)
-        if before is not None and np.array_equal(before[0], array):
-            return before[0]
+        before = self._kept.array(name)
+        if before is not None and np.array_equal(before, array):
+            return before
         frozen(array)
         return array
 
@@ -177,8 +175,8 @@ class CompiledProgram:
         problem.root = self._input("root", _NO_GAIN if end is None else end.root)
         problem.rank = 0 if end is None else len(end.root)
         if end is not None:
-            problem.error = native.address(end.error)
-            problem.end_slope = native.address(end.slope)
+            problem.error = self._copies.copied("error", end.error)
+            problem.end_slope = self._copies.copied("end_slope", end.slope)
 
     def _set(self, name: str, array: np.ndarray) -> np.ndarray:
         """Give the struct the address of an array, and keep the array alive."""

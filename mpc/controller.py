@@ -12,7 +12,7 @@ from transport.model import state
 from transport.model.arrays import Array, frozen
 from transport.model.discretisation import Discrete, euler, zero_order_hold
 from transport.model.hover import Hover
-from transport.model.linearisation import Linearisation, Model
+from transport.model.linearisation import Jacobians, Linearisation, Model
 from transport.model.motors import with_lag
 from transport.model.native import Places
 from transport.model.obstacles import Obstacle
@@ -27,7 +27,7 @@ from transport.mpc.program import Program
 from transport.mpc.qp import QP, Solution, solve, unsolved
 from transport.mpc.reference import Sampled
 from transport.mpc.regulation import Regulation
-from transport.mpc.rollout import Rollout, rollout
+from transport.mpc.rollout import Actuation, Rollout, rollout
 from transport.mpc.settings import ControllerSettings
 from transport.mpc.softening import Softening
 
@@ -77,6 +77,7 @@ class Controller:
     ) -> None:
         self.settings = settings
         self.regulation = Regulation(model, hover, settings, reference)
+        self._actuation = Actuation.of(settings, model.system.N)
         self._decision = Decision(model.system, settings, owned)
         self._program = Program(self._decision, self.cost, self.regulation.user_costs)
         self._along = CourseProgram(self._decision, obstacles)
@@ -96,7 +97,7 @@ class Controller:
         self._shares_rows = on_states or on_inputs
         self._relaxation = self._relaxed(others_obstruct=self._shares_rows)
 
-        self._at_hover: Linearisation | None = None
+        self._at_hover: Jacobians | None = None
         # Derivatives of the newest step and their difference equation, that of hover every time.
         self._discretised: tuple[Array, Discrete] | None = None
         # Outputs along a trajectory beyond their linearisation, (N_p + 1, p).
@@ -176,10 +177,10 @@ class Controller:
             expansion = self.model.linearise(x, actual, forces=forces)
         else:
             if self._at_hover is None:
-                self._at_hover = self.model.linearise(law.hover.x, law.hover.u)
+                self._at_hover = self.model.linearise(law.hover.x, law.hover.u).jacobians
                 frozen(self._at_hover.values)
             f = self.model.derivative(x, actual, forces=forces)
-            expansion = replace(self._at_hover, f=f, y=self.model.outputs(x))
+            expansion = Linearisation(f=f, y=self.model.outputs(x), jacobians=self._at_hover)
         if has_lag:
             by_rates = self.model.system.commands_rates
             expansion = with_lag(expansion, actual, u0, settings.motor_lag_s, by_rates)
@@ -192,7 +193,7 @@ class Controller:
             return euler(linear.model, period_s)
 
         # Derivatives at hover are the same read-only array at every step, with the same A and B.
-        values = linear.model.values
+        values = linear.model.jacobians.values
         before = None
         if self._discretised is not None and not values.flags.writeable:
             values_before, discrete_before = self._discretised
@@ -225,7 +226,7 @@ class Controller:
 
     def _followed(self, linear: Linear, law: FeedbackLaw) -> Rollout | None:
         """Return the trajectory of the nonlinear model under the law, unless it tilts too far."""
-        along = rollout(self.model, self.settings, linear.z0, law, linear.forces)
+        along = rollout(self.model, self._actuation, linear.z0, law, linear.forces)
         view = state.StateView(along.Z[:, : self.model.system.n])
         payload = view.Theta0[:, None, :2]
         uavs = view.Theta[..., :2]

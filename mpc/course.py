@@ -21,7 +21,7 @@ from transport.mpc.decision import Decision
 from transport.mpc.feedback import FeedbackLaw, Gains
 from transport.mpc.prediction import Linear
 from transport.mpc.qp import QP
-from transport.mpc.rollout import OwnInputs, rollout
+from transport.mpc.rollout import Actuation, OwnInputs, rollout
 from transport.mpc.trajectory import TimeVarying
 
 # From this share of the range of inputs on, or of m, rad or N, a constraint counts as violated.
@@ -53,7 +53,7 @@ class CourseProgram:
 
     def __init__(self, decision: Decision, obstacles: Sequence[Obstacle] = ()) -> None:
         self._decision = decision
-        self._settings = decision.settings
+        self._actuation = Actuation.of(decision.settings, decision.system.N)
 
         constraints: list[Constraint] = [Bounds(decision), *constraints_of(decision)]
         if obstacles:
@@ -80,7 +80,7 @@ class CourseProgram:
         law = replace(law, c=c)
 
         free = OwnInputs(decision=self._decision)
-        Z, U = rollout(model, self._settings, linear.x0, law, linear.forces, free)
+        Z, U = rollout(model, self._actuation, linear.x0, law, linear.forces, free)
         trajectory = TimeVarying(
             decision=self._decision, model=model, law=law, along=along, Z=Z, U=U, u0=linear.u0
         )
@@ -139,7 +139,7 @@ class CourseProgram:
         law = replace(course.law, c=c)
         limited = OwnInputs(decision=self._decision, before=course.linear.u0[own])
         forces = course.linear.forces
-        U = rollout(model, self._settings, course.Z[0], law, forces, limited).U
+        U = rollout(model, self._actuation, course.Z[0], law, forces, limited).U
         return U[:, own], c[:, own]
 
     def _holds(self, trajectory: TimeVarying) -> bool:

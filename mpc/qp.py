@@ -86,6 +86,7 @@ class Residuals:
 
 
 _NO_RESIDUALS = Residuals(np.inf, np.inf, np.inf)
+_RESIDUALS = 3  # numbers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,7 +137,7 @@ def _compiled_residuals(
 ) -> Residuals:
     """Return the residuals by the compiled kernel."""
     rows, n = qp.A.shape
-    values = np.empty(3)
+    values = np.empty(_RESIDUALS)
     solution = map(native.address, (z, bound_multipliers, row_multipliers))
     work = native.work("residuals", n)
     native.KERNELS.residuals(n, rows, *qp.addresses, *solution, native.address(values), work)
@@ -185,18 +186,20 @@ def within_bounds(qp: QP) -> Solution | None:
     if not native.AVAILABLE:
         return None
     rows, n = qp.A.shape
-    z = np.empty_like(qp.g)
-    multipliers = np.empty_like(qp.g)
-    values = np.empty(3)
+    # z, the multipliers of the bounds, and the residuals, one after the other.
+    answer = np.empty(2 * n + _RESIDUALS)
+    begin = native.address(answer)
+    places = begin, begin + n * answer.itemsize, begin + 2 * n * answer.itemsize
     work = native.work("within_bounds", native.KERNELS.within_bounds_work(n, rows))
-    answer = map(native.address, (z, multipliers, values))
     guesses = native.KERNELS.solve_within_bounds(
-        n, rows, *qp.addresses, MOST_GUESSES, *answer, work
+        n, rows, *qp.addresses, MOST_GUESSES, *places, work
     )
     if guesses <= 0:
         return None
 
-    checked = Residuals(*values.tolist())
+    z = answer[:n]
+    multipliers = answer[n : 2 * n]
+    checked = Residuals(*answer[2 * n :].tolist())
     if checked.worst > RESIDUAL_TOLERANCE:
         return None
     return Solution(

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from transport.model import motors
-from transport.model.arrays import Array
+from transport.model.arrays import Array, frozen
 from transport.model.compiled_step import Feedback
 from transport.model.linearisation import Model
 from transport.mpc.decision import Decision
@@ -23,11 +23,23 @@ class Rollout(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Bounds:
-    """Smallest and largest inputs of all UAVs, (m,) each."""
+class Actuation:
+    """How the inputs of all UAVs act: within bounds, over a sampling period each."""
 
-    lower: Array
+    lower: Array  # smallest inputs, (m,)
     upper: Array
+    period: motors.Period
+
+    @staticmethod
+    def of(settings: ControllerSettings, uavs: int) -> "Actuation":
+        """Return the actuation of that many UAVs."""
+        period = motors.Period(
+            duration_s=settings.sampling_period_s, steps=1, lag_s=settings.motor_lag_s
+        )
+        lower = settings.lower(uavs)
+        upper = settings.upper(uavs)
+        frozen(lower, upper)
+        return Actuation(lower=lower, upper=upper, period=period)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +52,7 @@ class OwnInputs:
 
 def rollout(
     model: Model,
-    settings: ControllerSettings,
+    actuation: Actuation,
     z0: Array,
     law: FeedbackLaw,
     forces: Array | None = None,
@@ -52,19 +64,18 @@ def rollout(
     estimated external forces, N, and mass. The inputs `own` have other limits.
     Source: docs/equations.md (35a), (73).
     """
-    bounds = Bounds(lower=settings.lower(model.system.N), upper=settings.upper(model.system.N))
-    period = motors.Period(
-        duration_s=settings.sampling_period_s, steps=1, lag_s=settings.motor_lag_s
-    )
+    period = actuation.period
     if own is None and law.K.ndim == 2 and period.lag_s == 0.0:
         at_x0 = law.uncorrected + law.c
-        feedback = Feedback(at_x=at_x0, K=law.K, lower=bounds.lower, upper=bounds.upper)
+        feedback = Feedback(
+            at_x=at_x0, K=law.K, lower=actuation.lower, upper=actuation.upper
+        )
         compiled = model.rollout(z0, feedback, period.duration_s, forces)
         if compiled is not None:
             return Rollout(*compiled)
 
     step = _step(model, period, forces)
-    return _by_steps(step, z0, law, bounds, own)
+    return _by_steps(step, z0, law, actuation, own)
 
 
 def _step(
@@ -84,7 +95,7 @@ def _by_steps(
     step: Callable[[Array, Array], Array],
     z0: Array,
     law: FeedbackLaw,
-    bounds: Bounds,
+    actuation: Actuation,
     own: OwnInputs | None,
 ) -> Rollout:
     """Return the trajectory step by step: u = u_law(x0) + c + K_k (x - x0) within limits, (73)."""
@@ -96,7 +107,7 @@ def _by_steps(
     U = []
     for k, K in enumerate(gains):
         wanted = at_x0[k] + K @ (Z[k] - z0)
-        u = np.minimum(np.maximum(wanted, bounds.lower), bounds.upper)
+        u = np.minimum(np.maximum(wanted, actuation.lower), actuation.upper)
         if own is not None:
             owned = wanted[own.decision.own]
             if before is not None:

@@ -20,7 +20,7 @@ from transport.model.state import R0, StateView, input_slice
 from transport.mpc.controller import Controller, StepResult
 from transport.mpc.course import Course
 from transport.mpc.reference import Sampled
-from transport.mpc.rollout import rollout
+from transport.mpc.rollout import Actuation, rollout
 from transport.mpc.settings import ControllerSettings, Limits, Separation, Tension, Tilt, Weights
 from transport.mpc.team_law import recursion_of
 from transport.mpc.tracking import INSTANTS
@@ -200,7 +200,7 @@ def test_program_keeps_limits_that_the_law_violates(
     assert result.c.any()
     law = one.law(x0, track.X[start : start + 12], result.c, None, start)
     assert law is not None
-    Z, U = rollout(model, settings, x0, law)
+    Z, U = rollout(model, Actuation.of(settings, model.system.N), x0, law)
     # All UAVs are owned, so the plan is the trajectory; limits on states hold but for the
     # expansion's error.
     np.testing.assert_allclose(U, result.U, atol=1e-6)
@@ -267,7 +267,7 @@ def test_program_keeps_clear_of_an_obstacle(margin_m: float, load_margin_m: floa
         max(margin_m, load_margin_m) - 0.05, abs=1e-6
     )
     assert (
-        least_m(rollout(model, SETTINGS, x0, law)[0], obstacle)
+        least_m(rollout(model, Actuation.of(SETTINGS, model.system.N), x0, law)[0], obstacle)
         > max(margin_m, load_margin_m) - 0.005
     )
     if load_margin_m < margin_m:
@@ -280,7 +280,7 @@ def test_program_keeps_clear_of_an_obstacle(margin_m: float, load_margin_m: floa
         together[:, alone.own] = step(alone, x0, c)[1].c
     law = one.law(x0, track.X[start : start + 12], together, None, start)
     assert law is not None
-    assert least_m(rollout(model, SETTINGS, x0, law)[0], obstacle) == pytest.approx(
+    assert least_m(rollout(model, Actuation.of(SETTINGS, model.system.N), x0, law)[0], obstacle) == pytest.approx(
         load_margin_m, abs=0.005
     )
 
@@ -314,7 +314,7 @@ def test_conflicting_obstacles_give_way_in_the_order_of_their_penalties() -> Non
         _, result = step(controller((0, 1, 2, 3), obstacles=among), x0, c)
         law = controller().law(x0, track.X[start : start + 12], result.c, None, start)
         assert law is not None
-        return [least_m(rollout(model, SETTINGS, x0, law)[0], obstacle) for obstacle in among]
+        return [least_m(rollout(model, Actuation.of(SETTINGS, model.system.N), x0, law)[0], obstacle) for obstacle in among]
 
     first, second = kept_m(1e4, 1e2), kept_m(1e2, 1e4)
     assert first[0] == pytest.approx(kept_m(1e4, 0.0)[0], abs=1e-3)
