@@ -269,6 +269,8 @@ class Planner:
         """
         k = step.received.tick
         U = self._handover.inputs(k, step.start_tick, step.problem.linear, result.U)
+        if U is result.U:
+            return result
         return replace(result, U=U, c=result.c[: len(U)])
 
     def adopt(self, step: Step, proposals: Sequence[Plan]) -> None:

@@ -63,6 +63,12 @@ def input_indices(uavs: Iterable[int]) -> npt.NDArray[np.intp]:
     return np.array([INPUTS * i + j for i in uavs for j in range(INPUTS)], dtype=np.intp)
 
 
+def tilt_indices(N: int) -> npt.NDArray[np.intp]:
+    """Return the positions in x of roll and pitch of the payload, then of each UAV, (2 + 2 N,)."""
+    bodies = [THETA0.start, *(uav_slice(i).start + THETA.start for i in range(N))]
+    return np.array([roll + axis for roll in bodies for axis in (0, 1)], dtype=np.intp)
+
+
 class StateView:
     """Named views, without copies, into state(s) x, (..., 12 + 12 N)."""
 

@@ -78,6 +78,7 @@ class Controller:
         self.settings = settings
         self.regulation = Regulation(model, hover, settings, reference)
         self._actuation = Actuation.of(settings, model.system.N)
+        self._tilts = state.tilt_indices(model.system.N)
         self._decision = Decision(model.system, settings, owned)
         self._program = Program(self._decision, self.cost, self.regulation.user_costs)
         self._along = CourseProgram(self._decision, obstacles)
@@ -227,10 +228,7 @@ class Controller:
     def _followed(self, linear: Linear, law: FeedbackLaw) -> Rollout | None:
         """Return the trajectory of the nonlinear model under the law, unless it tilts too far."""
         along = rollout(self.model, self._actuation, linear.z0, law, linear.forces)
-        view = state.StateView(along.Z[:, : self.model.system.n])
-        payload = view.Theta0[:, None, :2]
-        uavs = view.Theta[..., :2]
-        tilt = np.abs(np.concatenate([payload, uavs], axis=1)).max()
+        tilt = np.abs(along.Z[:, self._tilts]).max()
         if tilt < _STEEPEST and np.isfinite(along.Z).all():
             return along
         return None

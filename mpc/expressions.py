@@ -11,11 +11,13 @@ powers of integers could have millions of digits.
 import ast
 import operator
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from transport.model import state
 from transport.model.arrays import Array
@@ -91,26 +93,41 @@ def read_term(text: str, symbols: Symbols) -> ca.SX:
     return value
 
 
-class Expressions:
-    """Scalar expressions of a variable, state or input, and of parameters, whose values are p."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Formulas:
+    """Scalar expressions of a variable, state or input, and their gradients as a function."""
 
-    def __init__(
-        self, values: Sequence[ca.SX], variable: ca.SX, parameters: ca.SX, p: Array
-    ) -> None:
+    count: int
+    variables: int
+    function: ca.Function | None  # values and gradients of variable and parameters; None without any
+    depends: npt.NDArray[np.bool_]  # which elements of the variable occur in each, (c, n) or (c, m)
+
+    @staticmethod
+    def of(values: Sequence[ca.SX], variable: ca.SX, parameters: ca.SX) -> "Formulas":
+        """Return the formulas of expressions."""
         value = ca.vertcat(ca.SX(0, 1), *values)
         slope = ca.jacobian(value, variable)
-        self._p = p
-        self._shape = slope.shape
-        # Which elements of the variable occur in each expression, (c, n) or (c, m).
-        self.depends = np.array(ca.DM(slope.sparsity(), 1).full(), dtype=bool)
-
-        self._function: Compiled | None = None
+        count, variables = slope.shape
+        function = None
         if values:
             results = [ca.densify(value), ca.densify(slope)]
-            self._function = Compiled(ca.Function("expressions", [variable, parameters], results))
+            function = ca.Function("expressions", [variable, parameters], results)
+        depends = np.array(ca.DM(slope.sparsity(), 1).full(), dtype=bool)
+        return Formulas(count=count, variables=variables, function=function, depends=depends)
+
+
+class Expressions:
+    """Formulas of a variable, state or input, and of parameters, whose values are p."""
+
+    def __init__(self, formulas: Formulas, p: Array) -> None:
+        self._p = p
+        self._shape = formulas.count, formulas.variables
+        self.depends = formulas.depends
+        function = formulas.function
+        self._function = None if function is None else Compiled(function)
 
     def __len__(self) -> int:
-        return int(self._shape[0])
+        return self._shape[0]
 
     def use(self, p: Array) -> None:
         """Take other values of the parameters."""
@@ -127,6 +144,14 @@ class Expressions:
         return value, slope.reshape(self._shape)
 
 
+@lru_cache(maxsize=64)  # all agents of a run, and most runs of a sweep, have the same terms
+def _cost_formulas(texts: tuple[str, ...], N: int, rates: bool) -> Formulas:
+    """Return the formulas of cost terms. Raises: SettingsError: one cannot be read."""
+    symbols = Symbols.of(N, rates)
+    values = [read_term(text, symbols) for text in texts]
+    return Formulas.of(values, symbols.x, symbols.p)
+
+
 class UserCosts(Expressions):
     """Weighted squares of the user's expressions of the state.
 
@@ -134,9 +159,9 @@ class UserCosts(Expressions):
     """
 
     def __init__(self, terms: Sequence[CostTerm], system: System) -> None:
-        symbols = Symbols.of(system.N, system.commands_rates)
-        values = [read_term(term.expression, symbols) for term in terms]
-        super().__init__(values, symbols.x, symbols.p, system.vector())
+        texts = tuple(term.expression for term in terms)
+        formulas = _cost_formulas(texts, system.N, system.commands_rates)
+        super().__init__(formulas, system.vector())
         self._terms = tuple(terms)
         # Weight of each term, per square of its unit, (t,).
         self.weights = np.array([term.weight for term in terms])
@@ -175,7 +200,7 @@ class UserConstraints(Expressions):
 
         values = [relation.value for _, relation in chosen]
         variable = symbols.x if on == "state" else symbols.u
-        super().__init__(values, variable, symbols.p, system.vector())
+        super().__init__(Formulas.of(values, variable, symbols.p), system.vector())
         self.texts = [constraint.expression for constraint, _ in chosen]
         self.equality = np.array([relation.is_equality for _, relation in chosen], dtype=bool)
 

@@ -47,8 +47,9 @@ class Program:
         self._no_terms = np.zeros(0), np.zeros((0, self._n))
         frozen(*self._no_terms)
 
-        # State matrix with the others' feedback of the prediction before, if along a trajectory.
-        self._A_others: Array | None = None
+        # State matrix with the others' feedback, and owned columns of the input matrix, of the
+        # prediction before, if along a trajectory.
+        self._closed_loop: tuple[Array, Array] | None = None
         self._announced: Announced | None = None  # of the newest prediction
         self.compiled: CompiledProgram | None = None
         if native.AVAILABLE:
@@ -85,16 +86,16 @@ class Program:
             )
 
         if law is None or along is None:
-            self._A_others = None
+            self._closed_loop = None
             self._announced = None
             return prediction
         self._announced = Announced(U=along.U, c=law.c)
-        if self._A_others is None or is_new:
+        if self._closed_loop is None or is_new:
             B_others = discrete.B.copy()
             B_others[:, own] = 0.0
-            self._A_others = discrete.A + B_others @ law.K
+            self._closed_loop = discrete.A + B_others @ law.K, discrete.B[:, own]
         V = along.U[:, own] - linear.u0[own]
-        by_own = own_response(self._A_others, discrete.B[:, own], V)
+        by_own = own_response(*self._closed_loop, V)
         follow(prediction, along, by_own, law, linear.u0, own)
         return prediction
 

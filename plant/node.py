@@ -70,6 +70,7 @@ class PlantNode(Participant):
 
         instants_s = self._period_s * np.arange(setup.ticks + 1, dtype=np.float64)
         self._path, _ = setup.maneuver.path(instants_s)
+        self._tilts = state.tilt_indices(setup.system.N)
         self._whole = setup.whole_team()
         fail_safe = self._whole.law.fail_safe
         self._schedule = ActuatorSchedule(setup.hover.u, fail_safe, setup.settings)
@@ -295,18 +296,15 @@ class PlantNode(Participant):
         if not np.isfinite(x).all():
             return "the state is no longer finite"
         limits = self._setup.scenario.plant
-        view = state.StateView(x)
-
-        # Roll and pitch of the payload, then of each UAV, (1 + N, 2), deg.
-        attitudes = np.degrees(np.abs(np.vstack([view.Theta0[None], view.Theta])[:, :2]))
-        worst = np.unravel_index(int(np.argmax(attitudes)), attitudes.shape)
-        if attitudes[worst] > limits.max_attitude_deg:
-            body = "payload" if worst[0] == 0 else f"UAV{worst[0]}"
-            angle = ("roll", "pitch")[worst[1]]
-            size = f"{body} {angle} of {attitudes[worst]:.0f} deg"
+        tilts = np.degrees(np.abs(x[self._tilts]))
+        worst = int(np.argmax(tilts))
+        if tilts[worst] > limits.max_attitude_deg:
+            uav, axis = divmod(worst, 2)
+            body = "payload" if uav == 0 else f"UAV{uav}"
+            size = f"{body} {('roll', 'pitch')[axis]} of {tilts[worst]:.0f} deg"
             return f"{size} exceeds {limits.max_attitude_deg:g} deg"
 
-        error = float(np.linalg.norm(view.r0_I - self._path[tick]))
+        error = float(np.linalg.norm(x[state.R0] - self._path[tick]))
         if error > limits.max_error_m:
             return f"payload position error of {error:.1f} m exceeds {limits.max_error_m:g} m"
         return ""

@@ -10,7 +10,7 @@ from transport.model.dynamics import Symbols, motion
 from transport.model.parameters import System
 from transport.mpc.constraints.block import Block
 from transport.mpc.decision import Decision
-from transport.mpc.expressions import Expressions
+from transport.mpc.expressions import Expressions, Formulas
 from transport.mpc.settings import Tension as Settings
 from transport.mpc.trajectory import Trajectory
 
@@ -33,12 +33,9 @@ class Tension:
         self._has_limit = np.ones(len(decision.uavs), dtype=bool)
 
         # minimum - tension, N: positive where a tension is too small.
-        self._lacking = Expressions(
-            [settings.minimum_N - tensions[uav] for uav in decision.uavs],
-            ca.vertcat(symbols.x, symbols.u),
-            symbols.p,
-            system.vector(),
-        )
+        lacking = [settings.minimum_N - tensions[uav] for uav in decision.uavs]
+        variable = ca.vertcat(symbols.x, symbols.u)
+        self._lacking = Expressions(Formulas.of(lacking, variable, symbols.p), system.vector())
         self.penalties = np.array([settings.penalty])
         self.slack = np.full((decision.shape[0] * len(decision.uavs), 1), -1.0)
 
