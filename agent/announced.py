@@ -11,7 +11,7 @@ import numpy.typing as npt
 from transport.agent.handover import NO_WAIT, SHARED, News, NewsAge, Silence
 from transport.agent.plans import ReceivedPlans
 from transport.model.arrays import Array
-from transport.model.state import input_indices, input_slice
+from transport.model.state import input_places, input_slice
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.wire.messages import Plan
@@ -20,7 +20,7 @@ from transport.protocol.wire.messages import Plan
 # the paper; or its input for the present tick, held.
 Alignment = Literal["by_age", "by_one", "held"]
 
-Columns = npt.NDArray[np.intp]
+Columns = slice | npt.NDArray[np.intp]
 
 
 def _none(*_: object) -> None:
@@ -146,7 +146,7 @@ class AnnouncedInputs:
 
         # By agent: its columns of u; its plans; and where the last plan of an agent that left has not
         # been received, the inputs assumed for it.
-        self._columns = {agent: input_indices(uavs) for agent, uavs in enumerate(owned, start=1)}
+        self._columns = {agent: input_places(uavs) for agent, uavs in enumerate(owned, start=1)}
         self._plans = ReceivedPlans(self._columns)
         self._assumed: dict[int, Assumed] = {}
 

@@ -101,7 +101,7 @@ class OwnEstimate:
         period = motors.Period(
             duration_s=settings.sampling_period_s, steps=_STEPS, lag_s=settings.motor_lag_s
         )
-        x_end, _ = motors.integrate(
+        x_end = motors.integrate(
             self._controller.model,
             x,
             self.u_before,

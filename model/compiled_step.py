@@ -15,6 +15,8 @@ _PARAMETERS = 2
 _FORCES = 3
 _LENGTH = 4
 
+_VARYING = 3  # axes of gains that vary
+
 _SLACK = 8  # entries more than CasADi asks for in each room
 
 
@@ -23,7 +25,7 @@ class Feedback:
     """u = at_x + K (x(k) - x(0)) within bounds."""
 
     at_x: Array  # inputs of each step at the first state, (steps, m)
-    K: Array  # (m, n)
+    K: Array  # (m, n), or of each step, (steps, m, n)
     lower: Array  # (m,)
     upper: Array  # (m,)
 
@@ -77,6 +79,7 @@ class CompiledStep:
             len(x),
             U.shape[1],
             *self._addresses,
+            feedback.K.ndim == _VARYING,
             self._known.of("K", feedback.K),
             native.address(feedback.at_x),
             self._known.of("lower", feedback.lower),

@@ -391,19 +391,20 @@ void free_response(ptrdiff_t steps, ptrdiff_t n, const double *A, const double *
 }
 
 /* States Z, (steps + 1, n), and inputs U, (steps, m), under u = at_x0 + K (x - x0) within bounds: (35a), (73); see
-   mpc/rollout.py.
+   mpc/rollout.py. K: (m, n), or with `varying` of each step, (steps, m, n).
 
    advance: a CasADi function (x, u, p, F, h) -> (x, error); arg, res, iw, w: room for it, arg[2] to arg[4] are set. */
 void rollout(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m,
              int (*advance)(const double **, double **, long long *, double *, int), const double **arg, double **res,
-             long long *iw, double *w, const double *K, const double *at_x0, const double *lower, const double *upper,
-             double *Z, double *U)
+             long long *iw, double *w, int varying, const double *K, const double *at_x0, const double *lower,
+             const double *upper, double *Z, double *U)
 {
     for (ptrdiff_t k = 0; k < steps; k++) {
+        const double *gain = varying ? K + k * m * n : K;
         double *x = Z + k * n, *ahead = x + n, *u = U + k * m;
         /* u(k) = clip(at_x0(k) + K (x(k) - x0)); `ahead` is room for the difference. */
         for (ptrdiff_t i = 0; i < n; i++) ahead[i] = x[i] - Z[i];
-        chained(m, n, K, ahead, u);
+        chained(m, n, gain, ahead, u);
         for (ptrdiff_t i = 0; i < m; i++) {
             const double wanted = at_x0[k * m + i] + u[i];
             u[i] = wanted < lower[i] ? lower[i] : wanted > upper[i] ? upper[i] : wanted;

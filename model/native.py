@@ -33,7 +33,7 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "predict_work": (_number, [_number] * 3),
     "respond": (None, [_address]),
     "free_response": (None, [_number] * 2 + [_address] * 3),
-    "rollout": (None, [_number] * 3 + [_address] * 11),
+    "rollout": (None, [_number] * 3 + [_address] * 5 + [ctypes.c_int] + [_address] * 6),
     "condense_work": (_number, [_number] * 5),
     "fill": (None, [_address]),
     "conclude": (None, [_address] * 2 + [_double] + [_address] * 2),

@@ -6,7 +6,7 @@ x = [r0, v0, Theta0, omega0, (e_i, Omega_i, Theta_i, omega_i) for i = 1..N],   1
 u = [(thrust_i, tau_i) for i = 1..N],  or three commanded body rates,          4 N
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -61,6 +61,13 @@ def input_indices(uavs: Iterable[int]) -> npt.NDArray[np.intp]:
     In the given order.
     """
     return np.array([INPUTS * i + j for i in uavs for j in range(INPUTS)], dtype=np.intp)
+
+
+def input_places(uavs: Sequence[int]) -> slice | npt.NDArray[np.intp]:
+    """Return the same positions as a slice, which reads and writes faster, of consecutive UAVs."""
+    if list(uavs) == list(range(uavs[0], uavs[0] + len(uavs))):
+        return slice(INPUTS * uavs[0], INPUTS * (uavs[-1] + 1))
+    return input_indices(uavs)
 
 
 def tilt_indices(N: int) -> npt.NDArray[np.intp]:

@@ -21,7 +21,7 @@ from transport.mpc.decision import Decision
 from transport.mpc.feedback import FeedbackLaw, Gains
 from transport.mpc.prediction import Linear
 from transport.mpc.qp import QP
-from transport.mpc.rollout import Actuation, OwnInputs, rollout
+from transport.mpc.rollout import Actuation, OwnRates, rollout
 from transport.mpc.trajectory import TimeVarying
 
 # From this share of the range of inputs on, or of m, rad or N, a constraint counts as violated.
@@ -54,6 +54,7 @@ class CourseProgram:
     def __init__(self, decision: Decision, obstacles: Sequence[Obstacle] = ()) -> None:
         self._decision = decision
         self._actuation = Actuation.of(decision.settings, decision.system.N)
+        self._free = self._actuation.without_limits(decision.own)
 
         constraints: list[Constraint] = [Bounds(decision), *constraints_of(decision)]
         if obstacles:
@@ -79,8 +80,7 @@ class CourseProgram:
             c[:, own] = -np.linalg.solve(M[:, own[:, None], own], coupled[:, :, None])[:, :, 0]
         law = replace(law, c=c)
 
-        free = OwnInputs(decision=self._decision)
-        Z, U = rollout(model, self._actuation, linear.x0, law, linear.forces, free)
+        Z, U = rollout(model, self._free, linear.x0, law, linear.forces)
         trajectory = TimeVarying(
             decision=self._decision, model=model, law=law, along=along, Z=Z, U=U, u0=linear.u0
         )
@@ -137,7 +137,7 @@ class CourseProgram:
         c = announced.c.copy()
         c[:, own] = w * (optimal + self._decision.inputs(z)) + (1.0 - w) * previous
         law = replace(course.law, c=c)
-        limited = OwnInputs(decision=self._decision, before=course.linear.u0[own])
+        limited = OwnRates(decision=self._decision, before=course.linear.u0[own])
         forces = course.linear.forces
         U = rollout(model, self._actuation, course.Z[0], law, forces, limited).U
         return U[:, own], c[:, own]

@@ -1,7 +1,7 @@
 """Trajectories of the nonlinear model under the control law, within limits of inputs."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ from transport.model import motors
 from transport.model.arrays import Array, frozen
 from transport.model.compiled_step import Feedback
 from transport.model.linearisation import Model
+from transport.model.native import Places
 from transport.mpc.decision import Decision
 from transport.mpc.feedback import FeedbackLaw
 from transport.mpc.settings import ControllerSettings
@@ -41,13 +42,22 @@ class Actuation:
         frozen(lower, upper)
         return Actuation(lower=lower, upper=upper, period=period)
 
+    def without_limits(self, inputs: Places) -> "Actuation":
+        """Return the same with some of the inputs unbounded."""
+        lower = self.lower.copy()
+        upper = self.upper.copy()
+        lower[inputs] = -np.inf
+        upper[inputs] = np.inf
+        frozen(lower, upper)
+        return replace(self, lower=lower, upper=upper)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OwnInputs:
-    """Owned inputs of a trajectory: without limits, or within bounds and rates."""
+class OwnRates:
+    """Owned inputs of a trajectory within rates, and then bounds."""
 
     decision: Decision
-    before: Array | None = None  # inputs before the first step, (m_own,): with limits
+    before: Array  # inputs before the first step, (m_own,)
 
 
 def rollout(
@@ -56,16 +66,16 @@ def rollout(
     z0: Array,
     law: FeedbackLaw,
     forces: Array | None = None,
-    own: OwnInputs | None = None,
+    own: OwnRates | None = None,
 ) -> Rollout:
     """Return the trajectory under u = u_law(x0) + c + K (x - x0), all inputs within their bounds.
 
     z0 is the state at step 0, (n,), with motor lag [x, actual inputs], (n + m,); forces are the
-    estimated external forces, N, and mass. The inputs `own` have other limits.
+    estimated external forces, N, and mass. The inputs `own` keep rates as well.
     Source: docs/equations.md (35a), (73).
     """
     period = actuation.period
-    if own is None and law.K.ndim == 2 and period.lag_s == 0.0:
+    if own is None and period.lag_s == 0.0:
         at_x0 = law.uncorrected + law.c
         feedback = Feedback(
             at_x=at_x0, K=law.K, lower=actuation.lower, upper=actuation.upper
@@ -86,7 +96,7 @@ def _step(
         return model.stepper(period.duration_s, forces)
 
     def after_step(z: Array, u: Array) -> Array:
-        return motors.integrate(model, z, u, period, forces)[0]
+        return motors.integrate(model, z, u, period, forces)
 
     return after_step
 
@@ -96,7 +106,7 @@ def _by_steps(
     z0: Array,
     law: FeedbackLaw,
     actuation: Actuation,
-    own: OwnInputs | None,
+    own: OwnRates | None,
 ) -> Rollout:
     """Return the trajectory step by step: u = u_law(x0) + c + K_k (x - x0) within limits, (73)."""
     at_x0 = law.uncorrected + law.c
@@ -108,12 +118,9 @@ def _by_steps(
     for k, K in enumerate(gains):
         wanted = at_x0[k] + K @ (Z[k] - z0)
         u = np.minimum(np.maximum(wanted, actuation.lower), actuation.upper)
-        if own is not None:
-            owned = wanted[own.decision.own]
-            if before is not None:
-                owned = own.decision.limit_rate(owned, before)
-                before = owned
-            u[own.decision.own] = owned
+        if own is not None and before is not None:
+            before = own.decision.limit_rate(wanted[own.decision.own], before)
+            u[own.decision.own] = before
         U.append(u)
         Z.append(step(Z[k], u))
     return Rollout(np.array(Z), np.array(U))

@@ -207,7 +207,7 @@ class Recursion:
         """Return d_k = Pi_(k+1) (model's step from the reference - reference), (n,): (70)."""
         X = self._track.X
         x_ahead = X[min(k + 1, len(X) - 1)]
-        moved, _ = self._law.hovering.model.integrate(X[k], u_fixed, self._period_s, _STEPS)
+        moved = self._law.hovering.model.advance(X[k], u_fixed, self._period_s, _STEPS)
         drift: Array = _projection(x_ahead) @ (moved - x_ahead)
         return drift
 

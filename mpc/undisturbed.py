@@ -101,7 +101,7 @@ class UndisturbedMotion:
         now = self._known[-1]
         instant = self._first + len(self._known)
         team = self._team
-        x, _ = team.model.integrate(now.x, now.u, team.period_s, _STEPS)
+        x = team.model.advance(now.x, now.u, team.period_s, _STEPS)
         if not np.abs(x).max() < state.LARGEST:
             x = self._X_ref[min(instant, len(self._X_ref) - 1)]
         self._known.append(AtInstant(x, team.inputs(x, instant)))

@@ -53,7 +53,7 @@ class Motion:
         """Return the state one period after `tick`; the reference if that diverges."""
         model = self.model_at(tick)
         period = motors.Period(duration_s=self.period_s, steps=self.steps, lag_s=self.lag_s)
-        end, _ = motors.integrate(model, x, u, period, forces)
+        end = motors.integrate(model, x, u, period, forces)
         if np.abs(end).max() > state.LARGEST:
             return self.reference_at(tick + 1)
         return self.moved(end, tick + 1)

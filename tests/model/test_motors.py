@@ -60,8 +60,7 @@ def error(lag_s: float, steps: int) -> float:
     """Return the largest difference from the ODE solver after a period."""
     model, x, a, u, forces = case()
     period = Period(duration_s=PERIOD_S, steps=steps, lag_s=lag_s)
-    found, local = integrate(model, np.concatenate([x, a]), u, period, forces)
-    assert 0.0 <= local < PLANT_ERROR
+    found = integrate(model, np.concatenate([x, a]), u, period, forces)
     return float(np.abs(found - reference(lag_s)).max())
 
 
@@ -83,10 +82,9 @@ def test_accuracy(lag_s: float) -> None:
 def test_without_lag_the_command_acts() -> None:
     """With lag 0 the integration is that of the held command, bit for bit."""
     model, x, _, u, forces = case()
-    found, local = integrate(model, x, u, Period(duration_s=PERIOD_S, steps=2), forces)
-    expected, local_expected = model.integrate(x, u, PERIOD_S, 2, forces=forces)
+    found = integrate(model, x, u, Period(duration_s=PERIOD_S, steps=2), forces)
+    expected, _ = model.integrate(x, u, PERIOD_S, 2, forces=forces)
     np.testing.assert_array_equal(found, expected)
-    assert local == local_expected
     assert decay(0.0, PERIOD_S) == 0.0
 
 

@@ -43,7 +43,7 @@ def test_prediction_along_the_control_law_is_exact_on_it(lag_s: float) -> None:
         u = np.clip(at_x0 + law.K @ (z - z0), lower, upper)
         V.append(u[controller.own] - at_rest.u[controller.own])
         period = motors.Period(duration_s=settings.sampling_period_s, steps=1, lag_s=lag_s)
-        z, _ = motors.integrate(model, z, u, period)
+        z = motors.integrate(model, z, u, period)
     caused = sum(prediction.effect[:, 39 - j] @ V[j] for j in range(40))
     assert z0 + prediction.dX_free[-1] + caused == pytest.approx(z, abs=ON_THE_TRAJECTORY)
     assert np.abs(z - z0).max() > 0.1, (

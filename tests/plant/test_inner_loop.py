@@ -113,7 +113,7 @@ def test_a_known_lag_is_inside_the_inner_loop(lag_s: float) -> None:
     x, u = random_state(rng, N, rate=0.02), random_input(rng, N)
     a = u + 0.3 * rng.standard_normal(4 * N)
     period = motors.Period(duration_s=period_s, steps=5, lag_s=lag_s)
-    found, _ = motors.integrate(Model(system), np.concatenate([x, a]), u, period)
+    found = motors.integrate(Model(system), np.concatenate([x, a]), u, period)
     omega, alpha = StateView(x).omega_B, GAINS * (a.reshape(N, 4)[:, 1:] - StateView(x).omega_B)
     for i, axis in np.ndindex(N, 3):
         K, command = GAINS[axis], u[4 * i + 1 + axis]

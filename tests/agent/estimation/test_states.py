@@ -153,7 +153,7 @@ def test_motors_that_lag(delay: int) -> None:
     Z = [np.concatenate([run.initial_state(), run.hover.u + wrong])]
     for u in U:
         period = motors.Period(duration_s=PERIOD_S, steps=10, lag_s=lag_s)
-        Z.append(motors.integrate(run.model, Z[-1], u, period)[0])
+        Z.append(motors.integrate(run.model, Z[-1], u, period))
     truth = Flight(run, np.array(Z)[:, : run.system.n], U)
 
     guess = np.concatenate([run.initial_state(), run.hover.u])
