@@ -1,7 +1,7 @@
 """The numerical model of one system: derivative, outputs, exact linearisation, integration."""
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -175,6 +175,15 @@ class Model:
     def derivative(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Return x' = f(x, u, F), (n,), SI. Source: docs/equations.md (4)-(13), (37)."""
         return self._compiled["derivative"].flat(*self._arguments(x, u, forces))
+
+    def derivatives(self, x: Array, u: Array, forces: Sequence[Array]) -> list[Array]:
+        """Return f(x, u, F), (n,), of several forces with the same mass error."""
+        function = self._compiled["derivative"]
+        u = _zeroed(u, self._off)
+        p, _ = self._acting(forces[0])
+        count = len(self._no_forces)
+        on_bodies = [_zeroed(each[:count], self._unforced) for each in forces]
+        return [function.flat(x, u, p, F) for F in on_bodies]
 
     def tensions(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Return the rod tensions, (N,), N.

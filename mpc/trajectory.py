@@ -60,7 +60,10 @@ class Trajectory(Protocol):
         """Return functions of the state, expanded in x, (n,), without actual inputs."""
 
     def of_positions(self, expand: Expansion) -> Signals:
-        """Return functions of the UAVs' positions, expanded in r = [r_1, .., r_N], (3 N,), m."""
+        """Return functions of the UAVs' positions, expanded in r = [r_1, .., r_N], m.
+
+        `expand` takes positions of one or of several instants, (..., 3 N).
+        """
 
     def of_inputs(self, expand: Expansion) -> Signals:
         """Return functions of the inputs, expanded in u, (m,); only owned inputs count."""
@@ -244,7 +247,7 @@ class TimeVarying:
 
     def of_positions(self, expand: Expansion) -> Signals:
         """Return functions of the UAVs' positions, expanded at each step."""
-        values, slopes = _expanded(expand, self.positions)
+        values, slopes = expand(self.positions)
 
         def rows() -> Array:
             by_state = zip(slopes, self.position_slopes, self.effects[0][1:], strict=True)

@@ -165,8 +165,8 @@ def _each(matrices: Array, vectors: Array) -> Array:
 
 
 # For each axis the next one, and the one after that.
-_NEXT = [1, 2, 0]
-_AFTER_NEXT = [2, 0, 1]
+_NEXT = np.array([1, 2, 0])
+_AFTER_NEXT = np.array([2, 0, 1])
 
 
 def _cross(a: Array, b: Array) -> Array:
@@ -174,7 +174,9 @@ def _cross(a: Array, b: Array) -> Array:
 
     It takes a fifth of the time of numpy.cross for a few vectors.
     """
-    return np.asarray(a[:, _NEXT] * b[:, _AFTER_NEXT] - a[:, _AFTER_NEXT] * b[:, _NEXT])
+    forward = a.take(_NEXT, axis=1) * b.take(_AFTER_NEXT, axis=1)
+    backward = a.take(_AFTER_NEXT, axis=1) * b.take(_NEXT, axis=1)
+    return np.asarray(forward - backward)
 
 
 def inner_loop(setup: Setup, step_s: float) -> InnerLoop | None:

@@ -84,13 +84,11 @@ class UnknownForces:
 
         # The equations of motion are affine in the forces, (38), but not in the mass.
         still = np.append(np.zeros(len(unknown) - 1), unknown[-1])
-        f = model.derivative(place.x, place.actual, forces=still)
         units = np.vstack([self.derivative(place), np.zeros((1, COUNT))])
-        columns = [
-            model.derivative(place.x, place.actual, forces=still + unit) - f for unit in units.T
-        ]
+        pushed = [still, *(still + unit for unit in units.T)]
+        f, *by_unit = model.derivatives(place.x, place.actual, pushed)
         E = np.zeros((len(A), COUNT))
-        E[: len(place.x)] = np.column_stack(columns)
+        E[: len(place.x)] = np.column_stack(by_unit) - f[:, None]
 
         #   integral of exp(A_c t) E  =  T_s / 2 (E + A E) + O(T_s^3)
         return np.asarray(period_s / 2.0 * (E + A @ E))

@@ -41,26 +41,27 @@ class Separation:
 
 
 def pair_distances(positions: Array, pairs: npt.NDArray[np.intp]) -> tuple[Array, Array]:
-    """Return the distances of pairs of points, (pairs,), m, and their gradients, (pairs, 3 N).
+    """Return the distances of pairs of points, (..., pairs), m, and their gradients.
 
     d = |r_i - r_j|, with gradient (r_i - r_j) / d by r_i and the opposite by r_j. Two UAVs in one
     point have no direction; any direction separates them.
 
     Args:
-        positions: r = [r_1, .., r_N], (3 N,), m.
+        positions: r = [r_1, .., r_N], (..., 3 N), m.
         pairs: 0-based numbers i, j, (pairs, 2).
+    Returns: Distances, and gradients, (..., pairs, 3 N).
     Source: docs/equations.md (29).
     """
-    r = positions.reshape(-1, 3)
-    apart = r[pairs[:, 0]] - r[pairs[:, 1]]
-    distances = np.sqrt((apart * apart).sum(axis=1))
+    r = positions.reshape(*positions.shape[:-1], -1, 3)
+    apart = r[..., pairs[:, 0], :] - r[..., pairs[:, 1], :]
+    distances = np.sqrt((apart * apart).sum(axis=-1))
 
     together = distances == 0.0
-    direction = apart / np.where(together, 1.0, distances)[:, None]
+    direction = apart / np.where(together, 1.0, distances)[..., None]
     direction[together] = [1.0, 0.0, 0.0]
 
-    gradients = np.zeros((len(pairs), len(r), 3))
+    gradients = np.zeros((*distances.shape, r.shape[-2], 3))
     each = np.arange(len(pairs))
-    gradients[each, pairs[:, 0]] = direction
-    gradients[each, pairs[:, 1]] = -direction
-    return distances, gradients.reshape(len(pairs), len(positions))
+    gradients[..., each, pairs[:, 0], :] = direction
+    gradients[..., each, pairs[:, 1], :] = -direction
+    return distances, gradients.reshape(*distances.shape, positions.shape[-1])
