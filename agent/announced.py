@@ -112,6 +112,7 @@ class AnnouncedInputs:
         failed_since: Tick of the newest failure of a UAV. From then on every agent follows the
             control law of the UAVs that are left; earlier plans apply until then.
         news: How old the newest plans of the others usually are.
+        oldest_news: The largest ages at the tick last observed.
         began: Tick from which on the agent could have had plans of the others.
     """
 
@@ -136,6 +137,7 @@ class AnnouncedInputs:
         self._law = SharedLaw() if law is None else law
         peers = [agent for agent in range(1, len(owned) + 1) if agent != own]
         self.news = News(peers, self._law.silence)
+        self.oldest_news = NO_WAIT
 
         uavs = sum(map(len, owned))
         self._bounds: tuple[Array, Array] | None = None
@@ -181,21 +183,19 @@ class AnnouncedInputs:
 
     def observe_news(self, k: int) -> None:
         """Take in how old the newest plans of the others are at a tick."""
+        mean = overdue = 0.0
         for agent in self._columns:
             plan = self.newest(agent, before=k)
             if plan is not None and agent != self._own:
                 self.news.observe(agent, k - plan.tick)
+            age = self._age(agent, plan, k)
+            mean = max(mean, age.mean)
+            overdue = max(overdue, age.overdue)
+        self.oldest_news = NewsAge(mean=mean, overdue=overdue)
 
     def age(self, agent: int, tick: int, before: int) -> NewsAge:
         """Return how old another agent's news are at a tick, also for past ticks by those of now."""
         return self._age(agent, self.newest(agent, before, started=tick), tick)
-
-    def oldest_news(self, agents: Iterable[int], k: int) -> NewsAge:
-        """Return the largest ages of the news of some agents at a tick."""
-        ages = [self.age(agent, k, before=k) for agent in agents]
-        mean = max((age.mean for age in ages), default=0.0)
-        overdue = max((age.overdue for age in ages), default=0.0)
-        return NewsAge(mean=mean, overdue=overdue)
 
     def _age(self, agent: int, plan: Plan | None, tick: int) -> NewsAge:
         """Return how old an agent's news are at a tick, of which a plan, if any, is the newest."""

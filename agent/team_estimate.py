@@ -114,7 +114,7 @@ class TeamEstimate:
         silence = self.announced.silence
         if silence is None:
             return 0.0
-        by_age = silence.alone(self.announced.oldest_news(self.peers, k))
+        by_age = silence.alone(self.announced.oldest_news)
         by_others = self.announced.least_said(self.peers, before=k) - LESS_THAN_OTHERS
         return max(by_age, by_others)
 
