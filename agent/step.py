@@ -166,8 +166,7 @@ class Planner:
         period = motors.Period(
             duration_s=settings.sampling_period_s, steps=STEPS, lag_s=settings.motor_lag_s
         )
-        x_end = motors.integrate(self._controller.model, x, u, period, forces)
-        return x_end
+        return motors.integrate(self._controller.model, x, u, period, forces)
 
     def _problem(self, k: int, start: HorizonStart) -> Problem:
         """Return the problem of tick k, about the begin of its horizon."""

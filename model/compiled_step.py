@@ -77,7 +77,7 @@ class CompiledStep:
         native.KERNELS.rollout(
             len(U),
             len(x),
-            U.shape[1],
+            len(feedback.lower),
             *self._addresses,
             feedback.K.ndim == _VARYING,
             self._known.of("K", feedback.K),

@@ -144,7 +144,9 @@ class CompiledProgram:
     def relaxed(self, z: Array, w: float) -> tuple[Array, Array]:
         """Return inputs and corrections, (N_p, m_own), as `mpc.relaxation.relaxed`."""
         z_address = self._copies.copied("z", z)
-        native.KERNELS.conclude(ctypes.addressof(self._problem), z_address, w, *self._addresses_of_plan)
+        native.KERNELS.conclude(
+            ctypes.addressof(self._problem), z_address, w, *self._addresses_of_plan
+        )
         inputs, corrections = self._plan
         return inputs.copy(), corrections.copy()
 

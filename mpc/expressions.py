@@ -99,7 +99,9 @@ class Formulas:
 
     count: int
     variables: int
-    function: ca.Function | None  # values and gradients of variable and parameters; None without any
+    function: (
+        ca.Function | None
+    )  # values and gradients of variable and parameters; None without any
     depends: npt.NDArray[np.bool_]  # which elements of the variable occur in each, (c, n) or (c, m)
 
     @staticmethod

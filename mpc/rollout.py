@@ -77,9 +77,7 @@ def rollout(
     period = actuation.period
     if own is None and period.lag_s == 0.0:
         at_x0 = law.uncorrected + law.c
-        feedback = Feedback(
-            at_x=at_x0, K=law.K, lower=actuation.lower, upper=actuation.upper
-        )
+        feedback = Feedback(at_x=at_x0, K=law.K, lower=actuation.lower, upper=actuation.upper)
         compiled = model.rollout(z0, feedback, period.duration_s, forces)
         if compiled is not None:
             return Rollout(*compiled)

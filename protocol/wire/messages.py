@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from transport.model.arrays import Array
+from transport.model.arrays import Array, frozen
 from transport.model.state import INPUTS, PAYLOAD, PER_UAV, REPORTED, REPORTS, SENSED
 from transport.protocol.wire.errors import MessageError, Reason
 from transport.protocol.wire.names import (
@@ -56,7 +56,7 @@ KeyEnds = Annotated[
 Names = Annotated[tuple[Annotated[str, Meta(max_length=MAX_NAME)], ...], Meta(max_length=MAX_NAMES)]
 Parts = Annotated[tuple[bytes, ...], Meta(max_length=MAX_PARTS)]
 
-# Shape of an array from the other fields of its message; None for an axis of any length.
+# Shape of an array from the other fields of its message; None for a first axis of any length.
 ShapeOf = Callable[[Any], tuple[int | None, ...]]
 
 
@@ -114,10 +114,12 @@ class Message(
         for field, shape_of in self.shapes.items():
             value: Array = getattr(self, field)
             expected = shape_of(self)
-            if value.shape != expected and not _fits(value.shape, expected):
+            if not _fits(value.shape, expected):
                 shown = ", ".join("any" if length is None else str(length) for length in expected)
                 text = f"{field}: expected shape ({shown}), got {value.shape}"
                 raise MessageError("wrong_shape", text)
+            if not value.size:
+                continue
             # The first test takes one pass, but overflows for large numbers.
             if not math.isfinite(np.vdot(value, value)) and not np.isfinite(value).all():
                 text = f"{field}: expected finite numbers, got nan or infinity"
@@ -145,12 +147,10 @@ class Message(
 
 
 def _fits(shape: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
-    """Return whether an array has an expected shape, None for any length."""
-    if len(shape) != len(expected):
-        return False
-    # A list: a generator takes twice as long for one or two axes, and each message comes here.
-    pairs = zip(shape, expected, strict=True)
-    return all([length is None or got == length for got, length in pairs])
+    """Return whether an array has an expected shape; its first length may be any, None."""
+    if expected[0] is None:
+        return len(shape) == len(expected) and shape[1:] == expected[1:]
+    return shape == expected
 
 
 # In `Airtime.arrivals`: a newer plan took the place of this one before it was sent.
@@ -342,6 +342,10 @@ class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
     inputs: Array  # inputs their actuators applied until now, (owned, 4), N and N m or rad/s
 
 
+_NO_DATA = np.zeros(0)
+frozen(_NO_DATA)
+
+
 class Plan(Message, tag="plan", frozen=True, kw_only=True):
     """Agent to plant and coordinator: states of its UAVs and inputs to apply.
 
@@ -384,7 +388,7 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
     alone: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     # Numbers that a controller of the user shares, (k,) with k at most `MAX_DATA`, in the shape that
     # the receiver's own class has declared; without any the field does not travel.
-    data: Array = msgspec.field(default_factory=lambda: np.zeros(0))
+    data: Array = msgspec.field(default_factory=lambda: _NO_DATA)
 
     def check(self) -> None:
         """Check the arrays, and that inputs and corrections are over the same steps."""

@@ -280,9 +280,9 @@ def test_program_keeps_clear_of_an_obstacle(margin_m: float, load_margin_m: floa
         together[:, alone.own] = step(alone, x0, c)[1].c
     law = one.law(x0, track.X[start : start + 12], together, None, start)
     assert law is not None
-    assert least_m(rollout(model, Actuation.of(SETTINGS, model.system.N), x0, law)[0], obstacle) == pytest.approx(
-        load_margin_m, abs=0.005
-    )
+    assert least_m(
+        rollout(model, Actuation.of(SETTINGS, model.system.N), x0, law)[0], obstacle
+    ) == pytest.approx(load_margin_m, abs=0.005)
 
 
 def test_conflicting_obstacles_give_way_in_the_order_of_their_penalties() -> None:
@@ -314,7 +314,10 @@ def test_conflicting_obstacles_give_way_in_the_order_of_their_penalties() -> Non
         _, result = step(controller((0, 1, 2, 3), obstacles=among), x0, c)
         law = controller().law(x0, track.X[start : start + 12], result.c, None, start)
         assert law is not None
-        return [least_m(rollout(model, Actuation.of(SETTINGS, model.system.N), x0, law)[0], obstacle) for obstacle in among]
+        return [
+            least_m(rollout(model, Actuation.of(SETTINGS, model.system.N), x0, law)[0], obstacle)
+            for obstacle in among
+        ]
 
     first, second = kept_m(1e4, 1e2), kept_m(1e2, 1e4)
     assert first[0] == pytest.approx(kept_m(1e4, 0.0)[0], abs=1e-3)

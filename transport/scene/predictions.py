@@ -14,7 +14,7 @@ from transport.model.state import StateView
 from transport.mpc.feedback import FeedbackLaw
 from transport.mpc.reference import Sampled
 from transport.mpc.regulation import Regulation
-from transport.mpc.rollout import rollout
+from transport.mpc.rollout import Actuation, rollout
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Plan, PlantState, StepReport
 from transport.scene.history import RunHistory
@@ -84,7 +84,8 @@ class Predictions:
         law = self._team_law(z0, announced, forces, tick)
         if law is None:
             law = self._open_loop(z0, announced, plan, plant_state)
-        predicted = rollout(setup.model, setup.settings, z0, law, forces)
+        actuation = Actuation.of(setup.settings, setup.system.N)
+        predicted = rollout(setup.model, actuation, z0, law, forces)
         return predicted.Z[:, : len(plant_state.x)]
 
     def _is_team_complete(self, tick: int) -> bool:
