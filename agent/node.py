@@ -108,7 +108,7 @@ class AgentNode(Participant):
 
     # Messages that arrive.
 
-    def _head(self, target: Target) -> None:
+    def _follow_target(self, target: Target) -> None:
         """Keep a target until its tick, with the run that has it (`self._setup` by now)."""
         self._targets.append((target.tick, self._setup))
 

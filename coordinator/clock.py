@@ -83,6 +83,9 @@ class Clock:
         """Note that a tick is opened for the roster, some agents of which have just joined."""
         if tick == 0:
             self._start_ns = now_ns
+        if self._holds:
+            late_ns, _ = self.lateness_ns(tick, now_ns)
+            self._start_ns += late_ns  # all later deadlines move by the wait
         self.waiting_since_ns = now_ns
         self._overrun_ns = 0
 
@@ -108,8 +111,6 @@ class Clock:
         if not self.is_realtime:
             return 0, 0
         late_ns = max(0, now_ns - self.due_ns(tick)) if tick > 0 else 0
-        if self._holds:
-            self._start_ns += late_ns  # all later deadlines move by the wait
         return late_ns, self._overrun_ns
 
     def silent(self, members: set[int], missing: set[int], now_ns: int) -> set[int]:

@@ -78,7 +78,11 @@ class CoordinatorNode:
         self._out = Outbox(self.name, incarnation)
         self._clock = Clock(setup)
         self._roster = TeamRoster(setup, self._out)
-        self._awaited = {PLANT, *self._roster.agents, *observers}  # processes that are not ready
+        self._not_ready = {
+            PLANT,
+            *self._roster.agents,
+            *observers,
+        }  # processes before the first tick
         self._observers = set(observers)  # that have not left
 
         # Agents that answered the open tick, and whether with a plan that the others received.
@@ -98,7 +102,7 @@ class CoordinatorNode:
             return None
         if self.state is State.HELD:
             return self._clock.hold_ends_ns
-        if self._awaits_plant or self._clock.waits_for(self._missing):
+        if self._lacks_last_state or self._clock.waits_for(self._missing):
             return self._clock.expires_ns
         return self._clock.due_ns(self.tick + 1)
 
@@ -142,7 +146,7 @@ class CoordinatorNode:
         silent = self._clock.silent(self._roster.members, self._missing, now_ns)
         if silent:
             return self._drop_silent(silent, now_ns)
-        if expired and self._awaits_plant:
+        if expired and self._lacks_last_state:
             reason = f"plant did not answer tick {self.tick} in time"
             return self._stop(EXIT_UNREACHABLE, reason)
         return self._advance(now_ns)
@@ -156,7 +160,7 @@ class CoordinatorNode:
         return self.tick + 1 == self._ticks
 
     @property
-    def _awaits_plant(self) -> bool:
+    def _lacks_last_state(self) -> bool:
         """Whether the plant's last state is missing, without which the record is not complete."""
         return self._is_last and self._plant_tick < self.tick
 
@@ -214,13 +218,14 @@ class CoordinatorNode:
 
     def _process_ready(self, event: Presence, now_ns: int) -> Sequence[Message]:
         """Note that a process is ready; open the first tick when all are."""
-        if event.name not in {PLANT, *self._roster.agents} | self._awaited:
+        takes_part = event.name == PLANT or event.name in self._roster.agents
+        if not takes_part and event.name not in self._not_ready:
             return ()
-        self._awaited.discard(event.name)
+        self._not_ready.discard(event.name)
 
         before = self._roster.incarnations.get(event.name, -1)
         self._roster.incarnations[event.name] = max(event.incarnation, before)
-        if self._awaited:
+        if self._not_ready:
             return ()
         return [self._roster.message("all processes are ready", 0), *self._open(now_ns)]
 
@@ -266,10 +271,11 @@ class CoordinatorNode:
         # An agent that is behind in a negotiation blocks the others: drop it alone and restart
         # their timeout.
         iterations = self._setup.scenario.controller.negotiation_iterations
-        left = {agent: self._negotiating.get(agent, iterations) for agent in silent}
-        behind = {agent for agent in silent if left[agent] == max(left.values())}
-        if behind < silent:
-            silent = behind
+        iterations_left = {agent: self._negotiating.get(agent, iterations) for agent in silent}
+        most_left = max(iterations_left.values())
+        hindmost = {agent for agent in silent if iterations_left[agent] == most_left}
+        if hindmost != silent:
+            silent = hindmost
             self._clock.waiting_since_ns = now_ns
 
         members = self._roster.members
@@ -318,9 +324,9 @@ class CoordinatorNode:
 
         may_close = self._clock.may_close(self.tick, self._missing, now_ns, last=self._is_last)
         air_is_ready = self._is_last or self._air is None or self._air.may_open(self.tick + 1)
-        if not may_close or self._awaits_plant or not air_is_ready:
+        if not may_close or self._lacks_last_state or not air_is_ready:
             return ()
-        if not is_diverged and not self._is_last and self._roster.awaited(self.tick + 1):
+        if not is_diverged and not self._is_last and self._roster.due_back(self.tick + 1):
             self._hold(now_ns)
             return ()
 
@@ -346,7 +352,7 @@ class CoordinatorNode:
         tick = self.tick + 1
         joined, changes = self._roster.begin(tick)
         air = [] if self._air is None else self._air.opened(tick, self._roster.members - joined)
-        # Before the resets below: it tells who answered the tick before.
+        # Before the resets below: it tells who answered the tick before, and how late.
         opened = self._tick_message(tick, now_ns)
 
         self.tick = tick

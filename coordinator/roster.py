@@ -95,7 +95,7 @@ class TeamRoster:
         """
         return self.message(reason, upcoming - 1)
 
-    def awaited(self, tick: int) -> set[int]:
+    def due_back(self, tick: int) -> set[int]:
         """Return the agents that the script brings back at a tick, and that are not ready yet."""
         return self._returns.get(tick, set()) - self.joining.keys() - self.members
 

@@ -37,7 +37,7 @@ class Phase:
     """
 
     name: str  # for figures and progress, e.g. "climb"
-    duration_s: float  # > 0
+    duration_s: float
     displacement_I: Array  # from start to end of the phase, (3,), inertial frame (z down), m
     kind: PhaseKind
     # A curve, or a table of times and positions since the start, s and m, (k, 4), at constant speed
@@ -102,7 +102,7 @@ class Phase:
             displacement[0], displacement[1] = _along_table(self.way, t_s)
         else:
             # r = sigma Delta,  r' = sigma' Delta / d: (20).
-            sigma, sigma_rate = self._progress(profile, t_s)
+            sigma, sigma_rate = self._share_covered(profile, t_s)
             displacement[0] = np.multiply.outer(sigma, self.displacement_I)
             displacement[1] = np.multiply.outer(sigma_rate, self.displacement_I)
         return displacement
@@ -133,19 +133,20 @@ class Phase:
         sign = 1.0 if self.kind == "land" else -1.0
         begin_s = self.duration_s - span_s if self.kind == "land" else 0.0
 
-        share, slope = _profile("min_jerk", (t_s - begin_s) / span_s)
+        share, slope = _sigma("min_jerk", (t_s - begin_s) / span_s)
         return sign * share, sign / span_s * slope
 
-    def _progress(self, profile: Profile, t_s: Array) -> tuple[Array, Array]:
+    def _share_covered(self, profile: Profile, t_s: Array) -> tuple[Array, Array]:
         """Return sigma, the share of a straight displacement, and its rate, 1/s, (k,): (20)."""
-        begin_s = 0.0
-        span_s = self.duration_s
-        if self.kind != "move":  # between the handover of the weight and the other end
-            profile = "min_jerk"
-            span_s = (1.0 - HANDOVER) * self.duration_s
-            begin_s = self.duration_s - span_s if self.kind == "take_off" else 0.0
+        if self.kind not in ("take_off", "land"):
+            sigma, slope = _sigma(profile, t_s / self.duration_s)
+            return sigma, slope / self.duration_s
 
-        sigma, slope = _profile(profile, (t_s - begin_s) / span_s)
+        # The payload stands while its weight is handed over, which begins a take-off and ends a
+        # landing: (59).
+        span_s = (1.0 - HANDOVER) * self.duration_s
+        begin_s = self.duration_s - span_s if self.kind == "take_off" else 0.0
+        sigma, slope = _sigma("min_jerk", (t_s - begin_s) / span_s)
         return sigma, slope / span_s
 
     def _checked_table(self, way: ArrayLike) -> Array:
@@ -164,7 +165,8 @@ class Phase:
         times_s = table[:, 0]
         for row in np.flatnonzero(np.diff(times_s) <= 0.0):
             expected = f"expected a time > {times_s[row]:g} s"
-            raise ParameterError(f"{field}: row {row + 2}: {expected}, got {times_s[row + 1]:g}")
+            later = row + 1
+            raise ParameterError(f"{field}: row {later + 1}: {expected}, got {times_s[later]:g}")
         return table
 
     def _checked_formation(self, formation: ArrayLike) -> Array:
@@ -186,21 +188,25 @@ class Phase:
         return rows
 
 
-def _profile(profile: Profile, tau: Array) -> tuple[Array, Array]:
+def _sigma(profile: Profile, tau: Array) -> tuple[Array, Array]:
     """Return sigma at normalised time tau, and its derivative with respect to tau: (20)."""
     is_inside = (tau >= 0.0) & (tau < 1.0)
-    c = np.clip(tau, 0.0, 1.0)
+    within = np.clip(tau, 0.0, 1.0)
 
     if profile == "ramp":
-        return c, np.where(is_inside, 1.0, 0.0)
+        return within, np.where(is_inside, 1.0, 0.0)
 
     if profile == "min_jerk":
         # sigma = 10 tau^3 - 15 tau^4 + 6 tau^5,  sigma' = 30 tau^2 (1 - tau)^2
-        sigma = c**3 * (10.0 + c * (6.0 * c - 15.0))
-        slope = 30.0 * (c * (1.0 - c)) ** 2
+        sigma = within**3 * (10.0 + within * (6.0 * within - 15.0))
+        slope = 30.0 * (within * (1.0 - within)) ** 2
         return sigma, np.where(is_inside, slope, 0.0)
 
-    return np.where(tau >= 0.0, 1.0, 0.0), np.zeros_like(tau)
+    if profile == "step":
+        return np.where(tau >= 0.0, 1.0, 0.0), np.zeros_like(tau)
+
+    # A smooth phase is a curve and has no sigma.
+    raise ValueError(f"expected ramp, min_jerk or step, got {profile!r}")
 
 
 def _along_table(table: Array, t_s: Array) -> tuple[Array, Array]:

@@ -39,12 +39,14 @@ class Integrated:
     Attributes:
         x: State at its end, (12 + 12 N,), SI.
         error: Largest local error of a component, -1 if it is unknown.
-        mean: Mean thrust and moments of the motors, (4 N,), N and N m.
+        actual: Thrust and moments of the motors at its end, (4 N,), N and N m.
+        mean: Their mean over it.
         tensions: Least tension of each cable, N, 0 while slack; none with rods.
     """
 
     x: Array
     error: float
+    actual: Array
     mean: Array
     tensions: Array
 
@@ -61,18 +63,18 @@ class PlantNode(Participant):
         self.engine = Engine(setup, self.environment.system)
 
         self._period_s = setup.settings.sampling_period_s
-        # Parts of a period with own inputs, and integration steps of each.
+        # Updates of the inner loops in a period, and integration steps between two of them.
         self._parts = 1
         if setup.settings.inputs != "moments":
-            self._parts = math.ceil(self._period_s / INNER_STEP_S - 1e-9)
-        self._steps = math.ceil(self._period_s / self._parts / section.step_s - 1e-9)
+            self._parts = _at_least(self._period_s / INNER_STEP_S)
+        self._steps = _at_least(self._period_s / self._parts / section.step_s)
         self._inner_loop = inner_loop(setup, self._period_s / self._parts)
 
         instants_s = self._period_s * np.arange(setup.ticks + 1, dtype=np.float64)
-        self._path, _ = setup.maneuver.path(instants_s)
+        self._path_I, _ = setup.maneuver.path(instants_s)
         self._tilts = state.tilt_indices(setup.system.N)
-        self._whole = setup.whole_team()
-        fail_safe = self._whole.law.fail_safe
+        self._whole_team = setup.whole_team()
+        fail_safe = self._whole_team.law.fail_safe
         self._schedule = ActuatorSchedule(setup.hover.u, fail_safe, setup.settings)
         of_uavs = [fault for fault in setup.faults if fault.do in OF_UAVS]
         self._faults = deque(of_uavs)  # still to come
@@ -81,13 +83,13 @@ class PlantNode(Participant):
         self._off: set[int] = set()  # UAVs without motors, 0-based
         self._released: set[int] = set()  # of these
 
+        self._k = 0  # the tick of the state
         self._x: Array = setup.initial_state()
-        self._u: Array = setup.hover.u.copy()  # commands in force until now
-        # Actual inputs and external forces until now.
-        self._acted: tuple[Array, Array | None] = (self._u, None)
+        # In force until tick k: commands, actual inputs and external forces.
+        self._u: Array = setup.hover.u.copy()
+        self._actual: Array = self._u
+        self._forces: Array | None = None
         self._sensors = Sensors(setup) if setup.sensors.vehicle else None
-        self._tick = 0  # self._x is the state at this tick
-        self._measured_tick = -1
         self._pending: deque[Tick] = deque()  # open, waiting for the interval before
         self._diverged = False
 
@@ -104,13 +106,13 @@ class PlantNode(Participant):
         if isinstance(message, Tick):
             self._pending.append(message)
 
-    def _head(self, target: Target) -> None:
+    def _follow_target(self, target: Target) -> None:
         """Take in a target; path and fail-safe before its tick stay the same, bit for bit."""
-        instants = np.arange(target.tick, len(self._path), dtype=np.float64)
-        self._path[target.tick :], _ = self._setup.maneuver.path(self._period_s * instants)
+        instants = np.arange(target.tick, len(self._path_I), dtype=np.float64)
+        self._path_I[target.tick :], _ = self._setup.maneuver.path(self._period_s * instants)
         reference = self._setup.reference.sampled
         if reference.change is not None:
-            self._whole.follow(reference, reference.change)
+            self._whole_team.follow(reference, reference.change)
         self._renew_fail_safe()
 
     def _work(self, now_ns: int) -> list[Message]:
@@ -118,7 +120,7 @@ class PlantNode(Participant):
         out: list[Message] = []
         while not self._diverged:
             tick = self._pending[0] if self._pending else None
-            if tick and tick.tick == self._tick and tick.roster <= self._membership.version:
+            if tick and tick.tick == self._k and tick.roster <= self._membership.version:
                 out += self._measure(self._pending.popleft())
             elif self._can_integrate():
                 out += self._integrate(now_ns)
@@ -131,10 +133,9 @@ class PlantNode(Participant):
 
         Tick k is measured, and its plans have been received.
         """
-        k = self._tick
-        if self._measured_tick != k:
+        if self._tick != self._k:
             return False
-        decisive = k - self._after
+        decisive = self._k - self._usable_after
         if decisive < 0 or not self._waits:
             return True
         senders = self._membership.took_part(decisive)
@@ -145,10 +146,10 @@ class PlantNode(Participant):
 
     def _measure(self, tick: Tick) -> list[Message]:
         """Return the measurements of a tick, one for each agent on the roster."""
-        self._measured_tick = tick.tick
+        self._tick = tick.tick
         self._fail_uavs(tick.tick)
         if self._sensors is not None:
-            self._sensors.observe(self.environment.model, self._x, *self._acted)
+            self._sensors.observe(self.environment.model, self._x, self._actual, self._forces)
         return [self._measurement(tick, agent) for agent in sorted(self._membership.incarnations)]
 
     def _measurement(self, tick: Tick, agent: int) -> Measurement:
@@ -194,6 +195,7 @@ class PlantNode(Participant):
         else:
             self._x = motor_off_state(self._x, uav)
 
+        # The engine and the fail-safe take the team that is left.
         self.engine.restart(self._x, self.environment.system)
         self._renew_fail_safe()
         if self._inner_loop is not None:
@@ -201,41 +203,47 @@ class PlantNode(Participant):
 
     def _renew_fail_safe(self) -> None:
         """Take the fail-safe of the UAVs left along the newest reference."""
-        whole = self._whole.law.fail_safe
-        self._schedule.fail_safe = whole.of_team(self._off, self._released)
+        of_all = self._whole_team.law.fail_safe
+        self._schedule.fail_safe = of_all.of_team(self._off, self._released)
 
     def _integrate(self, now_ns: int) -> list[Message]:
         """Integrate [t_k, t_{k+1}) and return what is recorded of it."""
-        k = self._tick
+        k = self._k
         x = self._x
-        u, sources = self._commands(now_ns)
-        after = self._advance(u, self.environment.forces(k, x))
-        reason = self._failure(k + 1, after.x)
+        self._schedule_arrived(now_ns)
+        u, sources = self._commands()
+        forces = self.environment.forces(k, x)
+        end = self._advance(u, forces)
+        reason = self._failure(k + 1, end.x)
 
         self._diverged = bool(reason)
-        self._x = after.x
+        self._k = k + 1
+        self._x = end.x
         self._u = u
-        self._tick = k + 1
-        self._arrived = {
-            tick: agents for tick, agents in self._arrived.items() if tick > k - self._after
-        }
+        self._actual = end.actual
+        self._forces = forces
+        oldest = k + 1 - self._usable_after
+        self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick >= oldest}
         plant_state = self._out.stamp(
             PlantState,
             tick=k,
             x=x,
             u=u,
             plan_ticks=sources,
-            local_error=after.error if np.isfinite(after.x).all() else UNKNOWN_ERROR,
+            local_error=end.error if np.isfinite(end.x).all() else UNKNOWN_ERROR,
             diverged=reason,
         )
-        return [plant_state, *self._actual_inputs(k, after)]
+        return [plant_state, *self._actual_inputs(k, end)]
 
-    def _commands(self, now_ns: int) -> tuple[Array, tuple[int, ...]]:
-        """Return the commands over [t_k, t_{k+1}), (4 N,), and the source of those of each UAV."""
-        usable, _ = self._plans.take(self._tick, now_ns)
+    def _schedule_arrived(self, now_ns: int) -> None:
+        """Schedule the plans that have become usable."""
+        usable, _ = self._plans.take(self._k, now_ns)
         for plan in usable:
             self._schedule.add(plan)
-        u, sources = self._schedule.inputs(self._tick, self._x, self._u)
+
+    def _commands(self) -> tuple[Array, tuple[int, ...]]:
+        """Return the commands over [t_k, t_{k+1}), (4 N,), and the source of those of each UAV."""
+        u, sources = self._schedule.inputs(self._k, self._x, self._u)
         if not self._off:
             return u, sources
         without = tuple(
@@ -246,7 +254,8 @@ class PlantNode(Participant):
     def _advance(self, u: Array, forces: Array | None) -> Integrated:
         """Integrate a sampling period under commands, (4 N,), and external forces, (3 + 3 N,)."""
         x = self._x
-        error = UNKNOWN_ERROR
+        error = UNKNOWN_ERROR  # less than any error
+        actual = u
         mean = np.zeros_like(u)
         tensions = np.full(len(self.engine.tensions), np.inf)
         part_s = self._period_s / self._parts
@@ -260,17 +269,16 @@ class PlantNode(Participant):
                 x, local_error = self.engine.advance(actual, forces, duration_s)
                 error = max(local_error, error)
                 mean = mean + duration_s / self._period_s * actual
-                self._acted = (actual, forces)
                 if len(tensions):
                     tensions = np.minimum(tensions, self.engine.tensions)
-        return Integrated(x=x, error=error, mean=mean, tensions=tensions)
+        return Integrated(x=x, error=error, actual=actual, mean=mean, tensions=tensions)
 
-    def _actual_inputs(self, k: int, after: Integrated) -> list[Message]:
+    def _actual_inputs(self, k: int, end: Integrated) -> list[Message]:
         """Return the actual inputs of a period if they are not the commands, or with cables."""
         are_commands = self._motors.ideal and self._inner_loop is None
-        if are_commands and not len(after.tensions):
+        if are_commands and not len(end.tensions):
             return []
-        inputs = after.mean.reshape(-1, state.INPUTS)
+        inputs = end.mean.reshape(-1, state.INPUTS)
         uavs = tuple(range(1, len(inputs) + 1))
         return [
             self._out.stamp(
@@ -278,8 +286,8 @@ class PlantNode(Participant):
                 tick=k,
                 uavs=uavs,
                 inputs=inputs,
-                cables=uavs[: len(after.tensions)],
-                tensions=after.tensions,
+                cables=uavs[: len(end.tensions)],
+                tensions=end.tensions,
             )
         ]
 
@@ -299,12 +307,17 @@ class PlantNode(Participant):
         tilts = np.degrees(np.abs(x[self._tilts]))
         worst = int(np.argmax(tilts))
         if tilts[worst] > limits.max_attitude_deg:
-            uav, axis = divmod(worst, 2)
+            uav, axis = divmod(worst, 2)  # roll and pitch of the payload, of UAV 1, ...
             body = "payload" if uav == 0 else f"UAV{uav}"
             size = f"{body} {('roll', 'pitch')[axis]} of {tilts[worst]:.0f} deg"
             return f"{size} exceeds {limits.max_attitude_deg:g} deg"
 
-        error = float(np.linalg.norm(x[state.R0] - self._path[tick]))
-        if error > limits.max_error_m:
-            return f"payload position error of {error:.1f} m exceeds {limits.max_error_m:g} m"
+        distance_m = float(np.linalg.norm(x[state.R0] - self._path_I[tick]))
+        if distance_m > limits.max_error_m:
+            return f"payload position error of {distance_m:.1f} m exceeds {limits.max_error_m:g} m"
         return ""
+
+
+def _at_least(ratio: float) -> int:
+    """Return a ratio rounded up, but not for its rounding error."""
+    return math.ceil(ratio - 1e-9)

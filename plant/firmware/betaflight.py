@@ -27,8 +27,8 @@ from transport.plant.actuators import Rotors
 from transport.plant.firmware.process import (
     FirmwareError,
     Process,
+    eeprom_after,
     executable,
-    settings,
     virtual_time,
 )
 from transport.plant.firmware.tuning import SETTINGS, largest_rates_rads, rotors_of, tuning
@@ -117,7 +117,7 @@ class Betaflight:
         for uav, section, thrust_N in zip(setup.system.uavs, rotors, thrusts_N, strict=True):
             lines = (*SETTINGS, *tuning(setup, uav, section, thrust_N))
             if lines not in made:
-                made[lines] = settings(lines, self._step_s)
+                made[lines] = eeprom_after(lines, self._step_s)
             images.append(made[lines])
         return images
 
@@ -136,7 +136,7 @@ class Betaflight:
 
             outputs = np.array([process.outputs() for process in self._processes])
             for i, process in enumerate(self._processes):
-                heard = channels[i] if time_s >= _HEARS_S else ()
+                heard = channels[i] if time_s >= _HEARS_S else None
                 process.give(sensors[i], heard)
         return outputs
 

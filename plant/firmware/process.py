@@ -22,30 +22,37 @@ NO_COMPILER = (
 
 _SOURCE = Path(__file__).with_name("virtual_time.c")
 _FLAGS = ("-O2",)
-# Packets as the firmware expects them: time, angular velocity, acceleration, attitude, velocity,
-# position, pressure; time and 16 channels; outputs of four motors, front right, rear left, front
-# left, rear right.
-_STATE = struct.Struct("<18d")
-_STICKS = struct.Struct("<d16H")
-_MOTORS = struct.Struct("<4f")
-_REST = (0.0, 0.0, 0.0, 0.0, 0.0, -9.80665, 1.0, 0.0, 0.0, 0.0)
+# Packets as the firmware expects them.
+_STATE = struct.Struct("<18d")  # time, sensors (10), velocity (3), position (3), pressure
+_STICKS = struct.Struct("<d16H")  # time, channels
+_MOTORS = struct.Struct("<4f")  # outputs: front right, rear left, front left, rear right
+# Fields of the state that the firmware does not use, and the pressure, which it needs to start.
+_NO_VELOCITY = _NO_POSITION = (0.0, 0.0, 0.0)
 _PRESSURE_PA = 101325.0
+# Sensors of a vehicle at rest.
+_NO_RATE = (0.0, 0.0, 0.0)
+_WEIGHT = (0.0, 0.0, -9.80665)
+_LEVEL = (1.0, 0.0, 0.0, 0.0)
+_REST = (*_NO_RATE, *_WEIGHT, *_LEVEL)
 # Real time without an answer after which a process counts as frozen, s: a step takes 0.1 ms.
 _PATIENCE_S = 30.0
-# Virtual time, s: until the firmware has started, until it enters its command line, for a line, and
-# to save.
-_BOOT_S = 2.0
-_ENTER_S = 0.5
-_LINE_S = 0.05
-_SAVE_S = 10.0
+# Virtual time, s.
+_BOOT_S = 2.0  # until the firmware has started
+_ENTER_S = 0.5  # until it enters its command line
+_LINE_S = 0.05  # for a line there
+_SAVE_S = 10.0  # to save its settings
 
 
 class FirmwareError(RuntimeError):
     """A firmware that cannot be started, refuses a setting, or has ended; one line."""
 
 
+class FirmwareEndedError(FirmwareError):
+    """A firmware whose process has ended."""
+
+
 def executable() -> Path:
-    """Return the firmware that the package contains.
+    """Return the firmware that the package contains, the last of several by name.
 
     Raises: FirmwareError: it is not installed or not built.
     """
@@ -77,7 +84,8 @@ def virtual_time() -> Path:
 class Process:
     """One firmware, which ends with this process.
 
-    Between two exchanges `step_s` of virtual time pass, s.
+    Each exchange is `outputs`, which waits for the firmware, and then `give`, which lets it go on;
+    between two of them `step_s` of virtual time pass, s.
 
     Its working folder with its settings, `eeprom.bin`, is not used after the first exchange;
     `command_line` is a listening socket of its command line.
@@ -89,7 +97,7 @@ class Process:
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.settimeout(_PATIENCE_S)
         self._step_s = step_s
-        self._steps = 0
+        self._exchanges = 0
         environment = {
             "LD_PRELOAD": str(virtual_time()),
             "VIRTUAL_TIME_STEP_NS": str(round(step_s * 1e9)),
@@ -126,26 +134,28 @@ class Process:
         except ConnectionError:  # ended with packets that it had not read
             answer = b""
         if len(answer) != _MOTORS.size:
-            raise FirmwareError(f"a firmware has ended with exit code {self._process.wait()}")
+            code = self._process.wait()
+            raise FirmwareEndedError(f"a firmware has ended with exit code {code}")
         return _MOTORS.unpack(answer)
 
-    def give(self, sensors: Sequence[float] = _REST, channels: Sequence[int] = ()) -> None:
+    def give(self, sensors: Sequence[float] = _REST, channels: Sequence[int] | None = None) -> None:
         """Let time pass until the next exchange, with measurements and the receiver's channels.
 
-        The sensors are angular velocity, acceleration, attitude in the order and signs of the
-        packet, (10,); of 16 channels either all are given, or the receiver hears nothing new.
-
+        Args:
+            sensors: Angular velocity, rad/s, acceleration, m/s^2, and attitude, a quaternion, in
+                the order and signs of the packet, (10,).
+            channels: The 16 channels; None where the receiver hears nothing new.
         Raises: FirmwareError: the process has ended.
         """
-        time_s = self._step_s * self._steps
-        self._steps += 1
-        packet = _STATE.pack(time_s, *sensors, *[0.0] * 6, _PRESSURE_PA)
-        if len(channels):
+        time_s = self._step_s * self._exchanges
+        self._exchanges += 1
+        packet = _STATE.pack(time_s, *sensors, *_NO_VELOCITY, *_NO_POSITION, _PRESSURE_PA)
+        if channels is not None:
             packet += _STICKS.pack(time_s, *channels)
         try:
             self._socket.send(packet)
         except OSError as error:
-            raise FirmwareError(f"a firmware has ended: {error}") from error
+            raise FirmwareEndedError(f"a firmware has ended: {error}") from error
 
     def end(self) -> None:
         """End the process."""
@@ -154,10 +164,10 @@ class Process:
         self._process.wait()
 
 
-def settings(lines: Sequence[str], step_s: float) -> bytes:
-    """Return `eeprom.bin` after lines at the command line of a firmware.
+def eeprom_after(lines: Sequence[str], step_s: float) -> bytes:
+    """Return `eeprom.bin`, the settings of a firmware, after lines at its command line.
 
-    Raises: FirmwareError: it refuses.
+    Raises: FirmwareError: it refuses a line, or does not save.
     """
     with (
         tempfile.TemporaryDirectory() as name,
@@ -171,10 +181,10 @@ def settings(lines: Sequence[str], step_s: float) -> bytes:
         client.connect(str(folder / "commands"))
         process = Process(folder, step_s, listener)
 
-        def typed(text: str, duration_s: float) -> str:
+        def answer_to(text: str, within_s: float) -> str:
             """Return what the command line says within a time after a text."""
             client.sendall(text.encode())
-            for _ in range(math.ceil(duration_s / step_s)):
+            for _ in range(math.ceil(within_s / step_s)):
                 process.outputs()
                 process.give()
             try:
@@ -183,16 +193,16 @@ def settings(lines: Sequence[str], step_s: float) -> bytes:
                 return ""
 
         try:
-            typed("", _BOOT_S)
-            # Without an end of line, and with nothing after it before it answers.
-            typed("#", _ENTER_S)
+            answer_to("", _BOOT_S)
+            # This character alone enters the command line; what follows before its answer is lost.
+            answer_to("#", _ENTER_S)
             for line in lines:
-                said = typed(f"{line}\n", _LINE_S)
+                said = answer_to(f"{line}\n", _LINE_S)
                 if "###ERROR" in said:
                     raise FirmwareError(f"the firmware refuses {line!r}: {' '.join(said.split())}")
             try:
-                typed("save\n", _SAVE_S)
-            except FirmwareError:  # it restarts after saving, which ends the process
+                answer_to("save\n", _SAVE_S)
+            except FirmwareEndedError:  # it restarts after saving, which ends the process
                 return (folder / "eeprom.bin").read_bytes()
             raise FirmwareError("the firmware does not save its settings")
         finally:

@@ -121,7 +121,7 @@ class Membership:
 class Participant(ABC):
     """A node that follows the coordinator.
 
-    Plans of others may be used `after` so many ticks over a perfect link.
+    Over a perfect link, plans of others may be used so many ticks `after` their own.
     """
 
     publish_ns = 0
@@ -133,7 +133,7 @@ class Participant(ABC):
         self.name = name
         self.finished: Control | None = None
         self._setup = setup
-        self._after = after
+        self._usable_after = after
         self._membership = Membership(own)
         self._waits = setup.scenario.clock.mode == "lockstep"
         # Scenario seconds per second; None in lockstep, where plans arrive by ticks.
@@ -151,7 +151,7 @@ class Participant(ABC):
         self._links = {name: self._setup.link(name, self.name) for name in senders}
         self._link_changes = LinkChanges(self._links.values())
         self._plans: Arrivals[Plan] = Arrivals(
-            self._links, after=self._after, speed=self._speed, aired=self._hears_by_radio
+            self._links, after=self._usable_after, speed=self._speed, aired=self._hears_by_radio
         )
         self._arrived: dict[int, set[int]] = {}  # agents whose plans are physically here, by tick
 
@@ -178,7 +178,7 @@ class Participant(ABC):
             case Target():
                 if message.number == len(self._setup.maneuver.targets) + 1:
                     self._setup = self._setup.after([message])
-                    self._head(message)
+                    self._follow_target(message)
             case Plan():
                 if self._membership.admits(message):
                     self._take_plan(message, now_ns)
@@ -206,7 +206,7 @@ class Participant(ABC):
             self._plans.put(plan, now_ns)
 
     @abstractmethod
-    def _head(self, target: Target) -> None:
+    def _follow_target(self, target: Target) -> None:
         """Follow a target that the run has from now on."""
 
     @abstractmethod

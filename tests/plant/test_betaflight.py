@@ -206,7 +206,7 @@ def test_no_firmware_outlives_its_plant() -> None:
 def test_a_refused_setting_is_told() -> None:
     """A line that the command line of the firmware refuses ends the start with the firmware's words."""
     with pytest.raises(process.FirmwareError, match=r"refuses 'set p_rol = 50': .*INVALID NAME"):
-        process.settings(["set p_rol = 50"], STEP_S)
+        process.eeprom_after(["set p_rol = 50"], STEP_S)
 
 
 def firmwares(parent: psutil.Process) -> list[psutil.Process]:
