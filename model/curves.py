@@ -25,10 +25,11 @@ _FEWEST_KNOTS = 2 * _DEGREE
 _SAMPLES_PER_KNOT = 8  # of the table, to which the spline is fitted
 _SAMPLES = 2000  # points of a shape at which its largest speed is sought
 
-# S of (65), the normalised integral of x^6 (x - 1)^6, and its integral on the first half of [0, 1].
-_bell = Polynomial([0.0, 1.0]) ** _FLAT * Polynomial([1.0, -1.0]) ** _FLAT
-_step = _bell.integ()
-_START = (_step / _step(1.0)).integ()
+# S of (65), the integral of x^6 (1 - x)^6 that ends at 1, and its own integral.
+_x = Polynomial([0.0, 1.0])
+_bell = _x**_FLAT * (1.0 - _x) ** _FLAT
+_S = _bell.integ() / _bell.integ()(1.0)
+_INTEGRAL_OF_S = _S.integ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,8 +68,8 @@ class Curve:
         # s' = (S(t / t_r) - S((t - T + t_r) / t_r)) / (T - t_r), integrated.
         span_s = self.duration_s - self.ramp_s
         inside = np.clip(t_s, 0.0, self.duration_s)
-        since_start = _started(inside, self.ramp_s, orders)
-        since_slowing = _started(inside - span_s, self.ramp_s, orders)
+        since_start = _integral_of_ramp(inside, self.ramp_s, orders)
+        since_slowing = _integral_of_ramp(inside - span_s, self.ramp_s, orders)
 
         s = (since_start - since_slowing) / span_s
         s[1:, inside != t_s] = 0.0
@@ -93,11 +94,11 @@ class Curve:
         angle = 2.0 * np.pi * self.laps * s
         sin = jets.sine(angle)
         if self.kind == "eight":
-            across = b * jets.sine(2.0 * angle)
+            y = b * jets.sine(2.0 * angle)  # b sin 2 phi
         else:
-            across = -b * jets.sine(angle, np.pi / 2.0)
-            across[0] += b
-        return np.stack([a * sin, across, c * sin], axis=-1)
+            y = -b * jets.sine(angle, np.pi / 2.0)  # b (1 - cos phi)
+            y[0] += b
+        return np.stack([a * sin, y, c * sin], axis=-1)
 
     @cached_property
     def _spline(self) -> Any:
@@ -112,7 +113,7 @@ class Curve:
         else:
             s = self.covered(np.array([0.0, *self.times_s]), 1)[0]
 
-        # The polynomial through few points has no snap, but is not the only such spline.
+        # Through few points a polynomial: it has no snap, as have other splines.
         if len(points) <= _DEGREE // 2:
             return make_interp_spline(s, points, k=len(points) - 1)
 
@@ -165,22 +166,23 @@ def _taylor(spline: Any, x: Array, orders: int) -> Array:
     return np.array(coefficients)
 
 
-def _started(t_s: Array, ramp_s: float, orders: int) -> Array:
-    """Return the jets of the integral of S(t / t_r), (orders, k), s: (65).
+def _integral_of_ramp(t_s: Array, ramp_s: float, orders: int) -> Array:
+    """Return the jets of t_r J(t / t_r), J the integral of S, (orders, k), s: (65).
 
     The time since a smooth start over `ramp_s`, less half of it from then on.
     """
     x = t_s / ramp_s
-    low = np.clip(x, 0.0, 0.5)
-    first = jets.of_polynomial(_START, low, orders)
+    first_half = jets.of_polynomial(_INTEGRAL_OF_S, np.clip(x, 0.0, 0.5), orders)
 
-    # The second half mirrors the first: better conditioned than the polynomial near its other end.
-    high = np.clip(1.0 - x, 0.0, 0.5)
+    # J(x) = x - 1/2 + J(1 - x): better conditioned than the polynomial near its other end. Each
+    # derivative of J(1 - x) changes its sign.
     signs = (-1.0) ** np.arange(orders)[:, None]
-    second = jets.of_polynomial(_START, high, orders) * signs
-    second[0] += x - 0.5
-    second[1:2] += 1.0
+    mirrored = jets.of_polynomial(_INTEGRAL_OF_S, np.clip(1.0 - x, 0.0, 0.5), orders)
+    from_middle = mirrored * signs
+    from_middle[0] += x - 0.5
+    if orders > 1:
+        from_middle[1] += 1.0
 
-    ramp = np.where(x < 0.5, first, second)
+    # Coefficient j by t in place of x: t_r^-j.
     scales = ramp_s ** np.arange(orders, dtype=np.float64)[:, None]
-    return np.asarray(ramp_s * ramp / scales)
+    return np.asarray(ramp_s * np.where(x < 0.5, first_half, from_middle) / scales)

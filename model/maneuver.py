@@ -1,6 +1,6 @@
 """The maneuver: the payload's reference path, phase by phase, with the targets given in flight."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -36,6 +36,8 @@ class Maneuver:
         press_m: float = 0.0,
         targets: Sequence[Target] = (),
     ) -> None:
+        if not phases:
+            raise ParameterError("maneuver: expected at least one phase, got none")
         for phase, after in pairwise(phases):
             if phase.kind == "land" and after.kind == "move" and after.displacement_I.any():
                 expected = "expected a take-off, or no way, after a landing"
@@ -94,19 +96,24 @@ class Maneuver:
                     displacement_I=np.zeros(3),
                 )
 
-        end_s = 0.0
+        for phase, begin_s in self._timed_phases():
+            if t_s < begin_s + phase.duration_s:
+                return phase
+        return self.phases[-1]
+
+    def _timed_phases(self) -> Iterator[tuple[Phase, float]]:
+        """Yield the phases and when they begin, s."""
+        begin_s = 0.0
         for phase in self.phases:
-            end_s += phase.duration_s
-            if t_s < end_s:
-                break
-        return phase
+            yield phase, begin_s
+            begin_s += phase.duration_s
 
     def path(self, t_s: Array) -> tuple[Array, Array]:
         """Return r0 and r0' at times t_s, (k,), s.
 
         (k, 3) each, m and m/s, inertial; a step has no velocity: (20).
         """
-        r0, v0 = self._jets(t_s, orders=2)
+        r0, v0 = self._path_jets(t_s, orders=2)
         return r0, v0
 
     def jets(self, t_s: Array) -> Array:
@@ -121,7 +128,7 @@ class Maneuver:
                 expected = "expected a smooth path, that of profile 'smooth'"
                 raise ParameterError(f"phase {phase.name!r}: {expected}, got {self.profile!r}")
 
-        path = self._jets(t_s, ORDERS)
+        path = self._path_jets(t_s, ORDERS)
         if all(phase.formation is None for phase in self.phases):
             return path
         return np.concatenate([path, self.formation(t_s)], axis=-1)
@@ -134,16 +141,14 @@ class Maneuver:
         sizes = np.zeros((ORDERS, len(t_s), 2))
         sizes[0] = 1.0
 
-        start_s = 0.0
-        held = np.ones(2)
-        for phase in self.phases:
-            for step in phase.formation_steps(start_s):
+        before = np.ones(2)
+        for phase, begin_s in self._timed_phases():
+            for step in phase.formation_steps(begin_s):
                 # lambda += s (lambda_after - lambda_before), s as in (65) with t_r = T / 2.
                 timing = Curve(kind=None, duration_s=step.span_s, ramp_s=step.span_s / 2.0)
                 s = timing.covered(t_s - step.begin_s, ORDERS)
-                sizes += s[..., None] * (step.sizes - held)
-                held = step.sizes
-            start_s += phase.duration_s
+                sizes += s[..., None] * (step.sizes - before)
+                before = step.sizes
         return sizes
 
     def press(self, t_s: Array) -> tuple[Array, Array]:
@@ -156,23 +161,19 @@ class Maneuver:
         if self.targets:  # landings after the first target do not take place
             t_s = np.minimum(t_s, self.targets[0].since_s)
 
-        begin_s = 0.0
-        for phase in self.phases:
+        for phase, begin_s in self._timed_phases():
             level_change, rate_change = phase.ground_load(t_s - begin_s)
             level = level + level_change
             rate = rate + rate_change
-            begin_s += phase.duration_s
         return self.press_m * level, self.press_m * rate
 
-    def _jets(self, t_s: Array, orders: int) -> Array:
+    def _path_jets(self, t_s: Array, orders: int) -> Array:
         """Return the jets of the path, (orders, k, 3), SI: (20), (75)."""
         r = np.zeros((orders, len(t_s), 3))
         r[0] = self.start_I
 
-        begin_s = 0.0
-        for phase in self.phases:
+        for phase, begin_s in self._timed_phases():
             r += phase.jets(self.profile, t_s - begin_s, orders)
-            begin_s += phase.duration_s
 
         for target in self.targets:
             is_led = t_s >= target.since_s

@@ -68,7 +68,8 @@ class Regulator:
     A: Array  # state matrix without any feedback, (r, r)
     B_uncontrolled: Array  # effect of the uncontrolled inputs, (r, m_u)
     A_closed: Array  # state matrix with all feedback, (r, r)
-    # Controlled inputs per slope of the cost-to-go one step later, -(R + B'PB)^-1 B', (m_c, r).
+    # Controlled inputs per slope of the cost-to-go one step later, -M^-1 B', (m_c, r), with M = R +
+    # B'PB; with the discount of (45) R is divided by its square.
     preview_gain: Array
 
 
@@ -118,9 +119,10 @@ def _regulator(
     T = problem.T
     P, discount = _cost_to_go(A, B, problem.CQC, problem.R, may_swing=bool(hovering.uncontrolled))
 
-    # K = -(R + B'PB)^-1 B'P A T'
-    H = np.diag(problem.R) / discount**2 + B.T @ P @ B
-    preview_gain = np.negative(np.linalg.solve(H, B.T), dtype=np.float64)
+    # A and B count gamma times with a discount: (45).
+    #   K = -(R + gamma^2 B'PB)^-1 gamma^2 B'P A T' = -M^-1 B'P A T',   M = R / gamma^2 + B'PB
+    M = np.diag(problem.R) / discount**2 + B.T @ P @ B
+    preview_gain = np.negative(np.linalg.solve(M, B.T), dtype=np.float64)
     K = problem.K_fixed.copy()
     K[problem.controlled] = preview_gain @ P @ A @ T.T
     A_closed = A + B @ K[problem.controlled] @ T
@@ -162,8 +164,9 @@ def _problem(
     C = linear.C @ T
     CQC = C.T @ (hovering.cost.Q[:, None] * C)
     if further is not None:
-        terms = padded(further, len(T))
-        CQC += T.T @ terms.T @ terms @ T
+        # The user's terms: T' Phi' Phi T, Phi the roots of their weights times their slopes, (48).
+        Phi = padded(further, len(T))
+        CQC += T.T @ Phi.T @ Phi @ T
     return _Problem(
         T=T,
         K_fixed=K_fixed,

@@ -219,7 +219,9 @@ class Bus:
         endpoints = self._place.endpoints
         listening = ", ".join(endpoints.listen) or "nothing"
         connecting = ", ".join(endpoints.connect) or "none: others connect to it"
-        absent = ", ".join(sorted(set(missing) - self._left or missing))
+        # Those that have left are named if no other is missing.
+        never_seen = set(missing) - self._left
+        absent = ", ".join(sorted(never_seen or missing))
         within = f"no sign of {absent} within {self._place.join_timeout_s:g} s"
         return BusError(
             f"{self.name}: {within}; listening on {listening}, connecting to {connecting}"

@@ -31,7 +31,8 @@ _COLLECT_EVERY = 256  # handled events between garbage collections
 # mode.
 _PATIENCE_S = {"lockstep": 1.0, "realtime": 0.1}
 # Why a process without its parent ends, and how long it may take to do so in an orderly way.
-_ORPHANED, _ORPHAN_GRACE_S = "parent is gone", 5.0
+_ORPHANED = "parent is gone"
+_ORPHAN_GRACE_S = 5.0
 
 
 class Journal:

@@ -37,7 +37,7 @@ _NEAR = 6.0
 _PlanAges = dict[int, list[tuple[int, int]]]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Part:
     """A panel of the figure.
 
@@ -47,6 +47,7 @@ class _Part:
         least: Changes of the values below it are not shown.
         unit: Their unit.
         draw: Draws it.
+        always: Whether it is drawn even if it is flat: a figure has a panel with curves.
     """
 
     title: str
@@ -54,11 +55,12 @@ class _Part:
     least: float
     unit: str
     draw: Callable[[Axes], None]
+    always: bool = False
 
     @property
     def is_flat(self) -> bool:
         """True if a sentence says all that the panel would show."""
-        return bool(np.ptp(self.values) <= self.least)
+        return not self.always and bool(np.ptp(self.values) <= self.least)
 
     def write(self, panel: Axes) -> None:
         """Write the sentence in place of the panel."""
@@ -77,9 +79,9 @@ def draw_inputs(setup: Setup, log: RunLog, series: Series, panels_of: Panels) ->
     Returns: The panels with curves.
     """
     parts = [*_inputs(setup, series), *_distances(setup, series), *_plan_age(setup, log)]
-    flat = [part for part in parts[1:] if part.is_flat]
-    drawn = [part for part in parts if part not in flat]
-    # Above the last panel, which has the axis of time.
+    flat = [part for part in parts if part.is_flat]
+    drawn = [part for part in parts if not part.is_flat]
+    # The last panel has the axis of time: sentences stand above it.
     order = [*drawn[:-1], *flat, drawn[-1]]
     heights_in = [_SENTENCE_IN if part in flat else _HEIGHT_IN for part in order]
     panels = panels_of(heights_in, legend=long_legend(setup))
@@ -128,6 +130,7 @@ def _inputs(setup: Setup, series: Series) -> Iterator[_Part]:
     lower = setup.settings.lower(1)
     upper = setup.settings.upper(1)
     for k, name in enumerate(names):
+        is_thrust = k == 0
         is_symmetric = lower[k] == -upper[k]
         bounds = f"± {upper[k]:g}" if is_symmetric else f"{lower[k]:g}, {upper[k]:g}"
         title = f"{name}, limits {bounds}"
@@ -136,6 +139,7 @@ def _inputs(setup: Setup, series: Series) -> Iterator[_Part]:
             values=series.u[:, k::INPUTS],
             least=LEAST_INPUT,
             unit=units[k],
+            always=is_thrust,
             draw=partial(
                 _draw_limited,
                 title=title,
@@ -195,8 +199,10 @@ def _draw_clearance(panel: Axes, setup: Setup, series: Series) -> None:
     plot_components(panel, series.times_s, series.clearance_m, ("UAVs", "rods", "payload"))
     margins_m = {obstacle.margin_m for obstacle in setup.obstacles}
     margins_m |= {obstacle.load_margin_m for obstacle in setup.obstacles}
+    deepest_m = min(0.0, float(series.clearance_m.min()))  # negative within an obstacle
+    # Lines of limits are drawn within the range of the axis.
+    panel.set_ylim(deepest_m, _NEAR * max(margins_m))
     limits(panel, *sorted(margins_m))
-    panel.set_ylim(0.0, _NEAR * max(margins_m))
     head(panel, "distance from obstacles (m)")
 
 

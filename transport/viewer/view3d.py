@@ -212,7 +212,8 @@ class View3D:
 
     def _add_surroundings(self) -> None:
         """Add grid, axes and lights."""
-        drawing, scene = self._drawing, self._server.scene
+        drawing = self._drawing
+        scene = self._server.scene
         middle_I = (drawing.low + drawing.high) / 2.0
         width_m = 2.0 * np.ceil(0.7 * drawing.size)
         scene.add_grid(
