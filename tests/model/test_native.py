@@ -102,19 +102,25 @@ def test_a_rollout_in_one_call_is_one_in_steps() -> None:
     assert compile_functions(2)
     rng, model, hover_u = np.random.default_rng(7), Model(ring(2)), hover(ring(2)).u
     x0, at_x0 = hover(ring(2)).x, hover_u + rng.normal(0.0, 0.5, (6, 8))
-    K, forces = rng.normal(0.0, 0.1, (8, 36)), rng.normal(0.0, 1.0, 9)
-    bounds = hover_u - 0.6, hover_u + 0.6
-    feedback = Feedback(at_x=at_x0, K=K, lower=bounds[0], upper=bounds[1])
-    rollout = model.rollout(x0, feedback, 0.05, forces)
-    assert rollout is not None
-    Z, U = rollout
-    step, x = model.stepper(0.05, forces), x0
-    for k, wanted in enumerate(at_x0):
-        u = np.clip(wanted + K @ (x - x0), *bounds)
-        x = step(x, u)
-        np.testing.assert_allclose(U[k], u, rtol=1e-12)
-        np.testing.assert_allclose(Z[k + 1], x, rtol=1e-12, atol=1e-12)
-    assert (bounds[1] == U).any()
+    forces = rng.normal(0.0, 1.0, 9)
+    gains = rng.normal(0.0, 0.1, (len(at_x0), 8, 36))
+    lower, upper = hover_u - 0.6, hover_u + 0.6
+    upper[-4:] = np.inf  # of inputs without limits
+    lower[-4:] = -np.inf
+    for K in (gains[0], gains):  # the same at each step, or one for each
+        feedback = Feedback(at_x=at_x0, K=K, lower=lower, upper=upper)
+        rollout = model.rollout(x0, feedback, 0.05, forces)
+        assert rollout is not None
+        Z, U = rollout
+        step, x = model.stepper(0.05, forces), x0
+        for k, wanted in enumerate(at_x0):
+            gain = K if K.ndim == 2 else K[k]
+            u = np.clip(wanted + gain @ (x - x0), lower, upper)
+            x = step(x, u)
+            np.testing.assert_allclose(U[k], u, rtol=1e-12)
+            np.testing.assert_allclose(Z[k + 1], x, rtol=1e-12, atol=1e-12)
+        assert (upper[:4] == U[:, :4]).any()
+        assert (np.abs(U[:, 4:] - hover_u[4:]) > 0.6).any()
     A, W = rng.normal(0.0, 0.1, (36, 36)), rng.normal(size=(6, 36))
     response = np.empty((7, 36))
     native.KERNELS.free_response(6, 36, *map(native.address, (A, W, response)))

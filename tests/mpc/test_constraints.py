@@ -309,6 +309,17 @@ def test_linear_distance_is_a_lower_bound() -> None:
         assert (rows @ moved <= np.array(true) + ROUNDING).all()
 
 
+def test_distances_of_several_instants_are_those_of_each() -> None:
+    """One call for all steps of a horizon gives the same bits as a call for each."""
+    R = np.random.default_rng(2).standard_normal((5, 12))
+    pairs = np.array(list(combinations(range(4), 2)))
+    distances, gradients = pair_distances(R, pairs)
+    for k, positions in enumerate(R):
+        expected = pair_distances(positions, pairs)
+        np.testing.assert_array_equal(distances[k], expected[0])
+        np.testing.assert_array_equal(gradients[k], expected[1])
+
+
 def test_uavs_in_one_point_are_pushed_apart() -> None:
     """Two UAVs in one point have no direction; some unit direction stands in and nothing is nan."""
     distances, rows = pair_distances(np.zeros(3 * 2), np.array([[0, 1]]))
