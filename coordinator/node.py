@@ -43,7 +43,11 @@ _OUTCOMES = {0: "completed", EXIT_DIVERGED: "diverged", EXIT_FAILED: "failed"}
 
 
 class State(Enum):
-    """State of a run."""
+    """State of a run.
+
+    WAITING ends with the last process that is ready, HELD with the last agent that returns or at
+    the end of its time. DIVERGED follows the plant's word from any of them but STOPPED, the end.
+    """
 
     WAITING = "the processes are joining"
     OPEN = "a tick is open"

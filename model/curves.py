@@ -138,12 +138,15 @@ class Curve:
         columns = [np.interp(t_s, table[:, 0], column) for column in table[:, 1:].T]
         places = np.column_stack(columns)
 
-        # As many equal control points at an end as the degree make all derivatives vanish there.
+        # As many equal control points at an end as the degree make all derivatives vanish there:
+        # zero at the first end, the last row of the table at the other.
+        free = slice(_DEGREE, -_DEGREE)
+        at_end = slice(-_DEGREE, None)
         points = np.zeros((pieces + _DEGREE, 3))
-        points[-_DEGREE:] = table[-1, 1:]
+        points[at_end] = table[-1, 1:]
         basis = BSpline.design_matrix(t_s, knots, _DEGREE).tocsc()
-        rest = places - basis[:, -_DEGREE:] @ points[-_DEGREE:]
-        points[_DEGREE:-_DEGREE] = _least_squares(basis[:, _DEGREE:-_DEGREE], rest)
+        rest = places - basis[:, at_end] @ points[at_end]
+        points[free] = _least_squares(basis[:, free], rest)
         return BSpline(knots, points, _DEGREE)
 
 

@@ -158,19 +158,19 @@ class Weights(Section):
         """Return the diagonal of R, (4 N,). Source: docs/equations.md (21), (21a)."""
         rows = []
         for uav in system.uavs:
-            thrust = self.thrust
+            thrust_weight = self.thrust
             if self.acceleration is not None:
                 # R_f = w_a / (m_i + m_0 / N)^2: (21a).
                 lifted = uav.mass + system.payload.mass / system.N
-                thrust = self.acceleration / lifted**2
+                thrust_weight = self.acceleration / lifted**2
 
-            turning = self.moments
+            turning_weights = self.moments
             if system.commands_rates:
-                turning = self.rates
+                turning_weights = self.rates
             elif self.angular_acceleration is not None:
                 # R_tau = w_alpha / J_i^2 about each axis: (21a).
-                turning = tuple(self.angular_acceleration / np.diag(uav.inertia) ** 2)
-            rows.append(np.array([thrust, *turning]))
+                turning_weights = tuple(self.angular_acceleration / np.diag(uav.inertia) ** 2)
+            rows.append(np.array([thrust_weight, *turning_weights]))
         return np.concatenate(rows)
 
     def terms(self, N: int) -> tuple["CostTerm", ...]:

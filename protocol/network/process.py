@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Sequence
 from contextlib import closing, suppress
+from functools import partial
 from types import FrameType
 
 import threadpoolctl
@@ -26,7 +27,7 @@ from transport.protocol.wire.keys import Keys
 from transport.protocol.wire.names import COORDINATOR
 from transport.protocol.wire.node import Node
 
-_COLLECT_EVERY = 256  # handled events between garbage collections
+_COLLECT_EVERY = 256  # answered events between garbage collections
 # How long a peer that does not read may delay the others before the link to it is closed, by clock
 # mode.
 _PATIENCE_S = {"lockstep": 1.0, "realtime": 0.1}
@@ -137,14 +138,11 @@ def _log_rejections(journal: Journal, gate: Gate) -> None:
 def _join(
     node: Node, bus: Bus, exchange: Exchange, expected: Collection[str], journal: Journal
 ) -> Interrupted | None:
-    """Wait for the other processes; return an interruption, if one ended the wait."""
+    """Wait for the other processes; return an interruption, if one ended the wait.
 
-    def settle() -> None:
-        begun_ns = time.monotonic_ns()
-        exchange.settle()
-        node.publish_ns += time.monotonic_ns() - begun_ns
-
-    bus.before_wait = settle
+    From then on, bundles are sent before each wait.
+    """
+    bus.before_wait = partial(_settle, node, exchange)
     interruption = bus.join(expected, lambda text: journal.log("waiting", text=text))
     if interruption is None:
         journal.log("joined", peers=len(expected))
@@ -156,7 +154,7 @@ def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) ->
 
     Execute its own scripted faults.
     """
-    handled = 0
+    answered = 0
     while node.finished is None:
         arrival = bus.next(_timeout_s(node))
         event = None if arrival is None else arrival.event
@@ -167,21 +165,46 @@ def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) ->
         if isinstance(event, wire.Message):
             _fail_if_due(faults, node.name, event, exchange)
 
-        now_ns = time.monotonic_ns()
-        messages = node.poll(now_ns) if event is None else node.receive(event, now_ns)
-        if event is not None and arrival is not None:
-            exchange.received(event, arrival.bundle)
-        if node.incarnation != bus.incarnation:
-            bus.renew(node.incarnation)
-        for notice in bus.gate.notices(node.incarnation, now_ns):
-            exchange.send(notice)
-
+        bundle = None if arrival is None else arrival.bundle
+        messages = _answer(node, bus, exchange, event, bundle)
         if messages:
             _send(node, messages, exchange, faults)
-            handled += 1
-            if handled % _COLLECT_EVERY == 0:
+            answered += 1
+            if answered % _COLLECT_EVERY == 0:
                 gc.collect(1)
     return None
+
+
+def _answer(
+    node: Node,
+    bus: Bus,
+    exchange: Exchange,
+    event: wire.Event | None,
+    bundle: wire.Bundle | None,
+) -> Sequence[wire.Message]:
+    """Return the messages of a node after an event, or after the time for which it waited.
+
+    A new incarnation is announced, and refusals are told, before they are sent.
+    """
+    now_ns = time.monotonic_ns()
+    if event is None:
+        messages = node.poll(now_ns)
+    else:
+        messages = node.receive(event, now_ns)
+        exchange.received(event, bundle)
+
+    if node.incarnation != bus.incarnation:
+        bus.renew(node.incarnation)
+    for notice in bus.gate.notices(node.incarnation, now_ns):
+        exchange.send(notice)
+    return messages
+
+
+def _settle(node: Node, exchange: Exchange) -> None:
+    """Send the bundle that is kept, whose time adds to that of the messages."""
+    begun_ns = time.monotonic_ns()
+    exchange.settle()
+    node.publish_ns += time.monotonic_ns() - begun_ns
 
 
 def _timeout_s(node: Node) -> float | None:
