@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from transport.agent.handover import NO_WAIT, SHARED, News, NewsAge, Silence
 from transport.agent.plans import ReceivedPlans
-from transport.model.arrays import Array
+from transport.model.arrays import Array, Rows
 from transport.model.state import input_places, input_slice
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.settings import ControllerSettings
@@ -19,8 +19,6 @@ from transport.protocol.wire.messages import Plan
 # Alignment of a plan with the horizon: shifted by its true age; by one tick whatever its age, as in
 # the paper; or its input for the present tick, held.
 Alignment = Literal["by_age", "by_one", "held"]
-
-Columns = slice | npt.NDArray[np.intp]
 
 
 def _none(*_: object) -> None:
@@ -112,7 +110,8 @@ class AnnouncedInputs:
         failed_since: Tick of the newest failure of a UAV. From then on every agent follows the
             control law of the UAVs that are left; earlier plans apply until then.
         news: How old the newest plans of the others usually are.
-        oldest_news: The largest ages at the tick last observed.
+        oldest_news: Largest mean and largest overdue age at the tick last observed, not necessarily
+            of one agent.
         began: Tick from which on the agent could have had plans of the others.
     """
 
@@ -182,8 +181,9 @@ class AnnouncedInputs:
         return self._law.silence_after_failures if has_failures else self._law.silence
 
     def observe_news(self, k: int) -> None:
-        """Take in how old the newest plans of the others are at a tick."""
-        mean = overdue = 0.0
+        """Take in how old the newest plans of the others are at a tick: `news` and `oldest_news`."""
+        mean = 0.0
+        overdue = 0.0
         for agent in self._columns:
             plan = self.newest(agent, before=k)
             if plan is not None and agent != self._own:
@@ -319,7 +319,7 @@ class AnnouncedInputs:
             c[: len(entries), columns] = entries
         return c
 
-    def _before_any_plan(self, columns: Columns) -> Array:
+    def _before_any_plan(self, columns: Rows) -> Array:
         """Return the inputs of an agent's UAVs while no plan of it is known, (4 owned,): hover."""
         hover: Array = self._u_hover[columns]
         return hover

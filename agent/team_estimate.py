@@ -106,7 +106,7 @@ class TeamEstimate:
         )
 
     def share_alone(self, k: int) -> float:
-        """Return how much the agent is to act alone, by the oldest news of the others: (32c).
+        """Return how much the agent is to act alone at a tick, after `update`, by the oldest news: (32c).
 
         Where all others say that they do, nearly as much: the team's law, followed by one agent
         alone, fights theirs.

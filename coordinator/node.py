@@ -82,11 +82,8 @@ class CoordinatorNode:
         self._out = Outbox(self.name, incarnation)
         self._clock = Clock(setup)
         self._roster = TeamRoster(setup, self._out)
-        self._not_ready = {
-            PLANT,
-            *self._roster.agents,
-            *observers,
-        }  # processes before the first tick
+        # Processes that the first tick waits for.
+        self._not_ready = {PLANT, *self._roster.agents, *observers}
         self._observers = set(observers)  # that have not left
 
         # Agents that answered the open tick, and whether with a plan that the others received.

@@ -226,7 +226,7 @@ def _sense(s: Symbols, motion: dynamics.Motion) -> ca.Function:
 
 
 def _linearise(s: Symbols, motion: dynamics.Motion, y: ca.SX) -> ca.Function:
-    """Return x', y, the factors of `model.linearisation.Linearisation`, and C: (15)-(15b).
+    """Return x', y, the factors of `model.linearisation.Jacobians`, and C: (15)-(15b).
 
     Factors are transposed, so that their entries follow row by row.
     """

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from transport.model import native
-from transport.model.arrays import Array
+from transport.model.arrays import Array, ShapeError
 from transport.model.compiled import library
 
 # Arguments of `step`: x, u, p, F, h. The kernel sets the first two.
@@ -29,6 +29,20 @@ class Feedback:
     lower: Array  # (m,)
     upper: Array  # (m,)
 
+    def __post_init__(self) -> None:
+        """Check the gain, which the kernel reads without asking. Raises: ShapeError."""
+        steps, m = self.at_x.shape
+        has_length = not self.varies or len(self.K) == steps
+        if self.K.shape[-2] != m or not has_length:
+            raise ShapeError(
+                f"K: expected {m} rows, for all or each of {steps} steps, got {self.K.shape}"
+            )
+
+    @property
+    def varies(self) -> bool:
+        """Whether each step has a gain of its own."""
+        return self.K.ndim == _VARYING
+
 
 class CompiledStep:
     """The function `step` of a library by its address, with room for its arguments and results."""
@@ -37,7 +51,7 @@ class CompiledStep:
         # Keeps the library loaded as long as the address is used.
         self._functions = functions
         self._length_s = np.zeros(1)
-        self._known = native.Addresses()
+        self._kept = native.Addresses()
 
         # CasADi's sizes of the rooms: arguments, results, integers and numbers.
         sizes = (ctypes.c_longlong * 4)()
@@ -68,8 +82,8 @@ class CompiledStep:
         """
         p, F = acting
         self._length_s[0] = duration_s
-        self._arguments[_PARAMETERS] = self._known.of("p", p)
-        self._arguments[_FORCES] = self._known.of("F", F)
+        self._arguments[_PARAMETERS] = self._kept.of("p", p)
+        self._arguments[_FORCES] = self._kept.of("F", F)
 
         Z = np.empty((len(feedback.at_x) + 1, len(x)))
         U = np.empty(feedback.at_x.shape)
@@ -79,11 +93,11 @@ class CompiledStep:
             len(x),
             len(feedback.lower),
             *self._addresses,
-            feedback.K.ndim == _VARYING,
-            self._known.of("K", feedback.K),
+            feedback.varies,
+            self._kept.of("K", feedback.K),
             native.address(feedback.at_x),
-            self._known.of("lower", feedback.lower),
-            self._known.of("upper", feedback.upper),
+            self._kept.of("lower", feedback.lower),
+            self._kept.of("upper", feedback.upper),
             native.address(Z),
             native.address(U),
         )

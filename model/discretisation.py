@@ -49,6 +49,7 @@ def zero_order_hold(
     _, accelerations = jacobians.pattern.shapes[2]
     sizes = n, m, accelerations
     is_known = known is not None
+    # Known ones are not written: the address of an empty array is null.
     A = np.empty((0, 0) if is_known else (n, n))
     B = np.empty((0, 0) if is_known else (n, m))
     f_d = np.empty(n)

@@ -181,7 +181,7 @@ ptrdiff_t zero_order_hold_work(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations
 
    A_c = X + P V_x, B_c = U + P V_u; begin, index, value: the rows of X, U, P, V_x, V_u, one after the other; P has
    `accelerations` columns. Phi itself is not formed: the series is applied to the columns of [A_c, B_c, f].
-   With `known` A and B are not written: they are those of another f, and only f_d is wanted.
+   With `known` A and B are not written and may be null: they are those of another f, and only f_d is wanted.
    Returns theta; nothing is computed if it is larger than theta_possible or nan. */
 double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const ptrdiff_t *begin,
                        const ptrdiff_t *index, const double *value, const double *f, double period, double theta_max,
@@ -223,8 +223,8 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
         if (ratio < 1.0 && (term_k + term_next) / (1.0 - ratio) <= remainder) break;
     }
 
-    /* Columns from here on are wanted: with A and B known the panel of f_d. */
-    const ptrdiff_t wanted = known && !halvings ? (n + m) / PANEL * PANEL : 0;
+    /* Columns before this one hold no values: with A and B known the panel of f_d alone is computed. */
+    const ptrdiff_t first_column = known && !halvings ? (n + m) / PANEL * PANEL : 0;
     /* V = [V_x, V_u, 0]. */
     memset(V, 0, (size_t)(r * width) * sizeof *V);
     for (ptrdiff_t i = 0; i < r; i++) {
@@ -238,8 +238,8 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
         for (ptrdiff_t k = X.begin[i]; k < X.begin[i + 1]; k++) row[index[k]] = value[k];
         for (ptrdiff_t k = U.begin[i]; k < U.begin[i + 1]; k++) row[n + index[k]] = value[k];
         row[n + m] = f[i];
-        multiply_row(&P, i, V + wanted, width, width - wanted, row + wanted);
-        for (ptrdiff_t j = wanted; j < width; j++) row[j] *= T;
+        multiply_row(&P, i, V + first_column, width, width - first_column, row + first_column);
+        for (ptrdiff_t j = first_column; j < width; j++) row[j] *= T;
     }
     /* [X P], to be multiplied with a term and, below it, V_x times that term. */
     ptrdiff_t *places = (ptrdiff_t *)(merged + n * (n + r)), *first = places + n * (n + r), entries = 0;
@@ -254,7 +254,7 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
     const sparse XP = {n, first, places, merged};
     /* sum = Phi(T) [A_c, B_c, f] = [A - I, B, f_d], panel by panel; with A and B known only the panel of f_d: (16),
        (17). */
-    for (ptrdiff_t at = wanted; at < width; at += PANEL) {
+    for (ptrdiff_t at = first_column; at < width; at += PANEL) {
         const ptrdiff_t some = width - at < PANEL ? width - at : PANEL;
         for (ptrdiff_t i = 0; i < n; i++) memcpy(term + i * some, sum + i * width + at, (size_t)some * sizeof *term);
         for (int k = 1; k < terms; k++) {

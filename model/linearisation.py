@@ -2,15 +2,16 @@
 
 import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from transport.model import integration, native
-from transport.model.arrays import Array
+from transport.model.arrays import Array, frozen
 from transport.model.compiled import Compiled, functions
 from transport.model.compiled_step import CompiledStep, Feedback
 from transport.model.hover import with_released
@@ -34,24 +35,32 @@ class Jacobians:
     @cached_property
     def A_c(self) -> Array:
         """df/dx along the manifold |e_i| = 1, e_i . Omega_i = 0, zero across it, (n, n), 1/s."""
-        X = self._factor("X")
-        return X + self._factor("P") @ self._factor("V_x")
+        A_c: Array = self._factor("X") + self._factor("P") @ self._factor("V_x")
+        frozen(A_c)
+        return A_c
 
     @cached_property
     def B_c(self) -> Array:
         """df/du, (n, m)."""
-        U = self._factor("U")
-        return U + self._factor("P") @ self._factor("V_u")
+        B_c: Array = self._factor("U") + self._factor("P") @ self._factor("V_u")
+        frozen(B_c)
+        return B_c
 
     @cached_property
     def C(self) -> Array:
         """dh/dx, (p, n)."""
-        return self._factor("C")
+        C = self._factor("C")
+        frozen(C)
+        return C
 
     @cached_property
     def address(self) -> int:
         """Address of the entries, for the compiled kernels."""
         return native.address(self.values)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields for copies, which have addresses of their own."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def _factor(self, name: str) -> Array:
         return self.pattern.dense(self.values, name)
@@ -177,7 +186,10 @@ class Model:
         return self._compiled["derivative"].flat(*self._arguments(x, u, forces))
 
     def derivatives(self, x: Array, u: Array, forces: Sequence[Array]) -> list[Array]:
-        """Return f(x, u, F), (n,), of several forces with the same mass error."""
+        """Return f(x, u, F), (n,), SI, under several external forces.
+
+        All have the mass error of the first.
+        """
         function = self._compiled["derivative"]
         u = _zeroed(u, self._off)
         p, _ = self._acting(forces[0])
@@ -279,12 +291,10 @@ class Model:
     def advance(
         self, x: Array, u: Array, duration_s: float, steps: int, *, forces: Array | None = None
     ) -> Array:
-        """Return the state of `integrate` by equal steps, without the error."""
-        function = self._compiled["step"]
-        arguments = _zeroed(u, self._off), *self._acting(forces), duration_s / steps
-        n = self.system.n
+        """Return the state of `integrate` by equal steps, (n,), without the error: (13b)."""
+        after_step = self.stepper(duration_s / steps, forces)
         for _ in range(steps):
-            x = function.flat(x, *arguments)[:n]
+            x = after_step(x, u)
         return x
 
     def step(self, u: Array, forces: Array | None = None) -> Step:

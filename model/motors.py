@@ -207,19 +207,19 @@ def with_lag(
     a' = (u - a) / lambda, with commanded body rates + omega'.
     Source: docs/equations.md (55), (58a).
     """
-    before = linear.jacobians
+    without_lag = linear.jacobians
     rate = np.full(len(a), 1.0 / lag_s)
     on_itself = -rate
     moving = (u - a) / lag_s
 
     if rates:
         in_inputs, in_states = rate_places(len(a))
-        U = before.pattern.dense(before.values, "U")
+        U = without_lag.pattern.dense(without_lag.values, "U")
         on_itself[in_inputs] += U[in_states, in_inputs]
         moving[in_inputs] += linear.f[in_states]
 
-    pattern, order = _pattern_with_lag(before.pattern, rates)
-    values = np.concatenate([before.values, on_itself, rate])[order]
+    pattern, order = _pattern_with_lag(without_lag.pattern, rates)
+    values = np.concatenate([without_lag.values, on_itself, rate])[order]
     return Linearisation(
         f=np.concatenate([linear.f, moving]),
         y=linear.y,

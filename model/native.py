@@ -95,32 +95,31 @@ class Addresses:
     """Addresses of arrays by name, kept as long as a name stands for the same array."""
 
     def __init__(self) -> None:
-        self._known: dict[str, tuple[npt.NDArray[Any], int]] = {}
+        self._kept: dict[str, tuple[npt.NDArray[Any], int]] = {}
 
     def array(self, name: str) -> npt.NDArray[Any] | None:
         """Return the array that a name stands for."""
-        known = self._known.get(name)
-        return None if known is None else known[0]
+        kept = self._kept.get(name)
+        return None if kept is None else kept[0]
 
     def of(self, name: str, array: npt.NDArray[Any]) -> int:
         """Return the address of an array, which a name stands for from now on."""
-        known = self._known.get(name)
-        if known is not None and known[0] is array:
-            return known[1]
-        found = address(array)
-        self._known[name] = array, found
-        return found
+        kept = self._kept.get(name)
+        if kept is not None and kept[0] is array:
+            return kept[1]
+        self._kept[name] = array, address(array)
+        return self._kept[name][1]
 
     def copied(self, name: str, array: Array) -> int:
-        """Return the address of a copy of an array, made in the one of that name before.
+        """Copy an array into the one kept under a name, and return the address of that.
 
         A copy takes less time than the address of a new array, above all of a read-only one.
         """
-        known = self._known.get(name)
-        if known is None or known[0].shape != array.shape:
-            return self.of(name, np.array(array, order="C"))
-        known[0][...] = array
-        return known[1]
+        kept = self._kept.get(name)
+        if kept is None or kept[0].shape != array.shape:
+            return self.of(name, np.array(array, dtype=np.float64, order="C"))
+        kept[0][...] = array
+        return kept[1]
 
 
 class _WorkSpace:

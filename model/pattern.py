@@ -1,8 +1,9 @@
 """Places of the entries of a linearisation's sparse factors, for Python and the kernels."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -45,6 +46,10 @@ class Pattern:
     def addresses(self) -> tuple[int, int]:
         """Addresses of `begin` and `index`, for the compiled kernels."""
         return native.address(self.begin), native.address(self.index)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields for copies, which have addresses of their own."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def dense(self, values: Array, name: str) -> Array:
         """Return a factor as a matrix, given the entries of all factors."""

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from transport.model.arrays import Array
+from transport.model.arrays import Array, Rows
 
 PAYLOAD = 12  # states of the payload
 PER_UAV = 12  # states of each UAV with its rod
@@ -63,9 +63,9 @@ def input_indices(uavs: Iterable[int]) -> npt.NDArray[np.intp]:
     return np.array([INPUTS * i + j for i in uavs for j in range(INPUTS)], dtype=np.intp)
 
 
-def input_places(uavs: Sequence[int]) -> slice | npt.NDArray[np.intp]:
-    """Return the same positions as a slice, which reads and writes faster, of consecutive UAVs."""
-    if list(uavs) == list(range(uavs[0], uavs[0] + len(uavs))):
+def input_places(uavs: Sequence[int]) -> Rows:
+    """Return the positions in u of the inputs of UAVs: a slice if they are consecutive, which is faster."""
+    if uavs and list(uavs) == list(range(uavs[0], uavs[0] + len(uavs))):
         return slice(INPUTS * uavs[0], INPUTS * (uavs[-1] + 1))
     return input_indices(uavs)
 

@@ -54,11 +54,10 @@ class CompiledProgram:
         self._by_kernel = [each for each in stack.constraints if each.in_kernel]
         self._law: FeedbackLaw | None = None  # of the newest prediction
         self._newest: Prediction | None = None
-        # Inputs of the kernels: those that are mostly the arrays of the step before, of which some
-        # have changed since the QP before, and copies of those that are new at each step.
+        # Inputs of the kernels that are mostly the arrays of the step before.
         self._kept = native.Addresses()
-        self._changed: set[str] = set()
-        self._copies = native.Addresses()
+        self._changed: set[str] = set()  # those of them that changed since the QP before
+        self._copies = native.Addresses()  # of inputs that are new at each step
 
         self._arrays: dict[str, np.ndarray] = {}  # alive as long as the struct has their addresses
         # Inputs and corrections that `conclude` writes.

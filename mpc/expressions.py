@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from transport.model import state
-from transport.model.arrays import Array
+from transport.model.arrays import Array, frozen
 from transport.model.compiled import Compiled
 from transport.model.dynamics import Symbols, uav_positions
 from transport.model.parameters import System
@@ -97,11 +97,8 @@ def read_term(text: str, symbols: Symbols) -> ca.SX:
 class Formulas:
     """Scalar expressions of a variable, state or input, and their gradients as a function."""
 
-    count: int
-    variables: int
-    function: (
-        ca.Function | None
-    )  # values and gradients of variable and parameters; None without any
+    # Values and gradients, from variable and parameters; None without any expression.
+    function: ca.Function | None
     depends: npt.NDArray[np.bool_]  # which elements of the variable occur in each, (c, n) or (c, m)
 
     @staticmethod
@@ -109,13 +106,13 @@ class Formulas:
         """Return the formulas of expressions."""
         value = ca.vertcat(ca.SX(0, 1), *values)
         slope = ca.jacobian(value, variable)
-        count, variables = slope.shape
         function = None
         if values:
             results = [ca.densify(value), ca.densify(slope)]
             function = ca.Function("expressions", [variable, parameters], results)
         depends = np.array(ca.DM(slope.sparsity(), 1).full(), dtype=bool)
-        return Formulas(count=count, variables=variables, function=function, depends=depends)
+        frozen(depends)
+        return Formulas(function=function, depends=depends)
 
 
 class Expressions:
@@ -123,13 +120,13 @@ class Expressions:
 
     def __init__(self, formulas: Formulas, p: Array) -> None:
         self._p = p
-        self._shape = formulas.count, formulas.variables
         self.depends = formulas.depends
+        self._shape = formulas.depends.shape
         function = formulas.function
         self._function = None if function is None else Compiled(function)
 
     def __len__(self) -> int:
-        return self._shape[0]
+        return len(self.depends)
 
     def use(self, p: Array) -> None:
         """Take other values of the parameters."""

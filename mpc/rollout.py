@@ -27,9 +27,9 @@ class Rollout(NamedTuple):
 class Actuation:
     """How the inputs of all UAVs act: within bounds, over a sampling period each."""
 
-    lower: Array  # smallest inputs, (m,)
+    lower: Array  # smallest inputs, (m,), N and N m, or rad/s
     upper: Array
-    period: motors.Period
+    period: motors.Period  # with the lag of known motors
 
     @staticmethod
     def of(settings: ControllerSettings, uavs: int) -> "Actuation":
@@ -54,7 +54,7 @@ class Actuation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OwnRates:
-    """Owned inputs of a trajectory within rates, and then bounds."""
+    """Limits of the owned inputs along a trajectory: rates from those before it, then bounds."""
 
     decision: Decision
     before: Array  # inputs before the first step, (m_own,)
@@ -71,7 +71,7 @@ def rollout(
     """Return the trajectory under u = u_law(x0) + c + K (x - x0), all inputs within their bounds.
 
     z0 is the state at step 0, (n,), with motor lag [x, actual inputs], (n + m,); forces are the
-    estimated external forces, N, and mass. The inputs `own` keep rates as well.
+    estimated external forces, N, and mass. With `own` the owned inputs keep their rates, too.
     Source: docs/equations.md (35a), (73).
     """
     period = actuation.period
@@ -109,16 +109,15 @@ def _by_steps(
     """Return the trajectory step by step: u = u_law(x0) + c + K_k (x - x0) within limits, (73)."""
     at_x0 = law.uncorrected + law.c
     gains = law.K if law.K.ndim == 3 else [law.K] * len(at_x0)
-    before = None if own is None else own.before
-
     Z = [z0]
-    U = []
+    U: list[Array] = []
     for k, K in enumerate(gains):
         wanted = at_x0[k] + K @ (Z[k] - z0)
         u = np.minimum(np.maximum(wanted, actuation.lower), actuation.upper)
-        if own is not None and before is not None:
-            before = own.decision.limit_rate(wanted[own.decision.own], before)
-            u[own.decision.own] = before
+        if own is not None:
+            places = own.decision.own
+            before = own.before if k == 0 else U[-1][places]
+            u[places] = own.decision.limit_rate(wanted[places], before)
         U.append(u)
         Z.append(step(Z[k], u))
     return Rollout(np.array(Z), np.array(U))

@@ -147,7 +147,7 @@ class Message(
 
 
 def _fits(shape: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
-    """Return whether an array has an expected shape; its first length may be any, None."""
+    """Return whether an array has an expected shape; None as the first length fits any."""
     if expected[0] is None:
         return len(shape) == len(expected) and shape[1:] == expected[1:]
     return shape == expected
@@ -342,8 +342,8 @@ class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
     inputs: Array  # inputs their actuators applied until now, (owned, 4), N and N m or rad/s
 
 
-_NO_DATA = np.zeros(0)
-frozen(_NO_DATA)
+_NO_NUMBERS = np.zeros(0)
+frozen(_NO_NUMBERS)
 
 
 class Plan(Message, tag="plan", frozen=True, kw_only=True):
@@ -388,7 +388,7 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
     alone: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     # Numbers that a controller of the user shares, (k,) with k at most `MAX_DATA`, in the shape that
     # the receiver's own class has declared; without any the field does not travel.
-    data: Array = msgspec.field(default_factory=lambda: _NO_DATA)
+    data: Array = msgspec.field(default_factory=lambda: _NO_NUMBERS)
 
     def check(self) -> None:
         """Check the arrays, and that inputs and corrections are over the same steps."""
@@ -486,9 +486,8 @@ class ActualInputs(Message, tag="actual_inputs", frozen=True, kw_only=True):
     uavs: Ids  # all of them, 1-based ids, ascending
     inputs: Array  # (N, 4), N and N m
     cables: Ids = ()  # UAVs on cables, in the order of `uavs`; none with rods
-    tensions: Array = msgspec.field(
-        default_factory=lambda: np.zeros(0)
-    )  # of these, N, 0 while slack
+    # Of these, N, 0 while slack.
+    tensions: Array = msgspec.field(default_factory=lambda: _NO_NUMBERS)
 
 
 class FaultNote(Message, tag="fault", frozen=True, kw_only=True):

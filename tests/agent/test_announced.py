@@ -8,6 +8,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from transport.agent.announced import Alignment, AnnouncedInputs, SharedLaw
@@ -217,6 +219,22 @@ def test_after_a_change_of_the_law_silent_agents_act_alone() -> None:
     silent = 10 + round(rule.overdue.complete)
     u = rows(1, inputs.in_force(silent, before=silent, x=X))
     np.testing.assert_array_equal(u, [silent] * 4 + [2e4 + silent] * 4)
+
+
+@given(st.lists(st.sets(st.sampled_from([2, 3, 4])), min_size=1, max_size=80), st.booleans())
+def test_oldest_news_tell_how_much_to_act_alone(heard: list[set[int]], is_filtered: bool) -> None:
+    """The largest ages give the largest share that the rule has for any other agent on the roster."""
+    rule = Silence.of(0.05, is_filtered=is_filtered)
+    owned = ((0,), (1,), (2,), (3,))
+    inputs = AnnouncedInputs(owned, np.zeros(16), own=1, law=SharedLaw(silence=rule))
+    inputs.off_roster = {4}
+    for k, agents in enumerate(heard, start=1):
+        for agent in agents:
+            plan = replace(labelled(2, k - 1), agent=agent)
+            inputs.add(plan)
+        inputs.observe_news(k)
+        shares = [rule.alone(inputs.age(agent, k, before=k)) for agent in (2, 3)]
+        assert rule.alone(inputs.oldest_news) == max(shares)
 
 
 def test_inputs_taken_to_be_in_force_are_within_limits() -> None:

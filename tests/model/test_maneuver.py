@@ -150,6 +150,8 @@ def test_impossible_phases_are_refused() -> None:
         Phase(name="climb", duration_s=1.0, displacement_I=[0.0, 1.0])
     with pytest.raises(ShapeError, match="maneuver start: expected finite numbers, got nan"):
         Maneuver(start_I=[0.0, 0.0, float("nan")], phases=paper_maneuver().phases)
+    with pytest.raises(ParameterError, match="maneuver: expected at least one phase, got none"):
+        Maneuver(start_I=[0.0, 0.0, 0.0], phases=[])
 
 
 def delivery(press_m: float = 0.2) -> Maneuver:

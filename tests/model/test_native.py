@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
 from tests.support.systems import ring
 from transport.model import compiler, native
+from transport.model.arrays import ShapeError
 from transport.model.compiled import Compiled, compile_functions, functions
 from transport.model.compiled_step import Feedback
 from transport.model.discretisation import by_exponential, zero_order_hold
@@ -125,6 +127,46 @@ def test_a_rollout_in_one_call_is_one_in_steps() -> None:
     response = np.empty((7, 36))
     native.KERNELS.free_response(6, 36, *map(native.address, (A, W, response)))
     np.testing.assert_allclose(response, free_response(A, W), rtol=1e-12, atol=1e-12)
+
+
+def test_addresses_follow_their_arrays() -> None:
+    """An array keeps its address, another one has its own, and copies have the numbers of the newest."""
+    addresses = native.Addresses()
+    first, second = np.arange(3.0), np.arange(3.0)
+    begin = addresses.of("x", first)
+    assert begin == native.address(first) == addresses.of("x", first)
+    assert addresses.of("x", second) == native.address(second)
+    assert addresses.array("x") is second
+
+    integers: Any = np.arange(3)
+    place = addresses.copied("y", integers)  # they become floats
+    assert addresses.copied("y", np.array([0.5, 1.5, 2.5])) == place
+    kept = addresses.array("y")
+    assert kept is not None
+    assert kept.tolist() == [0.5, 1.5, 2.5]
+    addresses.copied("y", np.arange(4.0)[::2])  # another shape, and no row-major one
+    kept = addresses.array("y")
+    assert kept is not None
+    assert kept.tolist() == [0.0, 2.0]
+
+
+@needs_compiler
+def test_copies_of_a_linearisation_are_their_own() -> None:
+    """A copy is not computed from the numbers of its original."""
+    model, at = Model(ring(2)), hover(ring(2))
+    original = model.linearise(at.x, at.u)
+    expected = zero_order_hold(original, 0.05).A
+    copied = deepcopy(original)
+    original.jacobians.values[:] = 0.0
+    np.testing.assert_array_equal(zero_order_hold(copied, 0.05).A, expected)
+
+
+def test_gains_of_too_few_steps_are_refused() -> None:
+    """A kernel does not read behind the gains."""
+    with pytest.raises(ShapeError, match="of 4 steps"):
+        Feedback(
+            at_x=np.zeros((4, 8)), K=np.zeros((3, 8, 36)), lower=np.zeros(8), upper=np.zeros(8)
+        )
 
 
 @pytest.mark.parametrize(
