@@ -204,4 +204,5 @@ def machine() -> str:
         processor = names[0] if names else processor
 
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{processor}, {cores} cores, {platform.system()} {platform.release()}"
+    unit = "core" if cores == 1 else "cores"
+    return f"{processor}, {cores} {unit}, {platform.system()} {platform.release()}"
