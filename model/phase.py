@@ -1,5 +1,6 @@
 """One phase of a maneuver, a straight leg, a table or a curve, and the motion along it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -57,21 +58,22 @@ class Phase:
         way: Curve | ArrayLike | None = None,
         formation: ArrayLike | None = None,
     ) -> None:
+        field = f"phase {name!r}"
+        displacement_I = checked(f"{field} displacement", displacement_I, (3,))
+        if way is not None and not isinstance(way, Curve):
+            way = _checked_table(f"{field} way", way, [float(duration_s), *displacement_I])
+        if formation is not None:
+            formation = _checked_formation(f"{field} formation", formation)
+
         assign(
             self,
             name=name,
             duration_s=float(duration_s),
-            displacement_I=checked(f"phase {name!r} displacement", displacement_I, (3,)),
+            displacement_I=displacement_I,
             kind=kind,
             way=way,
             formation=formation,
         )
-
-        if way is not None and not isinstance(way, Curve):
-            assign(self, way=self._checked_table(way))
-
-        if formation is not None:
-            assign(self, formation=self._checked_formation(formation))
 
     def curve(self, profile: Profile) -> Curve | None:
         """Return the curve of a smooth phase; None of one whose acceleration jumps."""
@@ -149,43 +151,42 @@ class Phase:
         sigma, slope = _sigma("min_jerk", (t_s - begin_s) / span_s)
         return sigma, slope / span_s
 
-    def _checked_table(self, way: ArrayLike) -> Array:
-        """Return a table of times and positions.
 
-        Raises: ParameterError: other ends than those of the phase, or times that do not rise.
-        """
-        field = f"phase {self.name!r} way"
-        table = checked(field, way, (None, 4))
+def _checked_table(field: str, way: ArrayLike, end: Sequence[float]) -> Array:
+    """Return a table of times and positions that leads to an end, s and m, (4,).
 
-        ends = np.array([np.zeros(4), [self.duration_s, *self.displacement_I]])
-        if len(table) < 2 or np.abs(table[[0, -1]] - ends).max() > _ROUNDING:
-            expected = f"expected rows from {ends[0].tolist()} to {ends[1].tolist()}"
-            raise ParameterError(f"{field}: {expected}")
+    Raises: ParameterError: it does not, or its times do not rise.
+    """
+    table = checked(field, way, (None, 4))
 
-        times_s = table[:, 0]
-        for row in np.flatnonzero(np.diff(times_s) <= 0.0):
-            expected = f"expected a time > {times_s[row]:g} s"
-            later = row + 1
-            raise ParameterError(f"{field}: row {later + 1}: {expected}, got {times_s[later]:g}")
-        return table
+    ends = np.array([np.zeros(4), end])
+    if len(table) < 2 or np.abs(table[[0, -1]] - ends).max() > _ROUNDING:
+        expected = f"expected rows from {ends[0].tolist()} to {ends[1].tolist()}"
+        raise ParameterError(f"{field}: {expected}")
 
-    def _checked_formation(self, formation: ArrayLike) -> Array:
-        """Return rows of a formation.
+    times_s = table[:, 0]
+    for row in np.flatnonzero(np.diff(times_s) <= 0.0):
+        later = row + 1
+        expected = f"expected a time > {times_s[row]:g} s"
+        raise ParameterError(f"{field}: row {later + 1}: {expected}, got {times_s[later]:g}")
+    return table
 
-        Raises: ParameterError: shares that do not rise from 0 to 1, or sizes that are not positive.
-        """
-        field = f"phase {self.name!r} formation"
-        rows = checked(field, formation, (None, 3))
 
-        shares = np.array([0.0, *rows[:, 0]])
-        is_rising = bool((np.diff(shares) > 0.0).all()) and shares[-1] <= 1.0
-        is_positive = bool((rows[:, 1:] > 0.0).all())
-        if not (is_rising and is_positive):
-            raise ParameterError(
-                f"{field}: expected rows of shares of the duration, rising above 0 to 1 at most, "
-                f"and two numbers > 0, got {rows.tolist()}"
-            )
-        return rows
+def _checked_formation(field: str, formation: ArrayLike) -> Array:
+    """Return rows of a formation.
+
+    Raises: ParameterError: shares that do not rise from 0 to 1, or sizes that are not positive.
+    """
+    rows = checked(field, formation, (None, 3))
+    shares, sizes = np.split(rows, [1], axis=1)
+
+    is_rising = bool((np.diff(shares[:, 0], prepend=0.0) > 0.0).all()) and shares[-1] <= 1.0
+    if not (is_rising and (sizes > 0.0).all()):
+        raise ParameterError(
+            f"{field}: expected rows of shares of the duration, rising above 0 to 1 at most, "
+            f"and two numbers > 0, got {rows.tolist()}"
+        )
+    return rows
 
 
 def _sigma(profile: Profile, tau: Array) -> tuple[Array, Array]:

@@ -188,7 +188,8 @@ def _about_hover(
     u = hovering.hover.u
     linear = hovering.model.linearise(hovering.hover.x, u)
     if motor_lag_s > 0.0:
-        linear = with_lag(linear, u, u, motor_lag_s, hovering.model.system.commands_rates)
+        is_rates = hovering.model.system.commands_rates
+        linear = with_lag(linear, a=u, u=u, lag_s=motor_lag_s, rates=is_rates)
     return linear, zero_order_hold(linear, period_s)
 
 

@@ -335,12 +335,14 @@ class ControllerSettings(Section):
         """Return the smallest inputs of that many UAVs, (4 uavs,)."""
         smallest_N, _ = self.limits.thrust_N
         turning = self._largest_turning()
-        return np.array([smallest_N, *(-largest for largest in turning)] * uavs)
+        of_one = [smallest_N, *(-largest for largest in turning)]
+        return np.tile(of_one, uavs)
 
     def upper(self, uavs: int) -> Array:
         """Return the largest inputs of that many UAVs, (4 uavs,)."""
         _, largest_N = self.limits.thrust_N
-        return np.array([largest_N, *self._largest_turning()] * uavs)
+        of_one = [largest_N, *self._largest_turning()]
+        return np.tile(of_one, uavs)
 
     def largest_step(self, uavs: int) -> Array:
         """Return the largest change of the inputs over one sampling period, (4 uavs,)."""

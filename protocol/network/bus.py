@@ -176,7 +176,7 @@ class Bus:
             if not missing:
                 break
             if joining.is_over(now_s) and self._inbox.empty():
-                raise self._alone(missing)
+                raise self._error_of_missing(missing)
             if joining.should_tell(now_s):
                 on_wait(joining.words(missing, now_s))
 
@@ -186,7 +186,7 @@ class Bus:
                 continue
             if isinstance(item, Interrupted):
                 return item
-            later = self._early(item, joining)
+            later = self._take_while_joining(item, joining)
             if later is not None:
                 early.append((at_ns, later))
 
@@ -195,7 +195,7 @@ class Bus:
             self._inbox.put(stamped)
         return None
 
-    def _early(
+    def _take_while_joining(
         self, item: zenoh.Sample | zenoh.Query | Request, joining: Joining
     ) -> zenoh.Sample | Request | None:
         """Take in an item that arrives while this process joins; return it if its node needs it.
@@ -203,18 +203,18 @@ class Bus:
         Such are requests, messages, and the tokens of processes that are ready before this one.
         """
         if isinstance(item, zenoh.Query):
-            return self._request(item)
+            return self._answer_or_forward(item)
         if not isinstance(item, zenoh.Sample):
             return item
         key = self._keys.end(str(item.key_expr))
         if key.startswith("alive/"):
-            self._note(item, joins=True)
+            self._take_token(item, joins=True)
             return None
         if key.startswith(f"ready/{COORDINATOR}/"):
             joining.is_begun = True
         return item
 
-    def _alone(self, missing: Collection[str]) -> BusError:
+    def _error_of_missing(self, missing: Collection[str]) -> BusError:
         """Return the error of a process that waits for others in vain."""
         endpoints = self._place.endpoints
         listening = ", ".join(endpoints.listen) or "nothing"
@@ -227,7 +227,7 @@ class Bus:
             f"{self.name}: {within}; listening on {listening}, connecting to {connecting}"
         )
 
-    def _note(self, sample: zenoh.Sample, *, joins: bool = False) -> Presence | None:
+    def _take_token(self, sample: zenoh.Sample, *, joins: bool = False) -> Presence | None:
         """Return the event in a token.
 
         A process takes part from "ready" on, is gone with "alive". Raises: BusError: as `join`.
@@ -329,7 +329,7 @@ class Bus:
                 self._arrived_ns, item = self._inbox.get(timeout=left_s)
             except queue.Empty:
                 return None
-            event = self._event(item)
+            event = self._unpacked(item)
             if event is not None:
                 return Arrival(event, self._arrived_ns)
 
@@ -362,7 +362,7 @@ class Bus:
     def _declare_token(self, token: str) -> None:
         self._tokens.append(self._session.liveliness().declare_token(token))
 
-    def _request(self, query: zenoh.Query) -> Request | None:
+    def _answer_or_forward(self, query: zenoh.Query) -> Request | None:
         """Return a request from the network as an event.
 
         None if it is answered here: bad ones, and those for the health of the process.
@@ -410,16 +410,19 @@ class Bus:
         """Queue what arrives, with its time; on any thread."""
         self._inbox.put((self._clock.now_ns(), item))
 
-    def _event(self, item: _Item) -> BusEvent | None:
-        """Return the event in an item of the queue; the messages in it follow by `next`."""
+    def _unpacked(self, item: _Item) -> BusEvent | None:
+        """Return the event in an item of the queue.
+
+        None for a query that is answered here, and for messages, which `next` takes one by one.
+        """
         if isinstance(item, Interrupted | Request):  # a request came while this process joined
             return item
         if isinstance(item, zenoh.Query):
-            return self._request(item)
+            return self._answer_or_forward(item)
 
         key = str(item.key_expr)
         if self._keys.end(key).startswith(("alive/", "ready/")):
-            return self._note(item)
+            return self._take_token(item)
         name = key.removeprefix(self._keys.left(""))
         if name != key:
             return Left(name)

@@ -6,6 +6,7 @@ about its camera are, and while a user turns it.
 """
 
 from collections.abc import Mapping
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,7 @@ class View3D:
         self._server = server
         self._drawing = drawing
         self._builder = builder
-        self.shown: Scene | None = None  # in the current frame
+        self.shown: Scene | None = None  # the newest one
 
         self._frames: dict[str, Any] = {}  # by name
         self._lines: dict[str, Any] = {}  # by name of the node
@@ -73,7 +74,7 @@ class View3D:
                 _set_lines(self._lines[name], lines)
             else:
                 self._add(lines)
-        self._show_off(self._drawing.frames_off(scene))
+        self._mark_off(self._drawing.frames_off(scene))
 
     def _pose_frames(self, poses: Mapping[str, Pose]) -> None:
         """Move the frames, and hide those without a pose."""
@@ -128,14 +129,14 @@ class View3D:
         """Return the points of the team to be seen, (k, 3), m, with the team in its place."""
         uavs_I = self._builder.start_I
         payload_I = self._drawing.start_I
+        middle_I = uavs_I.mean(axis=0)
         if self.shown is not None:
             released = [uav - 1 for uav in self.shown.released]
             uavs_I = np.delete(self.shown.uavs_I, released, axis=0)
             payload_I = self.shown.payload_I
+            middle_I = self.shown.uavs_I.mean(axis=0)  # as the world is moved
         arrows_I = uavs_I - [0.0, 0.0, 2.0 * ARROW_M]
         points_I = np.vstack([payload_I, uavs_I, arrows_I])
-
-        middle_I = uavs_I.mean(axis=0) if self.shown is None else self.shown.uavs_I.mean(axis=0)
         return np.asarray(points_I - middle_I + self._anchor_I)
 
     def _path_points(self) -> Array:
@@ -149,7 +150,8 @@ class View3D:
             flown_I = np.clip(np.nan_to_num(flown_I), low_I - margin_m, high_I + margin_m)
             low_I = np.minimum(low_I, flown_I.min(axis=0))
             high_I = np.maximum(high_I, flown_I.max(axis=0))
-        return np.array(np.meshgrid(*zip(low_I, high_I, strict=True))).reshape(3, -1).T
+        corners = product(*zip(low_I, high_I, strict=True))
+        return np.array(list(corners))
 
     def _frame(self, name: str) -> Any:
         """Return the node of a frame, hidden until it has a pose."""
@@ -200,7 +202,7 @@ class View3D:
                 self._parts.setdefault(part.frame, []).append((node, part))
         self._layers[part.layer].append(node)
 
-    def _show_off(self, off: frozenset[str]) -> None:
+    def _mark_off(self, off: frozenset[str]) -> None:
         """Draw the UAVs in some frames as off: grey, and named so."""
         for frame in off ^ self._off:
             for node, part in self._parts.get(frame, []):
