@@ -179,10 +179,11 @@ class PlantNode(Participant):
         """Apply the scenario's failures of UAVs due at a tick, before it is measured."""
         while self._faults and self._faults[0].tick <= tick:
             fault = self._faults.popleft()
-            if fault.do != "degrade":
-                self._switch_off(fault.uav, released=fault.do == "release")
-            elif fault.uav not in self._off:
-                self._motors.degrade(fault.uav, fault.efficiency)
+            match fault.do:
+                case "motor_off" | "release":
+                    self._switch_off(fault.uav, released=fault.do == "release")
+                case "degrade" if fault.uav not in self._off:
+                    self._motors.degrade(fault.uav, fault.efficiency)
 
     def _switch_off(self, uav: int, *, released: bool) -> None:
         """Switch the motors of a UAV off, 0-based, and take it off its rod if it is released."""

@@ -36,6 +36,7 @@ _LEVEL = (1.0, 0.0, 0.0, 0.0)
 _REST = (*_NO_RATE, *_WEIGHT, *_LEVEL)
 # Real time without an answer after which a process counts as frozen, s: a step takes 0.1 ms.
 _PATIENCE_S = 30.0
+_FROZEN = f"a firmware has not answered within {_PATIENCE_S:g} s"
 # Virtual time, s.
 _BOOT_S = 2.0  # until the firmware has started
 _ENTER_S = 0.5  # until it enters its command line
@@ -130,7 +131,7 @@ class Process:
         try:
             answer = self._socket.recv(_MOTORS.size)
         except TimeoutError as error:
-            raise FirmwareError(f"a firmware has not answered within {_PATIENCE_S:g} s") from error
+            raise FirmwareError(_FROZEN) from error
         except ConnectionError:  # ended with packets that it had not read
             answer = b""
         if len(answer) != _MOTORS.size:
@@ -145,7 +146,7 @@ class Process:
             sensors: Angular velocity, rad/s, acceleration, m/s^2, and attitude, a quaternion, in
                 the order and signs of the packet, (10,).
             channels: The 16 channels; None where the receiver hears nothing new.
-        Raises: FirmwareError: the process has ended.
+        Raises: FirmwareError: the process has ended, or takes nothing more.
         """
         time_s = self._step_s * self._exchanges
         self._exchanges += 1
@@ -154,6 +155,8 @@ class Process:
             packet += _STICKS.pack(time_s, *channels)
         try:
             self._socket.send(packet)
+        except TimeoutError as error:
+            raise FirmwareError(_FROZEN) from error
         except OSError as error:
             raise FirmwareEndedError(f"a firmware has ended: {error}") from error
 

@@ -3,6 +3,7 @@
 import json
 import queue
 import time
+from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -120,6 +121,8 @@ class Bus:
         self._clock = SteadyClock()
         self._left: set[str] = set()  # processes that were up, and are not any more
         self._inbox: queue.SimpleQueue[tuple[int, _Item]] = queue.SimpleQueue()
+        # What came for the node before this process had joined: older than all in the inbox.
+        self._early: deque[tuple[int, _Item]] = deque()
         # Accepted messages in the bytes that arrived last, and the time of their arrival.
         self._accepted: Iterator[Accepted] = iter(())
         self._arrived_ns = 0
@@ -166,7 +169,6 @@ class Bus:
         others = set(expected) - {self.name}
         timeout_s = self._place.join_timeout_s
         joining = Joining(others, time.monotonic(), timeout_s, self._options.tell_every_s)
-        early: list[tuple[int, _Item]] = []  # for the node, which is not ready
 
         while True:
             now_s = time.monotonic()
@@ -188,11 +190,9 @@ class Bus:
                 return item
             later = self._take_while_joining(item, joining)
             if later is not None:
-                early.append((at_ns, later))
+                self._early.append((at_ns, later))
 
         self._declare_token(self._keys.ready(self.name, self.incarnation))
-        for stamped in early:
-            self._inbox.put(stamped)
         return None
 
     def _take_while_joining(
@@ -326,12 +326,18 @@ class Bus:
                 time.sleep(self._options.gather_s)
             try:
                 left_s = None if deadline is None else max(0.0, deadline - time.monotonic())
-                self._arrived_ns, item = self._inbox.get(timeout=left_s)
+                self._arrived_ns, item = self._oldest(left_s)
             except queue.Empty:
                 return None
             event = self._unpacked(item)
             if event is not None:
                 return Arrival(event, self._arrived_ns)
+
+    def _oldest(self, timeout_s: float | None) -> tuple[int, _Item]:
+        """Return the oldest item and the time of its arrival. Raises: queue.Empty: none in time."""
+        if self._early:
+            return self._early.popleft()
+        return self._inbox.get(timeout=timeout_s)
 
     def leave(self, after: Collection[str] = ()) -> None:
         """Say that the last message was sent, and wait for the recorder and others to leave.

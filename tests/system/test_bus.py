@@ -155,6 +155,33 @@ def test_what_comes_early_is_kept(network: tuple[Plant, zenoh.Session]) -> None:
         token.undeclare()  # type: ignore[no-untyped-call]
 
 
+def test_what_comes_early_comes_before_what_came_later(
+    network: tuple[Plant, zenoh.Session],
+) -> None:
+    """A process that was ready, and ended while this one joined, is ready first and then gone."""
+    plant, session = network
+    liveliness = session.liveliness()
+    alive = liveliness.declare_token(KEYS.alive("agent2", 0, DIGEST, VERSION))
+    ready = liveliness.declare_token(KEYS.ready("agent2", 0))
+    tokens = [ready]
+
+    def others_change(_: str) -> None:
+        """Let the awaited process come, and the other one go, before the next item is read."""
+        if len(tokens) == 1:
+            tokens.append(liveliness.declare_token(KEYS.alive("agent1", 0, DIGEST, VERSION)))
+            alive.undeclare()  # type: ignore[no-untyped-call]
+            time.sleep(0.5)
+
+    assert plant.bus.join({"agent1"}, others_change) is None
+    arrivals = [plant.bus.next(PATIENCE_S) for _ in range(2)]
+    assert [None if arrival is None else arrival.event for arrival in arrivals] == [
+        Presence("agent2", 0, alive=True),
+        Presence("agent2", 0, alive=False),
+    ]
+    for token in tokens:
+        token.undeclare()  # type: ignore[no-untyped-call]
+
+
 def test_a_process_that_waits_gives_signs_of_life(network: tuple[Plant, zenoh.Session]) -> None:
     """While others are missing, a sentence names them at every interval, until the time is over."""
     said: list[str] = []
