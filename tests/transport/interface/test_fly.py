@@ -209,10 +209,12 @@ def test_an_interrupt_ends_a_simulation() -> None:
     The next run has the same bits as ever.
     """
     expected, threads = digest(short()), threading.active_count()
-    timer = threading.Timer(0.4, os.kill, (os.getpid(), signal.SIGINT))
+    # Preparing a flight of 200 s takes a tenth of a second, in which libraries are opened; flying it
+    # takes several.
+    timer = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()
     with pytest.raises(KeyboardInterrupt):
-        transport.fly("resilient", phases=[{**PHASES[0], "duration_s": 1e3}], progress=False)
+        transport.fly("resilient", phases=[{**PHASES[0], "duration_s": 200.0}], progress=False)
     timer.join()
     assert digest(short()) == expected
     assert threading.active_count() == threads
