@@ -322,7 +322,8 @@ class Bus:
                 return Arrival(accepted.message, self._arrived_ns, accepted.bundle)
 
             self.before_wait()
-            if self._options.gather_s > 0.0 and self._inbox.empty():
+            is_idle = not self._early and self._inbox.empty()
+            if is_idle and self._options.gather_s > 0.0:
                 time.sleep(self._options.gather_s)
             try:
                 left_s = None if deadline is None else max(0.0, deadline - time.monotonic())
