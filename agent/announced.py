@@ -19,6 +19,8 @@ from transport.protocol.wire.messages import Plan
 # Alignment of a plan with the horizon: shifted by its true age; by one tick whatever its age, as in
 # the paper; or its input for the present tick, held.
 Alignment = Literal["by_age", "by_one", "held"]
+# Tick of an event that has not occurred: before the first.
+NEVER = -1
 
 
 def _none(*_: object) -> None:
@@ -52,7 +54,7 @@ class Silent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Untold:
-    """Inputs of a tick that no plan has told, as masks, (m,)."""
+    """Inputs of a tick that no plan has told, as masks, (m,), which `tell` changes."""
 
     by_law: npt.NDArray[np.bool_]  # of agents that follow the shared control law
     by_fail_safe: npt.NDArray[np.bool_]  # of UAVs on their fail-safe
@@ -103,16 +105,18 @@ class AnnouncedInputs:
         law: Shared control law, followed after the first step of a plan; without inputs for none.
         settings: Bounds of the actuators, applied to inputs in force.
 
+    The first four attributes describe the team; who owns this object changes them with the team, at
+    the tick of the change and before `observe_news`.
+
     Attributes:
         off_roster: Agents that make no more plans.
         fail_safe: Control law after the last plan of one of them.
         law_since: Tick from which on the shared control law is that of the present team, (46).
-        failed_since: Tick of the newest failure of a UAV. From then on every agent follows the
-            control law of the UAVs that are left; earlier plans apply until then.
+        failed_since: Tick of the newest failure of a UAV, or `NEVER`. From then on every agent
+            follows the control law of the UAVs that are left; earlier plans apply until then.
         news: How old the newest plans of the others usually are.
         oldest_news: Largest mean and largest overdue age at the tick last observed, not necessarily
             of one agent.
-        began: Tick from which on the agent could have had plans of the others.
     """
 
     def __init__(
@@ -127,8 +131,7 @@ class AnnouncedInputs:
         self.off_roster: set[int] = set()
         self.fail_safe: FailSafe | None = None
         self.law_since = 0
-        self.failed_since = 0
-        self.began = 0
+        self.failed_since = NEVER
         self._owned = owned
         self._u_hover = u_hover
         self._alignment = alignment
@@ -151,14 +154,24 @@ class AnnouncedInputs:
         self._plans = ReceivedPlans(self._columns)
         self._assumed: dict[int, Assumed] = {}
 
+        # The first tick at which news were observed, and that at which an agent returned: from these
+        # on its plans are expected.
+        self._began: int | None = None
+        self._returned: dict[int, int] = {}
+
     def add(self, plan: Plan) -> None:
         """Keep a plan, in any order of arrival; a second plan of the same tick is ignored."""
         self._plans.add(plan)
 
-    def forget(self, agent: int) -> None:
-        """Discard the plans of an agent that starts anew."""
+    def begin_anew(self, agent: int, tick: int) -> None:
+        """Discard the plans of an agent that starts anew at a tick, and how old they were.
+
+        Until then it was off the roster, and its UAVs on their fail-safe.
+        """
         self._plans.forget(agent)
         self._assumed.pop(agent, None)
+        self.news.forget(agent)
+        self._returned[agent] = tick
 
     def assume(self, agent: int, start: int, inputs: Array) -> None:
         """Assume inputs of all UAVs, (N_p, 4 N), from a tick on for an agent that left.
@@ -177,11 +190,16 @@ class AnnouncedInputs:
     @property
     def silence(self) -> Silence | None:
         """Rule by which agents act alone; None: they never do."""
-        has_failures = self.failed_since > 0
+        has_failures = self.failed_since != NEVER
         return self._law.silence_after_failures if has_failures else self._law.silence
 
     def observe_news(self, k: int) -> None:
-        """Take in how old the newest plans of the others are at a tick: `news` and `oldest_news`."""
+        """Take in how old the newest plans of the others are: `news` and `oldest_news`.
+
+        To be called once a tick, after its plans are added.
+        """
+        if self._began is None:
+            self._began = k
         mean = 0.0
         overdue = 0.0
         for agent in self._columns:
@@ -201,9 +219,14 @@ class AnnouncedInputs:
         """Return how old an agent's news are at a tick, of which a plan, if any, is the newest."""
         if agent == self._own or agent in self.off_roster:
             return NO_WAIT
-        newest = self.began - 1 if plan is None else plan.tick
+        # Without any plan, as if one had been made just before the first that can be expected.
+        newest = self._expected_since(agent) - 1 if plan is None else plan.tick
         overdue = max(0.0, float(tick - newest - self.news.usual(agent)))
         return NewsAge(mean=self.news.mean(agent), overdue=overdue)
+
+    def _expected_since(self, agent: int) -> int:
+        """Return the tick from which on plans of an agent are expected."""
+        return self._returned.get(agent, self._began or 0)
 
     def is_informed(self, tick: int, before: int) -> bool:
         """Return whether the inputs of all others at a tick are as well known as usual: (41)."""
@@ -251,16 +274,31 @@ class AnnouncedInputs:
     def _without_plan(self, agent: int, instant: StateAt | None) -> Array:
         """Return the inputs of an agent without any plan, (4 owned,).
 
-        Hover; once its first plan is overdue, by the shared law, and alone. Source: (32c).
+        Hover; once its first plan is overdue, by the shared law, and alone. An agent that has
+        returned was on its fail-safe before, and follows the law from then on. Source: (32c).
         """
         columns = self._columns[agent]
         hover = self._before_any_plan(columns)
-        if instant is None or self.silence is None:
+        if instant is None:
             return hover
-        if self._age(agent, None, instant.tick).overdue <= self.silence.overdue.begins:
+        if agent in self._returned:
+            if self._is_before_return(agent, instant.tick):
+                return self._by_fail_safe(agent, instant)
+        elif not self._acts_without_plan(agent, instant.tick):
             return hover
         by_law = hover if instant.by_law is None else instant.by_law[columns]
         return self._mixed(by_law, agent, None, instant)
+
+    def _acts_without_plan(self, agent: int, tick: int) -> bool:
+        """Return whether an agent is assumed to act at a tick although it has sent no plan yet."""
+        silence = self.silence
+        if silence is None:
+            return False
+        return self._age(agent, None, tick).overdue > silence.overdue.begins
+
+    def _is_before_return(self, agent: int, tick: int) -> bool:
+        """Return whether an agent was off the roster at a tick, and has returned since."""
+        return tick < self._returned.get(agent, 0)
 
     def _mixed(self, by_law: Array, agent: int, plan: Plan | None, instant: StateAt) -> Array:
         """Return inputs between those by the law and those alone, as the agent is assumed to act."""
@@ -366,7 +404,8 @@ class AnnouncedInputs:
         """Return which of the inputs of `in_force` no plan has told.
 
         Without a plan, and before the law became the present one, `in_force` has hover inputs or the
-        announced ones: the agent followed the law of then, and counts as untold too.
+        announced ones: the agent followed the law of then, and counts as untold too. Off the roster
+        without a plan its UAVs have hover inputs, as the plant knows.
         """
         m = len(self._u_hover)
         untold = Untold(by_law=np.zeros(m, dtype=bool), by_fail_safe=np.zeros(m, dtype=bool))
@@ -374,6 +413,8 @@ class AnnouncedInputs:
             plan = self.newest(agent, before, started=tick)
             if agent in self.off_roster:
                 untold.by_fail_safe[columns] = plan is not None and self._is_over(plan, tick)
+            elif plan is None and self._is_before_return(agent, tick):
+                untold.by_fail_safe[columns] = True
             elif agent != self._own:
                 untold.by_law[columns] = plan is None or plan.start_tick < tick
         return untold
@@ -442,6 +483,8 @@ class AnnouncedInputs:
 
         # Differences in the sender's knowledge, such as external forces, show at the first step.
         #   u_a(k) = U_a(0) + lambda_a(k) - lambda_a(s_a)
+        # While an agent returns from acting alone, that part of U_a(0) stays in it as well, beside
+        # the share in `_mixed`: the payload's error in such flights does not show it.
         start_state = self._law.start_state(plan.start_tick)
         if start_state is None:
             return by_law

@@ -147,6 +147,14 @@ class News:
         self._sums[agent] += age
         self._mean[agent] = self._sums[agent] / len(recent)
 
+    def forget(self, agent: int) -> None:
+        """Discard the ages of an agent that starts anew."""
+        self._ages[agent].clear()
+        self._recent[agent].clear()
+        self._sums[agent] = 0
+        self._usual.pop(agent, None)
+        self._mean.pop(agent, None)
+
     def usual(self, agent: int) -> int:
         """Return the smallest age of an agent's news in the window; 1 where there have been none."""
         return self._usual.get(agent, 1)

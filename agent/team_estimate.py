@@ -76,7 +76,6 @@ class TeamEstimate:
             law=self._shared_law(),
             settings=setup.settings,
         )
-        self._began = False
         # Forces that the integrals of UAVs alone hold, (3 + 3 N,), N; None if not estimated.
         self._held_forces: Array | None = None
         self.announced.fail_safe = regulation.fail_safe
@@ -108,8 +107,8 @@ class TeamEstimate:
     def share_alone(self, k: int) -> float:
         """Return how much the agent is to act alone at a tick, after `update`, by the oldest news: (32c).
 
-        Where all others say that they do, nearly as much: the team's law, followed by one agent
-        alone, fights theirs.
+        At least nearly as much as the one of the others that says least: where all others act alone,
+        an agent that follows the team's law works against them.
         """
         silence = self.announced.silence
         if silence is None:
@@ -128,7 +127,9 @@ class TeamEstimate:
         if self._held_forces is not None:
             forces = self._held_forces
             own = slice(3 + 3 * uav, 6 + 3 * uav)
-            held_I = -(forces[own] + forces[:3] / self._setup.system.N)
+            # g_i = h_i + h_0 / n,   h = -forces, n the UAVs that carry the load    (32f)
+            carrying = self._setup.system.N - len(self._off)
+            held_I = -(forces[own] + forces[:3] / carrying)
         return self._alone.inputs(uav, x[: self._setup.system.n], tick, held_I)
 
     def follow(self, setup: Setup) -> None:
@@ -154,9 +155,6 @@ class TeamEstimate:
         for plan in received.plans:
             self.announced.add(plan)
             self.estimator.take(plan)
-        if not self._began:
-            self._began = True
-            self.announced.began = k
         self.announced.observe_news(k)
         for measurement in received.measurements:
             self.estimator.measure(measurement)
@@ -200,6 +198,7 @@ class TeamEstimate:
         announced = self.announced
         off_roster = set(self._setup.agents) - received.agents
         left = off_roster - self._off_roster
+        # Asked before they are off the roster: an agent that is off counts as informed.
         were_alone = {a for a in left if announced.share_alone(a, tick, before=tick) == 1.0}
         announced.off_roster = off_roster
         if self._controller.regulation.advance(tick):
@@ -213,7 +212,7 @@ class TeamEstimate:
         if off_roster == self._off_roster:
             return
         for agent in self._off_roster - off_roster:
-            announced.forget(agent)
+            announced.begin_anew(agent, tick)
         for agent in left:
             self._assume_last_plan(agent, tick, is_alone=agent in were_alone)
         self._off_roster = off_roster

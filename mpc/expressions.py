@@ -151,6 +151,10 @@ def _cost_formulas(texts: tuple[str, ...], N: int, rates: bool) -> Formulas:
     return Formulas.of(values, symbols.x, symbols.p)
 
 
+# Place of a state, in messages.
+ON_REFERENCE = "on the reference"
+
+
 class UserCosts(Expressions):
     """Weighted squares of the user's expressions of the state.
 
@@ -165,14 +169,14 @@ class UserCosts(Expressions):
         # Weight of each term, per square of its unit, (t,).
         self.weights = np.array([term.weight for term in terms])
 
-    def about(self, x: Array) -> Array:
+    def about(self, x: Array, place: str = "at hover") -> Array:
         """Return the roots of the weights times the gradients, (t, n).
 
-        Raises: SettingsError: one is not finite.
+        `place` says in words where x, (n,), is. Raises: SettingsError: one is not finite.
         """
         values, slopes = self.at(x)
         for term, value, slope in zip(self._terms, values, slopes, strict=True):
-            _check_finite(f"cost {term.expression!r}", value, slope, "at hover")
+            _check_finite(f"cost {term.expression!r}", value, slope, place)
         return np.asarray(np.sqrt(self.weights)[:, None] * slopes)
 
 
@@ -207,6 +211,7 @@ class UserConstraints(Expressions):
         self.penalty = np.full(len(chosen), np.nan)
         for row, (constraint, relation) in enumerate(chosen):
             if constraint.soft and on == "state" and not relation.is_equality:
+                # The place of a UAV, r0 - l R e + ..., contains that of the payload.
                 is_of_place = bool(self.depends[row, state.R0].any())
                 default = penalties[0] if is_of_place else penalties[1]
                 self.penalty[row] = default if constraint.penalty is None else constraint.penalty
@@ -222,6 +227,20 @@ def compile_constraints(
     on_states = UserConstraints(constraints, system, "state")
     on_inputs = UserConstraints(constraints, system, "input")
     return on_states, on_inputs
+
+
+def check_costs(
+    terms: Sequence[CostTerm], system: System, x_hover: Array, X_reference: Array
+) -> None:
+    """Check that cost terms can be read, and are finite wherever a control law is about.
+
+    Those are hover, (n,), and the states of a flat reference, (instants, n), none without one.
+    Raises: SettingsError: the first that is not.
+    """
+    costs = UserCosts(terms, system)
+    costs.about(x_hover)
+    for x in X_reference if len(costs) else ():
+        costs.about(x, ON_REFERENCE)
 
 
 def check_constraints(

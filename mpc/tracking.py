@@ -10,6 +10,7 @@ from transport.model.arrays import Array, frozen, padded, rows
 from transport.model.discretisation import zero_order_hold
 from transport.model.flat import Track
 from transport.model.identity import digest
+from transport.mpc.expressions import ON_REFERENCE
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.feedback import FeedbackError, Gains
 from transport.mpc.hover_law import HoverLaw
@@ -180,7 +181,7 @@ class Recursion:
 
         # The stage cost with the user's terms: |weighted dx|^2.
         crew = self._law.crew
-        terms = padded(crew.user_costs.about(x), len(x))
+        terms = padded(crew.user_costs.about(x, ON_REFERENCE), len(x))
         outputs = np.sqrt(self._law.hovering.cost.Q)[:, None] * model.linearise(x, u).C
         weighted = np.vstack([outputs, terms]) @ Pi
         return _Difference(

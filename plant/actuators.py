@@ -245,11 +245,11 @@ class Rotors:
 class Motors:
     """Motors of all UAVs, with their state: hover at first, (4 N,).
 
-    `fails` tells that an efficiency will change. Motors without lag, steps, limits and failures are
-    `ideal`: actual inputs are the commands.
+    `fails` tells that an efficiency will change during the run. Motors without lag, steps, limits
+    and failures are `ideal`: actual inputs are the commands, and are not recorded a second time.
     """
 
-    def __init__(self, section: MotorsSection, u_hover: Array, fails: bool = False) -> None:
+    def __init__(self, section: MotorsSection, u_hover: Array, *, fails: bool = False) -> None:
         self.ideal = not (fails or section.lag_s or section.thrust_step_N or section.rotors)
         self._section = section
         self._rotors = None if section.rotors is None else Rotors(section.rotors)

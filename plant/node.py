@@ -78,8 +78,9 @@ class PlantNode(Participant):
         self._schedule = ActuatorSchedule(setup.hover.u, fail_safe, setup.settings)
         of_uavs = [fault for fault in setup.faults if fault.do in OF_UAVS]
         self._faults = deque(of_uavs)  # still to come
+        # Motors that will degrade tell what they give from the first tick on.
         degrades = any(fault.do == "degrade" for fault in of_uavs)
-        self._motors = Motors(section.motors, setup.hover.u, degrades)
+        self._motors = Motors(section.motors, setup.hover.u, fails=degrades)
         self._off: set[int] = set()  # UAVs without motors, 0-based
         self._released: set[int] = set()  # of these
 
@@ -180,10 +181,15 @@ class PlantNode(Participant):
         while self._faults and self._faults[0].tick <= tick:
             fault = self._faults.popleft()
             match fault.do:
-                case "motor_off" | "release":
-                    self._switch_off(fault.uav, released=fault.do == "release")
-                case "degrade" if fault.uav not in self._off:
-                    self._motors.degrade(fault.uav, fault.efficiency)
+                case "motor_off":
+                    self._switch_off(fault.uav, released=False)
+                case "release":
+                    self._switch_off(fault.uav, released=True)
+                case "degrade":
+                    if fault.uav not in self._off:
+                        self._motors.degrade(fault.uav, fault.efficiency)
+                case other:
+                    raise AssertionError(f"{other} is not a fault of a UAV (OF_UAVS)")
 
     def _switch_off(self, uav: int, *, released: bool) -> None:
         """Switch the motors of a UAV off, 0-based, and take it off its rod if it is released."""

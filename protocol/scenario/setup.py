@@ -16,7 +16,7 @@ from transport.model.maneuver import Maneuver
 from transport.model.obstacles import Obstacle
 from transport.model.parameters import System
 from transport.model.target import Target
-from transport.mpc.expressions import UserCosts, check_constraints
+from transport.mpc.expressions import check_constraints, check_costs
 from transport.mpc.hover_law import Crew
 from transport.mpc.reference import Reference
 from transport.mpc.regulation import Regulation, WholeTeam
@@ -112,8 +112,12 @@ class Setup:
             "controller.constraint",
             lambda: check_constraints(settings.constraint, system, self.initial_state(), at_rest.u),
         )
+        track = self.reference.sampled.track
+        X_reference = np.zeros((0, system.n)) if track is None else track.X
         building(
-            source, "controller.cost", lambda: UserCosts(settings.cost, system).about(at_rest.x)
+            source,
+            "controller.cost",
+            lambda: check_costs(settings.cost, system, at_rest.x, X_reference),
         )
         building(source, "controller.prediction", lambda: Regulation(self.model, at_rest, settings))
 

@@ -194,6 +194,46 @@ def test_an_agent_is_back_at_once_on_a_late_network() -> None:
     assert attitudes.max() < ATTITUDE_DEG
 
 
+@pytest.mark.parametrize("delay_s", [0.0, 0.4])
+def test_a_return_is_no_silence(delay_s: float) -> None:
+    """The first plan of an agent that has returned is not late before it can be there."""
+    faults = "{at_s=2.0,do='kill',target='agent3'},{at_s=2.5,do='restart',target='agent3'}"
+    lost = ("clock.on_agent_loss=continue", f"faults.event=[{faults}]")
+    run = runs.ready("resilient", f"links.delay_s={delay_s}", *lost, runs.ticks(80))
+    messages = completed(run)
+    assert len(_plans(messages, 3)) == 70
+    assert {plan.alone for agent in run.agents for plan in _plans(messages, agent)} == {0.0}
+
+
+def test_before_its_return_an_agent_was_on_its_fail_safe() -> None:
+    """Of the time before, inputs are those of the fail-safe; from then on by the law, (32c)."""
+    run = runs.ready("resilient")
+    law = SharedLaw(inputs=lambda _tick, _x: np.arange(16.0))
+    announced = AnnouncedInputs(run.owned, run.hover.u, own=1, law=law)
+    controller = Controller(run.model, run.hover, run.settings, run.owned[0], run.reference.sampled)
+    announced.fail_safe = controller.regulation.fail_safe
+    announced.begin_anew(2, tick=50)
+    x = run.X_ref[49] + 0.01
+    u = announced.in_force(49, before=51, x=x)
+    np.testing.assert_array_equal(u[4:8], announced.fail_safe.inputs(1, x, 49))
+    np.testing.assert_array_equal(announced.in_force(50, before=51, x=x)[4:8], [4, 5, 6, 7])
+    np.testing.assert_array_equal(u[8:], run.hover.u[8:])
+    untold = [announced.untold(tick, before=51) for tick in (49, 50)]
+    assert [one.by_fail_safe[4:8].all() for one in untold] == [True, False]
+    assert [one.by_law[4:8].all() for one in untold] == [False, True]
+
+
+@pytest.mark.parametrize("tick", [0, 5])
+def test_after_a_failure_news_are_not_late(tick: int) -> None:
+    """From the first tick on the rule is that of a team of which UAVs have failed."""
+    rule = Silence.of(0.05, is_filtered=True)
+    law = SharedLaw(silence=rule, silence_after_failures=rule.after_failures)
+    announced = AnnouncedInputs(((0,), (1,)), np.zeros(8), own=1, law=law)
+    assert announced.silence == rule
+    announced.failed_since = tick
+    assert announced.silence == rule.after_failures
+
+
 def test_late_news_leave_the_formation_steady() -> None:
     """A filter's team flies steadily by late and lost news: each agent acts alone in part."""
     late = ("links.delay_s=0.4", "links.loss=0.6", runs.ticks(120))

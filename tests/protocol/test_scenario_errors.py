@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.runs import PAPER
-from transport.protocol.scenario.file import ScenarioError, read_scenario
+from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.setup import Setup
 
 ONE_UAV_ASIDE = (
@@ -416,6 +416,15 @@ def test_all_settings_of_a_field_are_blamed() -> None:
     whole = ["agents.owned=[[1],[2],[3,4]]", "seed=1", "agents.owned.3=[4]"]
     last = f"--set {whole[0]} --set {whole[2]}: agents.owned: expected each UAV of [1, 2, 3, 4] once, got [1, 2, 4]"
     assert refusal(PAPER, *whole) == last
+
+
+def test_costs_are_finite_along_the_reference() -> None:
+    """A cost that has no value at a speed of a flat reference is refused before the run."""
+    setting = "controller.cost=[{expression='sqrt(v0[0] + 3)',weight=1.0}]"
+    expected = "expected a finite value and slope on the reference, got the value nan"
+    problem = f"--set {setting}: cost 'sqrt(v0[0] + 3)': {expected}"
+    assert refusal(find_scenario("eight"), setting) == problem
+    Setup.of(read_scenario(PAPER, [setting]), str(PAPER))  # its law is about hover alone
 
 
 def test_settings_that_contradict_the_cost_to_go() -> None:

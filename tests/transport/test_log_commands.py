@@ -11,11 +11,13 @@ from typer.testing import CliRunner, Result
 
 from tests.support import logs, runs
 from transport.cli.main import app
+from transport.log.tables import tables
 from transport.model import state
 from transport.protocol.wire.messages import (
     KINDS,
     Airtime,
     Message,
+    Note,
     Plan,
     PlantState,
     StepReport,
@@ -144,6 +146,16 @@ def test_tables_hold_the_bits(flight: tuple[Path, list[Message]], tmp_path: Path
     assert float(planned["correction_thrust_N[0]"]) == plan.corrections[0, 0]
     reports = [message for message in messages if isinstance(message, StepReport)]
     assert len(rows(tmp_path / "report.csv")) == len(reports)
+
+
+def test_numbers_of_a_class_take_no_column_of_others() -> None:
+    """One named as another column stands beside it."""
+    note = Note(
+        sender="agent2", incarnation=0, sequence=0, tick=7, agent=2, problem="",
+        names=("tick", "gap"), values=np.array([3.5, 4.5]),
+    )  # fmt: skip
+    (row,) = tables(logs.log_of([note]), 0.05)["note"]
+    assert (row["tick"], row["own_tick"], row["gap"]) == (7, 3.5, 4.5)
 
 
 @pytest.mark.parametrize("form", ["--csv", "--parquet"])

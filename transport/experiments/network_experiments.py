@@ -16,8 +16,8 @@ class Jitter:
     Attributes:
         deviation: Standard deviation of one unit of `links.jitter_s`.
         mean: Mean that one unit adds.
-        least_mean: Smallest mean delay at which the random part is never cut off at zero, in
-            standard deviations.
+        least_mean: Smallest mean delay at which the random part is not cut off at zero, in standard
+            deviations; of a normal distribution, 2 % are.
     """
 
     deviation: float
@@ -29,11 +29,13 @@ class Jitter:
 _LOGNORMAL = 1.0 / math.sqrt(math.e - 1.0)
 JITTER = {
     "uniform": Jitter(deviation=1.0 / math.sqrt(12.0), mean=0.0, least_mean=math.sqrt(3.0)),
-    # No mean is large enough: this one cuts off 2 %.
     "normal": Jitter(deviation=1.0, mean=0.0, least_mean=2.0),
     "exponential": Jitter(deviation=1.0, mean=1.0, least_mean=1.0),
     "lognormal": Jitter(deviation=1.0, mean=_LOGNORMAL, least_mean=_LOGNORMAL),
 }
+
+_NO_LOSS = "links.loss=0.0"
+_NO_BURSTS = "links.gilbert_elliott={enter=0.0,leave=1.0,loss=0.0}"
 
 # A good and a bad network, with their settings.
 NETWORKS: Mapping[str, tuple[str, ...]] = {
@@ -63,17 +65,26 @@ def latency(_: Scenario, delay: Sequence[float]) -> Iterator[Point]:
     loss=Values([0.1, 0.3, 0.6], "SHARE", "Packet loss.", quick=[0.3]),
     burst=Values(5.0, "TICKS", "Mean length of a burst, ticks.", least=1.0),
 )
-def loss(_: Scenario, loss: Sequence[float], burst: float) -> Iterator[Point]:
+def loss(scenario: Scenario, loss: Sequence[float], burst: float) -> Iterator[Point]:
     """Effect of packet loss, independent or in bursts.
 
     Example: transport experiment loss --loss 0.3 --burst 10
     """
-    yield Point({"model": NONE, "loss": 0.0}, "no loss", ("links.loss=0.0",), baseline=True)
+    # A loss of the scenario's own is left out.
+    links = scenario.links
+    no_bursts = () if links.gilbert_elliott is None else (_NO_BURSTS,)
+    no_loss = () if links.loss == 0.0 else (_NO_LOSS,)
 
-    for model, words in (("bernoulli", "at random"), ("bursts", "in bursts")):
-        for share in filter(None, loss):  # no loss is the baseline above
-            setting = _bursts(share, burst) if model == "bursts" else f"links.loss={share!r}"
-            yield Point({"model": model, "loss": share}, f"{_percent(share)} {words}", (setting,))
+    yield Point({"model": NONE, "loss": 0.0}, "no loss", (_NO_LOSS, *no_bursts), baseline=True)
+
+    for share in filter(None, loss):  # no loss is the baseline above
+        at_random = (f"links.loss={share!r}", *no_bursts)
+        yield Point(
+            {"model": "bernoulli", "loss": share}, f"{_percent(share)} at random", at_random
+        )
+    for share in filter(None, loss):
+        in_bursts = (_bursts(share, burst), *no_loss)
+        yield Point({"model": "bursts", "loss": share}, f"{_percent(share)} in bursts", in_bursts)
 
 
 def _bursts(share: float, burst_ticks: float) -> str:
@@ -121,7 +132,7 @@ def jitter(
     for name in distribution:
         if name not in JITTER:
             raise refused("--distribution", f"one of {', '.join(JITTER)}", name)
-        for deviation_s in filter(None, std):  # no deviation is the baseline above
+        for deviation_s in filter(None, std):  # no deviation is the constant delay above
             yield Point(
                 {"distribution": name, "std_s": deviation_s, "mean_s": mean},
                 f"{name} with {_ms(deviation_s)}",
@@ -194,7 +205,8 @@ def sharing(_: Scenario, threshold: Sequence[float], heartbeat: float) -> Iterat
     Example: transport experiment sharing --threshold 0.01 --threshold 0.1
     """
     for network, links in NETWORKS.items():
-        for threshold_share in (0.0, *threshold):  # the baseline of each network sends all plans
+        # The baseline of each network sends all plans.
+        for threshold_share in dict.fromkeys((0.0, *threshold)):
             shared: tuple[str, ...] = ("controller.share=always",)
             text = "all plans sent"
             if threshold_share:

@@ -42,7 +42,7 @@ SENSED_NAMES = (
     *("r_x_m", "r_y_m", "r_z_m"),
     *("v_x_m_s", "v_y_m_s", "v_z_m_s"),
     *UAV_STATE_NAMES[6:],
-    *("force_x_m_s2", "force_y_m_s2", "force_z_m_s2"),
+    *("specific_force_x_m_s2", "specific_force_y_m_s2", "specific_force_z_m_s2"),
 )
 INPUT_NAMES = ("thrust_N", "moment_x_Nm", "moment_y_Nm", "moment_z_Nm")
 RATE_NAMES = ("thrust_N", "rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
@@ -67,7 +67,8 @@ def tables(
     """Return the messages of a log by kind, each row as values by column (docs/log.md).
 
     Measurements, plans and actual inputs have one row per UAV, other messages one row. Ids and other
-    arrays become text with blanks in between.
+    arrays become text with blanks in between. A number of the user's class whose name is that of
+    another column is preceded by `own_`.
 
     Args:
         log: The log.
@@ -94,8 +95,16 @@ def tables(
             if name not in row and name not in spread_fields:
                 row[name] = _cell(getattr(message, name))
 
-        rows_by_kind[message.kind] += [row | spread for spread in _spread(message, commands)]
+        rows_by_kind[message.kind] += [
+            _beside(row, spread) for spread in _spread(message, commands)
+        ]
     return {kind: rows for kind, rows in rows_by_kind.items() if rows}
+
+
+def _beside(row: Row, spread: Row) -> Row:
+    """Return a row with further columns; those whose names it has are preceded by `own_`."""
+    renamed = {f"own_{name}" if name in row else name: value for name, value in spread.items()}
+    return row | renamed
 
 
 def _cell(value: Any) -> Any:

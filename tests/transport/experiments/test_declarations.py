@@ -113,6 +113,26 @@ def test_losses_are_comparable(share: float) -> None:
     assert abs(lengths.mean() - 5.0) < 4.0 * 4.5 / math.sqrt(len(lengths))
 
 
+def test_a_loss_of_the_scenario_is_left_out() -> None:
+    """Every point has the loss that it names, and no other."""
+    bursts = "links.gilbert_elliott={enter=0.2,leave=0.2}"
+    both = scenarios("paper", settings=("links.loss=0.3", bursts))
+    experiment = EXPERIMENTS["loss"].experiment(both, {"loss": [0.1], "burst": 5.0})
+    for point, share in zip(experiment.points, [0.0, 0.1, 0.1], strict=True):
+        settings = ["links.loss=0.3", bursts, *point.settings]
+        scenario = read_scenario(find_scenario("paper"), settings)
+        path = Link(scenario.links, "agent1", "agent2", seed=0, period_s=0.05)
+        lost = np.array([not path.delays(tick) for tick in range(TICKS)])
+        deviation = math.sqrt(share * (1.0 - share) * 10.0 / TICKS)
+        assert abs(lost.mean() - share) <= 4.0 * deviation
+
+
+def test_each_threshold_is_one_point() -> None:
+    """All plans are sent at a threshold of zero, as in the baseline: once."""
+    points = built("sharing", of=("resilient",), threshold=[0.0, 0.01, 0.01]).points
+    assert [point.labels["share_threshold"] for point in points] == [0.0, 0.01] * len(NETWORKS)
+
+
 @pytest.mark.parametrize("distribution", list(JITTER))
 def test_jitters_are_comparable(distribution: str) -> None:
     """Every distribution has the mean and the standard deviation asked for, beside a constant delay with that mean."""
