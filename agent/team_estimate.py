@@ -60,10 +60,12 @@ class TeamEstimate:
     def restart(self) -> None:
         """Reset for a new start in the run.
 
-        The controller keeps its state, also the agents that it leaves out.
+        The controller keeps its state, also the agents that it leaves out and the UAVs that have
+        failed; the first roster tells them again.
         """
         setup = self._setup
         regulation = self._controller.regulation
+        # The shared law below refers to the estimator.
         self.estimator = estimator_of(setup, self._agent, self._reference, regulation.gain)
         self._law_inputs = LawInputs(regulation, setup.X_ref)
         reference = setup.reference.sampled

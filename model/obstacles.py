@@ -36,7 +36,8 @@ class Solid:
 
         Source: docs/equations.md (69a).
         """
-        # q = R_b'(r - c),  delta = |q - clip(q, -h, h)| - a
+        # q = R_b^T (r - c),   delta = |q - clip(q, -h, h)| - a
+        # with rotation R_b, centre c, half sizes h and rounding a of the body
         q = (r_I - self.centre_I) @ self.R
         beyond = q - np.clip(q, -self.half, self.half)
         outside = np.linalg.norm(beyond, axis=-1)
@@ -65,7 +66,8 @@ class Solid:
 
         Given their centres, (k, 3), rotations, (k, 3, 3), and half sizes, (3,).
         """
-        # Boxes that do not touch are nearest at an edge of one of them: (69a).
+        # Boxes that do not touch are nearest at an edge of one of them, and an edge of one is in the
+        # other where they overlap: (69a).
         their_edges = np.einsum("kij,epj->kepi", R, _edges(half)) + r_I[:, None, None]
         from_theirs = self.from_segments(their_edges[:, :, 0], their_edges[:, :, 1])
 
@@ -166,9 +168,10 @@ def _edges(half: Array) -> Array:
     for a in corners:
         for b in corners:
             is_edge = np.abs(a - b).sum() == 2.0
-            if is_edge and a.sum() < b.sum():
+            if is_edge and a.sum() < b.sum():  # each edge once
                 pairs.append((a, b))
 
     ends = np.minimum(half, _FAR_M) * np.array(pairs)
-    distinct = np.unique(ends.reshape(len(ends), 6) + 0.0, axis=0)  # a flat box has fewer
+    # A flat box has fewer. Adding 0 makes -0 and 0 equal rows.
+    distinct = np.unique(ends.reshape(len(ends), 6) + 0.0, axis=0)
     return distinct.reshape(-1, 2, 3)

@@ -191,7 +191,7 @@ class UserConstraints(Expressions):
         self,
         constraints: Sequence[Constraint],
         system: System,
-        on: str,
+        on: Literal["state", "input"],
         penalties: tuple[float, float] = (1.0, 1.0),
     ) -> None:
         symbols = Symbols.of(system.N, system.commands_rates)
@@ -278,7 +278,7 @@ def _scalar(tree: ast.expr, symbols: Symbols, label: str) -> ca.SX:
     try:
         value = ca.SX(_evaluate(tree, _names(symbols), label))
     except _FAILURES as error:
-        # The last argument is the text, without the number of an error of C arithmetic.
+        # The last argument is the text: OverflowError(34, "Numerical result out of range").
         lines = str(error.args[-1]).strip().splitlines() if error.args else []
         detail = lines[-1] if lines else type(error).__name__
         raise SettingsError(f"{label}: cannot be evaluated ({detail})") from error

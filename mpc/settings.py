@@ -88,7 +88,7 @@ Range = Annotated[
 def _weight_key(unit: str | None = None, label: str = "") -> Key:
     """Return the properties of a weight or penalty.
 
-    Its range is wide, and finite as the ratios of weights decide the condition of the QP.
+    Its range is wide. It has ends because the ratios of weights decide the condition of the QP.
     """
     return Key(unit=unit, within=(1e-12, 1e8), label=label)
 
@@ -155,7 +155,12 @@ class Weights(Section):
         return np.repeat(np.array(weights), np.array(lengths))
 
     def R(self, system: System) -> Array:
-        """Return the diagonal of R, (4 N,). Source: docs/equations.md (21), (21a)."""
+        """Return the diagonal of R, (4 N,).
+
+        `acceleration` replaces `thrust`; with commanded body rates `rates` replaces both `moments`
+        and `angular_acceleration`, which otherwise replaces `moments`. Source: docs/equations.md
+        (21), (21a).
+        """
         rows = []
         for uav in system.uavs:
             thrust_weight = self.thrust
@@ -263,7 +268,7 @@ class CostTerm(Section):
     """
 
     expression: str
-    """term of the cost, such as `"v0[0]"`: of states alone, zero where the cost is zero"""
+    """term of the cost, such as `"v0[0]"`: of states alone; zero in the state that the team is to reach"""
     weight: Annotated[Positive, _weight_key("1 over the square of the expression's unit")]
     """weight of its square at each step of the horizon; at the last step
     `controller.weights.terminal` times as much, or the cost-to-go"""

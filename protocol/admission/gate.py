@@ -6,7 +6,7 @@ docs/protocol.md has the checks and their order.
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from typing import NamedTuple
 
 from transport.protocol.admission.plausibility import check_plausible
@@ -28,6 +28,8 @@ from transport.protocol.wire.node import Outbox, RunShape
 
 # Time between two batches of `Rejected` messages, ns.
 _EVERY_NS = 1_000_000_000
+# Keys whose receiver is remembered: a run has fewer, and a sender may invent any.
+_KEYS_KEPT = 1024
 
 
 @dataclass(slots=True)
@@ -129,7 +131,7 @@ class Gate:
         self._relayed = shape is not None and shape.relayed
         self._subscribed = [keys.end(key) for key in keys.subscriptions(name)]
         self._own = {keys.end(key) for key in keys.publications(name)}
-        self._is_mine = cache(self._receives)  # a run has few keys
+        self._is_mine = lru_cache(maxsize=_KEYS_KEPT)(self._receives)
 
         self._incarnations: dict[str, int] = {}  # newest announced, by sender
         self._newest: dict[Stream, Newest] = {}
@@ -139,7 +141,8 @@ class Gate:
     def accept(self, key: str, data: bytes) -> Iterator[Accepted]:
         """Yield the messages in some bytes that pass all checks.
 
-        Each is to be handled before the next is asked for: the checks depend on it.
+        Each is to be handled before the next is asked for: `check_moment` judges by the state of the
+        node.
         """
         sample = self._sample(key, data)
         if sample is not None:
@@ -211,7 +214,7 @@ class Gate:
             sender = message.sender
             self._check_sender(key, message, bundle)
             if isinstance(message, Bundle):
-                # Its messages have an order, and the same bundle may come with others.
+                # A bundle has no place of its own: each of its messages is checked by itself.
                 return message
             self._check_incarnation(message, bundle)
             stream = _stream_of(message)
@@ -261,7 +264,9 @@ class Gate:
         if is_proposal and message.incarnation > announced:
             return  # the first proposal of a new start, which may overtake its token
         if bundle is not None and message.sender.startswith(AGENT):
-            return  # relayed plans come another way than the token of their agent's start
+            # Relayed plans come another way than the token of their agent's start: the roster
+            # decides which start they have to be of (`Membership.check`).
+            return
         text = f"{message.kind} of incarnation {message.incarnation}, expected {announced}"
         raise MessageError("wrong_incarnation", text)
 

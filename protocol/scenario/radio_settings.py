@@ -57,13 +57,14 @@ def propagation_of(section: RadioSection, seed: int) -> Propagation:
 def send_times(setup: Setup, section: RadioSection) -> SendTimes:
     """Return the instants at which the agents send, with slots as long as a plan needs.
 
-    Where not all slots fit into a period, agents take turns, unless the section says otherwise or
-    the plans are negotiated: then each exchange has all slots, however short.
+    Where not all slots fit into a period, agents take turns. They do not where the section has a
+    cycle or no slots, nor where plans are negotiated: each exchange has all slots, however short.
     """
-    exchanges = setup.scenario.controller.negotiation_iterations
-    takes_turns = section.cycle_ticks is None and exchanges == 1 and section.offsets == "slots"
-    if not takes_turns:
-        return _with_cycle(setup, section, cycle=section.cycle_ticks or 1)
+    if section.cycle_ticks is not None:
+        return _with_cycle(setup, section, cycle=section.cycle_ticks)
+    is_negotiated = setup.scenario.controller.negotiation_iterations > 1
+    if is_negotiated or section.offsets != "slots":
+        return _with_cycle(setup, section, cycle=1)
 
     # The time that slots may take together does not depend on the cycle.
     spread_ns = _with_cycle(setup, section, cycle=1).spread_ns
@@ -73,6 +74,7 @@ def send_times(setup: Setup, section: RadioSection) -> SendTimes:
 
 
 def _with_cycle(setup: Setup, section: RadioSection, *, cycle: int) -> SendTimes:
+    """Return the instants at which the agents send, each once in a cycle of so many ticks."""
     return SendTimes(
         period_ns=setup.period_ns,
         stations=len(setup.owned),
@@ -90,7 +92,7 @@ class SlotLengths:
     """Slots of a run, and what a plan needs of them."""
 
     plan_bytes: int  # of a plan as long as `plan_length` tells
-    plan_s: float  # for which it occupies an idle channel, with its waits and without repetitions
+    plan_s: float  # time that it occupies an idle channel, with its waits and without repetitions
     slot_s: float
     slots: int  # of a tick, or of an exchange of a negotiation
     cycle_ticks: int  # in which each agent has one slot
@@ -135,7 +137,10 @@ def slot_need_ns(setup: Setup, section: RadioSection) -> int:
 
 
 def length_on_air(plan: Plan, section: RadioSection) -> int:
-    """Return the bytes of a plan as the radio carries it."""
+    """Return the bytes of a plan as the radio carries it.
+
+    With the first inputs alone the receivers compute the others (docs/radio.md, "Half the bytes").
+    """
     if section.inputs == "all":
         return encoded_length(plan)
     return encoded_length(replace(plan, inputs=plan.inputs[:1]))

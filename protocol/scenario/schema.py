@@ -201,7 +201,10 @@ class ClockSection(Section):
     @model_validator(mode="before")
     @classmethod
     def _paced(cls, value: Any) -> Any:
-        """Fill in the speed of real time, whose default cannot be that of lockstep."""
+        """Fill in the speed of real time, whose default cannot be that of lockstep.
+
+        `--set clock.mode=realtime` replaces a speed of 0 that the file has (`scenario.file`).
+        """
         if isinstance(value, dict) and value.get("mode") == "realtime":
             return {"speed": 1.0, **value}
         return value
@@ -233,6 +236,7 @@ class FaultsSection(Section):
     """Scripted faults."""
 
     event: Annotated[list[FaultSection], Key(short="faults")] = []
+    """faults, in any order of time"""
 
 
 class NetworkSection(Section):

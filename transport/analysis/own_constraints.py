@@ -1,12 +1,13 @@
 """The user's own constraints on the actual trajectory of a run."""
 
 from collections import Counter
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from transport.analysis.series import Series
 from transport.log.run_log import RunLog
+from transport.model.arrays import Array
 from transport.mpc.expressions import UserConstraints
 from transport.mpc.softening import softened_problem
 from transport.protocol.scenario.setup import Setup
@@ -26,7 +27,8 @@ def own_constraints(setup: Setup, series: Series, log: RunLog) -> list[dict[str,
     problems = Counter(note.problem for note in log.of(Note))
     settings, system = setup.settings, setup.system
     found: dict[str, dict[str, Any]] = {}
-    for on, points in (("state", series.x), ("input", series.u)):
+    points_of: dict[Literal["state", "input"], Array] = {"state": series.x, "input": series.u}
+    for on, points in points_of.items():
         constraints = UserConstraints(settings.constraint, system, on)
         if not len(constraints.texts) or not len(points):
             continue

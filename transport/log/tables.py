@@ -184,7 +184,7 @@ def _simulated(message: PlantState, commands: tuple[str, ...]) -> Row:
 
 
 def _actual(message: ActualInputs) -> Iterator[Row]:
-    """Yield the inputs of each UAV, with cables also their tension."""
+    """Yield the inputs of each UAV, with cables also their tension: all UAVs have one, or none."""
     for i, (uav, inputs) in enumerate(zip(message.uavs, message.inputs, strict=True)):
         tension = {"tension_N": float(message.tensions[i])} if message.cables else {}
         yield {"uav": uav, **_named("", INPUT_NAMES, inputs), **tension}
@@ -194,7 +194,8 @@ def _uav_columns(values: Array) -> Row:
     """Return the states of a UAV, or the newest values of its sensors in a message.
 
     The length tells which: (PER_UAV,) are states, (SENSED,) measurements; a longer array has the
-    rows of the last ticks that a plan reports (`model.state.REPORTED`), the newest first.
+    rows of the last ticks that a plan reports (`model.state.REPORTED`), the newest first. Only that
+    one has columns; none where it is not known.
     """
     if len(values) == PER_UAV:
         return _named("", UAV_STATE_NAMES, values)

@@ -1,7 +1,9 @@
 """Paths that the agents predicted at a tick, computed again from the recorded plans.
 
 Every agent predicts the whole team over its horizon from its own plan and the plans that it used of
-the others, as far as its step report names them.
+the others, as far as its step report names them. Here the prediction begins at the true state of
+the plant, which an agent only estimates, and all agents follow the team's law: one that acts alone
+does not fly its path.
 """
 
 from typing import NamedTuple
@@ -42,7 +44,7 @@ class Predictions:
         return self._history.setup
 
     def paths(self, tick: int) -> tuple[PredictedPaths, ...]:
-        """Return the paths of the agents that made a plan at a tick."""
+        """Return the paths of the agents that made a plan at a tick, whose plant state is known."""
         setup = self._setup
         positions = 3 * setup.system.N
         predicted = []
@@ -79,7 +81,7 @@ class Predictions:
 
         z0 = plant_state.x
         if setup.settings.motor_lag_s > 0.0:
-            z0 = np.concatenate([plant_state.x, plant_state.u])  # as if the motors had followed
+            z0 = np.concatenate([plant_state.x, plant_state.u])  # as if motors reached them at once
 
         law = self._team_law(z0, announced, forces, tick)
         if law is None:
@@ -96,7 +98,10 @@ class Predictions:
         return set(roster.agents) == set(self._setup.agents) and not roster.off
 
     def _announced(self, plan: Plan, report: StepReport | None, tick: int) -> AnnouncedInputs:
-        """Return the inputs of an agent's plan and of the others' plans that it used."""
+        """Return the inputs of an agent's plan and of the others' plans that it used.
+
+        As the team is complete, they need no control law of those that left.
+        """
         setup = self._setup
         alignment = setup.scenario.controller.received_plans
         announced = AnnouncedInputs(setup.owned, setup.hover.u, alignment=alignment, own=plan.agent)

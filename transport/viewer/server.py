@@ -26,6 +26,7 @@ from transport.protocol.wire.errors import TransportError
 _SILENT = logging.getLogger("transport.viewer.websockets")
 _SILENT.disabled = True
 _CLOSED = "Queued a .* on a closed connection"  # by viser
+# Title of viser's page. If a release of viser has another one, its pages keep it.
 _TITLE = b"<title>Viser</title>"
 _RECEIPT = re.compile(r"/shown/(\d{1,9})/(\d{1,9})")
 
@@ -54,7 +55,11 @@ class Page:
 
 
 class Receipts:
-    """Pages by the number of their connection, and what they tell of the frames that they show."""
+    """Pages by the number of their connection, and what they tell of the frames that they show.
+
+    The viewer adds pages and sends their frames; requests note the receipts. Both run in the event
+    loop of the server, one after the other.
+    """
 
     def __init__(self) -> None:
         self.pages: dict[int, Page] = {}
@@ -114,6 +119,7 @@ class Guard:
         if not hmac.compare_digest(f"/{first}".encode(), self.path.encode()):
             return connection.respond(403, "expected the link that the command has printed\n")
 
+        # What is below the secret path is for receipts, or for viser.
         request.path = request.path.removeprefix(self.path) or "/"
         if self.receipts.take(request.path):
             return connection.respond(204, "")
