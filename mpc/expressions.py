@@ -10,7 +10,7 @@ powers of integers could have millions of digits.
 
 import ast
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
@@ -230,17 +230,18 @@ def compile_constraints(
 
 
 def check_costs(
-    terms: Sequence[CostTerm], system: System, x_hover: Array, X_reference: Array
+    terms: Sequence[CostTerm], system: System, x_hover: Array, X_reference: Iterable[Array] = ()
 ) -> None:
     """Check that cost terms can be read, and are finite wherever a control law is about.
 
-    Those are hover, (n,), and the states of a flat reference, (instants, n), none without one.
-    Raises: SettingsError: the first that is not.
+    That is hover, (n,), and the states of a flat reference, (n,) each. Raises: SettingsError: the
+    first that is not.
     """
     costs = UserCosts(terms, system)
     costs.about(x_hover)
-    for x in X_reference if len(costs) else ():
-        costs.about(x, ON_REFERENCE)
+    if len(costs):
+        for x in X_reference:
+            costs.about(x, ON_REFERENCE)
 
 
 def check_constraints(

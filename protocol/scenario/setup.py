@@ -112,13 +112,7 @@ class Setup:
             "controller.constraint",
             lambda: check_constraints(settings.constraint, system, self.initial_state(), at_rest.u),
         )
-        track = self.reference.sampled.track
-        X_reference = np.zeros((0, system.n)) if track is None else track.X
-        building(
-            source,
-            "controller.cost",
-            lambda: check_costs(settings.cost, system, at_rest.x, X_reference),
-        )
+        building(source, "controller.cost", lambda: check_costs(settings.cost, system, at_rest.x))
         building(source, "controller.prediction", lambda: Regulation(self.model, at_rest, settings))
 
         plant = self.scenario.plant
@@ -132,6 +126,14 @@ class Setup:
             self._off_obstacles(),
         ):
             raise ScenarioError(source, field, problem)
+        # A flat reference has a track once the checks above have passed.
+        track = self.reference.sampled.track
+        if track is not None:
+            building(
+                source,
+                "controller.cost",
+                lambda: check_costs(settings.cost, system, at_rest.x, track.X),
+            )
         building(source, "maneuver.target", lambda: check_scripted(self))
 
     def _off_obstacles(self) -> Problems:
