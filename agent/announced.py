@@ -170,8 +170,9 @@ class AnnouncedInputs:
         """
         self._plans.forget(agent)
         self._assumed.pop(agent, None)
-        self.news.forget(agent)
         self._returned[agent] = tick
+        if agent != self._own:
+            self.news.forget(agent)
 
     def assume(self, agent: int, start: int, inputs: Array) -> None:
         """Assume inputs of all UAVs, (N_p, 4 N), from a tick on for an agent that left.

@@ -77,8 +77,9 @@ class AgentNode(Participant):
     @property
     def wake_ns(self) -> int | None:
         """Time of the next poll, ns: 0, at once, in real time with a measurement; else None."""
-        is_due = self._measurement is not None and not self._waits
-        return 0 if is_due else None
+        measurement = self._measurement
+        is_due = measurement is not None and self._has_roster_of(measurement)
+        return 0 if is_due and not self._waits else None
 
     @property
     def belief(self) -> Belief | None:
@@ -153,7 +154,12 @@ class AgentNode(Participant):
             return out
 
         measurement = self._measurement
-        if measurement is not None and self._step is None and self._has_plans_for(measurement):
+        if (
+            measurement is not None
+            and self._step is None
+            and self._has_roster_of(measurement)
+            and self._has_plans_for(measurement)
+        ):
             self._measurement = None
             self._open(measurement, now_ns)
             out += self._plan()
@@ -219,14 +225,16 @@ class AgentNode(Participant):
         if self._air is not None:
             self._air.forget_before(tick)
 
+    def _has_roster_of(self, measurement: Measurement) -> bool:
+        """Return whether the roster is here that a measurement names: it may come later."""
+        return measurement.roster <= self._membership.version
+
     def _has_plans_for(self, measurement: Measurement) -> bool:
-        """Return whether the roster is here, and the shared plans of the tick before."""
+        """Return whether the shared plans of the tick before are here; real time does not wait."""
         membership = self._membership
         before = measurement.tick - 1
         if not self._waits:
             return True
-        if measurement.roster > membership.version:
-            return False
         if self._air is not None and self._air.tick < measurement.tick:
             return False
         if before < membership.since.get(self._agent, 0):

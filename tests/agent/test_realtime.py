@@ -56,6 +56,18 @@ def test_does_not_wait() -> None:
     assert (report.plan_ages, report.measurement_age) == ((1, -1, -1), 0)
 
 
+def test_a_measurement_waits_for_its_roster() -> None:
+    """The roster comes from another process, and may come later: without it all agents were off."""
+    run = setup(*REALTIME, "clock.speed=1.0")
+    node = AgentNode(run, 1)
+    tell(node, [measurement(run, 1, 0)], START_NS)
+    assert node.wake_ns is None
+    assert list(node.poll(START_NS)) == []
+    tell(node, [roster()], START_NS + MS)
+    made, _ = answer(node, START_NS + MS)
+    assert made.tick == 0
+
+
 def test_others_may_be_ahead() -> None:
     """Plans of later ticks are kept until the agent reaches them."""
     run, node = realtime()
