@@ -144,6 +144,8 @@ def test_refused_before_the_first_run(tmp_path: Path) -> None:
     assert not folder.exists()
 
 
+# Of an interrupt that Python ignores, see below.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_an_interrupt_ends_a_sweep(tmp_path: Path) -> None:
     """Ctrl-C raises KeyboardInterrupt; finished runs are kept in the folder."""
     long = transport.Scenario("paper", phases=[{**PHASES[0], "duration_s": 1e3}])
