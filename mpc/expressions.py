@@ -37,6 +37,8 @@ _CASADI_FUNCTIONS = ("dot", "cross", "sin", "cos", "tan", "sqrt", "exp", "fabs",
 _FUNCTIONS: dict[str, Callable[..., Any]] = {name: getattr(ca, name) for name in _CASADI_FUNCTIONS}
 _FUNCTIONS["norm"] = lambda a: ca.sqrt(ca.sumsqr(a) + _NORM_FLOOR)
 
+# What an expression is of: x, (n,), or u, (m,).
+Variable = Literal["state", "input"]
 
 # Failures of arithmetic and of CasADi in a text that can be read.
 _FAILURES = (
@@ -53,7 +55,7 @@ class Relation(NamedTuple):
     """One constraint as an expression that must be <= 0 or = 0."""
 
     value: ca.SX  # scalar expression over the symbols it was read with
-    on: Literal["state", "input"]  # never both, as in paper (18)-(19)
+    on: Variable  # never both, as in paper (18)-(19)
     is_equality: bool
 
 
@@ -191,7 +193,7 @@ class UserConstraints(Expressions):
         self,
         constraints: Sequence[Constraint],
         system: System,
-        on: Literal["state", "input"],
+        on: Variable,
         penalties: tuple[float, float] = (1.0, 1.0),
     ) -> None:
         symbols = Symbols.of(system.N, system.commands_rates)

@@ -1,14 +1,16 @@
 """The user's own constraints on the actual trajectory of a run."""
 
 from collections import Counter
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from transport.analysis.series import Series
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
-from transport.mpc.expressions import UserConstraints
+from transport.mpc.expressions import UserConstraints, Variable
 from transport.mpc.softening import softened_problem
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Note
@@ -24,23 +26,31 @@ def own_constraints(setup: Setup, series: Series, log: RunLog) -> list[dict[str,
     equality its magnitude, in the unit of the expression; None where it is not finite. With it is
     the number of agents' steps in which a hard one was softened, as no plan met it.
     """
-    problems = Counter(note.problem for note in log.of(Note))
-    settings, system = setup.settings, setup.system
+    softened = Counter(note.problem for note in log.of(Note))
     found: dict[str, dict[str, Any]] = {}
-    points_of: dict[Literal["state", "input"], Array] = {"state": series.x, "input": series.u}
-    for on, points in points_of.items():
-        constraints = UserConstraints(settings.constraint, system, on)
-        if not len(constraints.texts) or not len(points):
+    points_on: Mapping[Variable, Array] = {"state": series.x, "input": series.u}
+    for on, points in points_on.items():
+        constraints = UserConstraints(setup.settings.constraint, setup.system, on)
+        if not constraints.texts or not len(points):
             continue
-        values = np.array([constraints.at(point)[0] for point in points])
-        excess = np.maximum(np.where(constraints.equality, np.abs(values), values), 0.0)
-        worst = np.argmax(np.where(np.isnan(excess), np.inf, excess), axis=0)
-        for column, text in enumerate(constraints.texts):
-            violation = float(excess[worst[column], column])
+        violations, instants = _largest(constraints, points)
+        for text, violation, k in zip(constraints.texts, violations, instants, strict=True):
             found[text] = {
                 "expression": text,
-                "violation_max": violation if np.isfinite(violation) else None,
-                "at_s": float(series.times_s[worst[column]]),
-                "softened_steps": problems[softened_problem(text)],
+                "violation_max": float(violation) if np.isfinite(violation) else None,
+                "at_s": float(series.times_s[k]),
+                "softened_steps": softened[softened_problem(text)],
             }
-    return [found[each.expression] for each in settings.constraint if each.expression in found]
+    given = setup.settings.constraint
+    return [found[each.expression] for each in given if each.expression in found]
+
+
+def _largest(constraints: UserConstraints, points: Array) -> tuple[Array, npt.NDArray[np.intp]]:
+    """Return the largest violations, (c,), and their rows in points, (k, n) or (k, m).
+
+    One that is not finite counts as the largest.
+    """
+    values = np.array([constraints.at(point)[0] for point in points])
+    violations = np.maximum(np.where(constraints.equality, np.abs(values), values), 0.0)
+    instants = np.argmax(np.where(np.isnan(violations), np.inf, violations), axis=0)
+    return violations[instants, np.arange(len(instants))], instants
