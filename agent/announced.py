@@ -249,6 +249,16 @@ class AnnouncedInputs:
         said = 0.0 if plan is None else plan.alone
         return max(said, silence.alone(self._age(agent, plan, tick)))
 
+    def lacks_first_news(self, before: int) -> bool:
+        """Return whether the agent began in mid-run, and has not heard one of the others since.
+
+        Of those that have returned later it has to hear nothing: they hear the team first.
+        """
+        if not self._began:
+            return False
+        present = self._columns.keys() - self.off_roster - self._returned.keys() - {self._own}
+        return any(self.newest(agent, before) is None for agent in present)
+
     def least_said(self, agents: Iterable[int], before: int) -> float:
         """Return how much each of some agents on the roster at least says to act alone.
 

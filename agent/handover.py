@@ -165,14 +165,22 @@ class News:
 
 
 class Mixture:
-    """Share of the law alone in an agent's inputs: it follows the rule at a limited rate. Source: (32d)."""
+    """Share of the law alone in an agent's inputs.
+
+    It begins with the share that the rule wants first, and follows the rule at a limited rate.
+    Source: (32d).
+    """
 
     def __init__(self, period_s: float) -> None:
         self._up, self._down = period_s / _TO_ALONE_S, period_s / _TO_TEAM_S
+        self._has_begun = False
         self.share = 0.0
 
     def advance(self, wanted: float) -> float:
         """Return the share one tick later, where the rule wants another one."""
+        if not self._has_begun:
+            self._has_begun = True
+            self.share = wanted
         self.share += min(max(wanted - self.share, -self._down), self._up)
         return self.share
 

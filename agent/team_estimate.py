@@ -115,6 +115,9 @@ class TeamEstimate:
         silence = self.announced.silence
         if silence is None:
             return 0.0
+        # Its UAVs have been alone before a start in mid-run, and go on until the agent has news.
+        if self.announced.lacks_first_news(before=k):
+            return 1.0
         by_age = silence.alone(self.announced.oldest_news)
         by_others = self.announced.least_said(self.peers, before=k) - LESS_THAN_OTHERS
         return max(by_age, by_others)

@@ -79,11 +79,13 @@ def test_a_silence_for_good_stays_one(rule: Silence) -> None:
     assert rule.alone(_overdue(4999 - news.usual(2))) == 1.0
 
 
-@given(st.lists(st.floats(0.0, 1.0), max_size=100))
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=100))
 def test_mixture_is_smooth(wanted: list[float]) -> None:
-    """The share stays within 0 and 1 and changes at a limited rate, whatever the rule wants."""
-    mixture, before = Mixture(PERIOD_S), 0.0
-    for share in wanted:
+    """The share begins as wanted, stays within 0 and 1 and changes at a limited rate from then on."""
+    mixture = Mixture(PERIOD_S)
+    before = mixture.advance(wanted[0])
+    assert before == wanted[0]
+    for share in wanted[1:]:
         after = mixture.advance(share)
         assert -ROUNDING <= after <= 1.0 + ROUNDING
         assert abs(after - before) <= PERIOD_S / 0.5 + ROUNDING

@@ -196,13 +196,41 @@ def test_an_agent_is_back_at_once_on_a_late_network() -> None:
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.4])
 def test_a_return_is_no_silence(delay_s: float) -> None:
-    """The first plan of an agent that has returned is not late before it can be there."""
+    """The first plan of an agent that has returned is not late before it can be there.
+
+    It goes on alone, as its UAV was before, and is with the team within two seconds of its news.
+    """
     faults = "{at_s=2.0,do='kill',target='agent3'},{at_s=2.5,do='restart',target='agent3'}"
     lost = ("clock.on_agent_loss=continue", f"faults.event=[{faults}]")
-    run = runs.ready("resilient", f"links.delay_s={delay_s}", *lost, runs.ticks(80))
+    run = runs.ready("resilient", f"links.delay_s={delay_s}", *lost, runs.ticks(120))
     messages = completed(run)
-    assert len(_plans(messages, 3)) == 70
-    assert {plan.alone for agent in run.agents for plan in _plans(messages, agent)} == {0.0}
+    assert {plan.alone for agent in (1, 2, 4) for plan in _plans(messages, agent)} == {0.0}
+    returned = [plan for plan in _plans(messages, 3) if plan.tick >= 50]
+    assert returned[0].alone == 1.0
+    begun_s = 2.5 + delay_s + 2.0 + 2 * run.settings.sampling_period_s
+    later = [
+        plan.alone for plan in returned if plan.tick * run.settings.sampling_period_s > begun_s
+    ]
+    assert later
+    assert max(later) <= 1e-12
+
+
+def test_a_return_in_a_silence_is_held() -> None:
+    """An agent that hears no other goes on alone.
+
+    A minimal case of a search: by the team's law from its first estimate, the payload turned by 20
+    deg.
+    """
+    faults = "{at_s=8.6,do='kill',target='agent3'},{at_s=9.6,do='restart',target='agent3'}"
+    run = runs.ready(
+        "precise",
+        *(*VEHICLE, FORCES, "seed=118", "plant.wind.gust_mps=[0.988,0.988,0.988]"),
+        *("clock.on_agent_loss=continue", f"faults.event=[{faults}]"),
+        *("links.change=[{at_s=9.0,loss=1.0},{at_s=11.0,loss=0.0}]", runs.ticks(280)),
+    )
+    states = [message for message in completed(run) if isinstance(message, PlantState)]
+    attitudes = np.degrees(np.abs([message.x[state.THETA0] for message in states]))
+    assert attitudes.max() < ATTITUDE_DEG
 
 
 def test_before_its_return_an_agent_was_on_its_fail_safe() -> None:
