@@ -222,11 +222,20 @@ class LinkChangeSection(LinkOverrideSection):
 
     @model_serializer(mode="wrap")
     def _given_keys(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Return only the keys given: a default written out would be a change."""
-        given = set(self.model_fields_set)
-        if "from_" in given:
-            given.add("from")  # dumped under its alias
-        return {key: value for key, value in dump(self).items() if key in given}
+        """Return the keys given, also those with a default value, and no others: each is a change.
+
+        `loss = 0.0` ends a silence, so that a dump without defaults has it, too.
+        """
+        dumped = dump(self)
+        tree: dict[str, Any] = {}
+        for name in type(self).model_fields:
+            value = getattr(self, name)
+            key = "from" if name == "from_" and "from" in dumped else name
+            if key in dumped:
+                value = dumped[key]
+            if name in self.model_fields_set and (key in dumped or value is not None):
+                tree[key] = value
+        return tree
 
 
 class PartitionSection(Section):

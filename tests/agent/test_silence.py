@@ -218,8 +218,7 @@ def test_a_return_is_no_silence(delay_s: float) -> None:
 def test_a_return_in_a_silence_is_held() -> None:
     """An agent that hears no other goes on alone.
 
-    A minimal case of a search: by the team's law from its first estimate, the payload turned by 20
-    deg.
+    In a case that a search has found, it turned the payload by the team's law from its first estimate.
     """
     faults = "{at_s=8.6,do='kill',target='agent3'},{at_s=9.6,do='restart',target='agent3'}"
     run = runs.ready(

@@ -195,6 +195,17 @@ def test_changes_are_written_back_as_given(tmp_path: Path) -> None:
             assert again.link(*ends).impairments(tick) == once.link(*ends).impairments(tick)
 
 
+def test_the_end_of_a_silence_is_written_without_defaults() -> None:
+    """A change back to the default of its key is kept where defaults are left out."""
+    silence = "links.change=[{at_s=9.0,loss=1.0},{at_s=11.0,from='agent1',loss=0.0}]"
+    scenario = read_scenario(PAPER, [silence])
+    tree = scenario.model_dump(mode="json", by_alias=True, exclude_none=True, exclude_defaults=True)
+    assert tree["links"]["change"] == [
+        {"at_s": 9.0, "loss": 1.0},
+        {"at_s": 11.0, "from": "agent1", "loss": 0.0},
+    ]
+
+
 @pytest.mark.parametrize(
     ("settings", "next_tick"),
     [
