@@ -8,6 +8,7 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
+    SerializationInfo,
     SerializerFunctionWrapHandler,
     ValidationInfo,
     model_serializer,
@@ -221,20 +222,22 @@ class LinkChangeSection(LinkOverrideSection):
     ticks"""
 
     @model_serializer(mode="wrap")
-    def _given_keys(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Return the keys given, also those with a default value, and no others: each is a change.
+    def _given_keys(
+        self, dump: SerializerFunctionWrapHandler, info: SerializationInfo
+    ) -> dict[str, Any]:
+        """Return only the keys given: a default written out would be a change.
 
-        `loss = 0.0` ends a silence, so that a dump without defaults has it, too.
+        A default given is one, too, such as the loss of 0 that ends a silence: it stays where
+        defaults are left out.
         """
-        dumped = dump(self)
-        tree: dict[str, Any] = {}
-        for name in type(self).model_fields:
-            value = getattr(self, name)
-            key = "from" if name == "from_" and "from" in dumped else name
-            if key in dumped:
-                value = dumped[key]
-            if name in self.model_fields_set and (key in dumped or value is not None):
-                tree[key] = value
+        given = set(self.model_fields_set)
+        if "from_" in given:
+            given.add("from")  # dumped under its alias
+        tree = {key: value for key, value in dump(self).items() if key in given}
+        if info.exclude_defaults:
+            impairments = LinkSection.model_fields.keys() & given
+            defaults = {name: getattr(self, name) for name in sorted(impairments - tree.keys())}
+            tree |= {name: value for name, value in defaults.items() if value is not None}
         return tree
 
 

@@ -119,6 +119,7 @@ def test_all_share_when_an_agent_goes_and_when_it_returns() -> None:
             (agent, 9) for agent in (1, 2, 4)
         ),  # killed when tick 8 was opened: tick 9 names another roster
         *((agent, 16) for agent in (1, 2, 3, 4)),
+        (3, 24),  # it has begun alone: less so by more than 0.2
     }
     back = [
         m for m in messages if isinstance(m, StepReport) and m.agent == 3 and m.incarnation == 1
