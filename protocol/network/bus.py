@@ -29,6 +29,8 @@ from transport.protocol.wire.keys import RECORDER, Keys, Token
 from transport.protocol.wire.messages import Bundle, Event, Presence, Request
 from transport.protocol.wire.names import COORDINATOR, PLANT, agent_name
 
+# Time in which the coordinator answers a process that is about to return, s.
+_ANSWER_S = 1.0
 # Time that a process waits at the end of the run for those that leave before it, s: a busy host may
 # take seconds to read.
 LINGER_S = 10.0
@@ -48,8 +50,15 @@ class Left:
     name: str
 
 
+@dataclass(frozen=True, slots=True)
+class _Renewal:
+    """A new incarnation of this process, to be announced once all that came before is read."""
+
+    incarnation: int
+
+
 BusEvent = Event | Sample | Interrupted | Left
-_Item = zenoh.Sample | zenoh.Query | Interrupted | Request
+_Item = zenoh.Sample | zenoh.Query | Interrupted | Request | _Renewal
 
 
 class Arrival(NamedTuple):
@@ -119,6 +128,7 @@ class Bus:
         self._options = options or BusOptions()
         self._keys = Keys(place.run)
         self._clock = SteadyClock()
+        self._renewing = self.incarnation  # the newest incarnation of this process
         self._left: set[str] = set()  # processes that were up, and are not any more
         self._inbox: queue.SimpleQueue[tuple[int, _Item]] = queue.SimpleQueue()
         # What came for the node before this process had joined: older than all in the inbox.
@@ -196,8 +206,8 @@ class Bus:
         return None
 
     def _take_while_joining(
-        self, item: zenoh.Sample | zenoh.Query | Request, joining: Joining
-    ) -> zenoh.Sample | Request | None:
+        self, item: zenoh.Sample | zenoh.Query | Request | _Renewal, joining: Joining
+    ) -> zenoh.Sample | Request | _Renewal | None:
         """Take in an item that arrives while this process joins; return it if its node needs it.
 
         Such are requests, messages, and the tokens of processes that are ready before this one.
@@ -283,7 +293,22 @@ class Bus:
         return (team | set(status.get("observers", ()))) - {self.name}
 
     def renew(self, incarnation: int) -> None:
-        """Announce a new incarnation of this process, which is ready at once."""
+        """Announce a new incarnation of this process once all is read that has come until now.
+
+        A process that was stopped for long reads messages of connections that have closed since: a
+        roster without it, and then that the coordinator is gone. Announced between the two, it would
+        join the run and leave at once. Without an answer of the coordinator nothing is announced;
+        the next call tries again.
+        """
+        if self._renewing == incarnation:
+            return
+        if self.ask(COORDINATOR, "status", timeout_s=_ANSWER_S) is None:
+            return
+        self._renewing = incarnation
+        self._put(_Renewal(incarnation))
+
+    def _announce(self, incarnation: int) -> None:
+        """Replace the tokens of this process by those of a new incarnation, ready at once."""
         old = self._tokens
         self._tokens = []
         self.incarnation = incarnation
@@ -424,6 +449,9 @@ class Bus:
         """
         if isinstance(item, Interrupted | Request):  # a request came while this process joined
             return item
+        if isinstance(item, _Renewal):
+            self._announce(item.incarnation)
+            return None
         if isinstance(item, zenoh.Query):
             return self._answer_or_forward(item)
 

@@ -195,7 +195,7 @@ def _answer(
 
     if node.incarnation != bus.incarnation:
         bus.renew(node.incarnation)
-    for notice in bus.gate.notices(node.incarnation, now_ns):
+    for notice in bus.gate.notices(bus.incarnation, now_ns):
         exchange.send(notice)
     return messages
 

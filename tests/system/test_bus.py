@@ -204,3 +204,35 @@ def test_another_version_is_refused_by_name(network: tuple[Plant, zenoh.Session]
     with pytest.raises(BusError, match=expected):
         plant.bus.join(["coordinator"])
     token.undeclare()  # type: ignore[no-untyped-call]
+
+
+def test_a_new_incarnation_is_announced_after_all_that_came_before(
+    network: tuple[Plant, zenoh.Session],
+) -> None:
+    """What a process reads after a long stop may be older than the end of the coordinator.
+
+    Without an answer of the coordinator it announces nothing.
+    """
+    plant, session = network
+    bus = plant.bus
+    bus.renew(1)
+    assert bus.next(0.1) is None
+    assert bus.incarnation == 0
+
+    coordinator = session.liveliness().declare_token(KEYS.alive("coordinator", 0, DIGEST, VERSION))
+    assert plant.waits_for(lambda: "coordinator" in bus.alive)
+    key = KEYS.request("coordinator", "status")
+    status = session.declare_queryable(key, lambda query: query.reply(key, "{}"))
+    coordinator.undeclare()  # type: ignore[no-untyped-call]
+    time.sleep(0.5)
+
+    bus.renew(1)
+    arrival = bus.next(PATIENCE_S)
+    assert arrival is not None
+    assert arrival.event == Presence("coordinator", 0, alive=False)
+    assert bus.incarnation == 0
+    own = bus.next(PATIENCE_S)  # it sees its own token
+    assert own is not None
+    assert own.event == Presence("plant", 1, alive=True)
+    assert bus.incarnation == 1
+    status.undeclare()  # type: ignore[no-untyped-call]
