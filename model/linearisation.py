@@ -128,8 +128,9 @@ class Model:
 
         built = functions(system.N, system.commands_rates)
         self._compiled = {name: Compiled(function) for name, function in built.items()}
-        self._outputs = built["outputs"]
+        self._built = built
         self._outputs_by_count: dict[int, Compiled] = {}  # of that many states in one call
+        self._derivatives_by_count: dict[int, Compiled] = {}  # under that many forces
 
         # Places of the derivatives of measurements with the payload's acceleration held.
         held = built["sense"].sparsity_out(1)
@@ -185,17 +186,31 @@ class Model:
         """Return x' = f(x, u, F), (n,), SI. Source: docs/equations.md (4)-(13), (37)."""
         return self._compiled["derivative"].flat(*self._arguments(x, u, forces))
 
-    def derivatives(self, x: Array, u: Array, forces: Sequence[Array]) -> list[Array]:
-        """Return f(x, u, F), (n,), SI, under several external forces.
+    def derivatives(self, x: Array, u: Array, forces: Sequence[Array]) -> Array:
+        """Return f(x, u, F), SI, under several external forces, in one call: (forces, n).
 
-        All have the mass error of the first.
+        All have the mass error of the first. The bits are those of `derivative`.
         """
-        function = self._compiled["derivative"]
-        u = _zeroed(u, self._off)
+        count = len(forces)
+        if count not in self._derivatives_by_count:
+            self._derivatives_by_count[count] = self._derivatives_of(count)
+
         p, _ = self._acting(forces[0])
-        count = len(self._no_forces)
-        on_bodies = [_zeroed(each[:count], self._unforced) for each in forces]
-        return [function.flat(x, u, p, F) for F in on_bodies]
+        bodies = len(self._no_forces)
+        on_bodies = [_zeroed(each[:bodies], self._unforced) for each in forces]
+        flat = self._derivatives_by_count[count].flat(
+            x, _zeroed(u, self._off), p, np.concatenate(on_bodies)
+        )
+        return flat.reshape(count, -1)
+
+    def _derivatives_of(self, count: int) -> Compiled:
+        """Return f of one state under that many forces."""
+        derivative = self._built["derivative"]
+        x, u, p = (ca.MX.sym(name, derivative.size1_in(i)) for i, name in enumerate("xup"))
+        F = ca.MX.sym("F", derivative.size1_in(3), count)
+        same = [ca.repmat(argument, 1, count) for argument in (x, u, p)]
+        f = derivative.map(count)(*same, F)
+        return Compiled(ca.Function("derivatives", [x, u, p, F], [f]))
 
     def tensions(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Return the rod tensions, (N,), N.
@@ -215,9 +230,10 @@ class Model:
         """
         count = len(X)
         if count not in self._outputs_by_count:
-            x = ca.MX.sym("x", self._outputs.size1_in(0), count)
-            p = ca.MX.sym("p", self._outputs.size1_in(1), 1)
-            y = self._outputs.map(count)(x, ca.repmat(p, 1, count))
+            outputs = self._built["outputs"]
+            x = ca.MX.sym("x", outputs.size1_in(0), count)
+            p = ca.MX.sym("p", outputs.size1_in(1), 1)
+            y = outputs.map(count)(x, ca.repmat(p, 1, count))
             self._outputs_by_count[count] = Compiled(ca.Function("outputs", [x, p], [y]))
         return self._outputs_by_count[count].flat(X.reshape(-1), self._p).reshape(count, -1)
 

@@ -88,7 +88,7 @@ class UnknownForces:
         pushed = [still, *(still + unit for unit in units.T)]
         f, *by_unit = model.derivatives(place.x, place.actual, pushed)
         E = np.zeros((len(A), COUNT))
-        E[: len(place.x)] = np.column_stack(by_unit) - f[:, None]
+        E[: len(place.x)] = (by_unit - f).T
 
         #   integral of exp(A_c t) E  =  T_s / 2 (E + A E) + O(T_s^3)
         return np.asarray(period_s / 2.0 * (E + A @ E))

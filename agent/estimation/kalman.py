@@ -53,8 +53,7 @@ def correct(P: Array, observation: Observation) -> Correction:
 
     #   S = H P H' + R
     H_P = H @ P
-    S = H_P @ H.T
-    S[np.diag_indices_from(S)] += observation.R
+    S = H_P @ H.T + np.diag(observation.R)
 
     #   G' = S^-1 H P,    xi = G (z - h)
     solved = np.linalg.solve(S, np.column_stack([H_P, error]))

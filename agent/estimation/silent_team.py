@@ -42,6 +42,7 @@ class SilentTeam:
         # Of their inputs, by the noise of their sensors, (m,).
         self._variance = slopes**2 @ noise**2
         self._held = self._held_deviations(setup, alone)
+        self.holds = bool(self._held.any())  # whether forces of integrals are assumed to deviate
 
     @staticmethod
     def _held_deviations(setup: Setup, alone: FailSafe) -> Array:

@@ -45,6 +45,8 @@ class Period:
     model: Model  # equations of motion
     end: Array  # state predicted at its end, (n,), with motor lag (n + m,)
     u: Array  # commanded inputs, (m,)
+    # Forces estimated at its beginning, as `Model` takes them; None if they are not estimated.
+    forces: Array | None
     untold: Untold  # which of them follow the control law or the fail-safe
     # Derivative of these inputs by the state, (m, n), with motor lag (m, n + m); None if all
     # inputs have been told.
@@ -161,6 +163,7 @@ class TeamFilter:
         if not self._unknowns:
             self.Q = diagonal(noise.acceleration)
             self._Q_beside = np.zeros_like(self.Q)
+            self._kept_alone = np.ones(0)
             return
 
         self._Q_beside = diagonal(noise.beside_forces)
@@ -168,6 +171,11 @@ class TeamFilter:
         self.Q[-self._unknowns :, -self._unknowns :] = ForceNoise().change(
             self._system, self._period_s
         )
+        # Share of a variance that is left after a period without any news: (63d).
+        #   1 - q / p_0
+        change = self.Q.diagonal()[-self._unknowns :]
+        first = self._P0.diagonal()[-self._unknowns :]
+        self._kept_alone = 1.0 - change / first
 
     def first(self, x: Array) -> Belief:
         """Return the belief without any measurement, about a state: the start, and a new start."""
@@ -218,10 +226,8 @@ class TeamFilter:
         """
         if period.silent is None or not self._unknowns:
             return np.ones(self._unknowns)
-        change = self.Q.diagonal()[-self._unknowns :]
-        first = self._P0.diagonal()[-self._unknowns :]
         share = float(period.silent.alone[period.untold.by_law].mean())
-        return np.asarray((1.0 - change / first) ** (0.5 * share))
+        return np.asarray(self._kept_alone ** (0.5 * share))
 
     def is_plausible(self, belief: Belief) -> bool:
         """Return whether a belief can be that of a team in flight: numbers in range, no body over."""
@@ -238,7 +244,7 @@ class TeamFilter:
     def predicted_covariance(self, belief: Belief, period: Period) -> Covariance:
         """Return the covariance at the end of a sampling period. Source: docs/equations.md (63)."""
         after = self.manifold.basis(period.end)
-        place = self._situation(belief, period.model, period.u)
+        place = self._situation(belief, period.model, period.u, period.forces)
         discrete = self._discrete(place, period.u)
 
         A = self._transition(belief, period, place, discrete, after.L)
@@ -246,11 +252,11 @@ class TeamFilter:
         P = kalman.predict(belief.covariance.P, A, Q)
         return Covariance(P=P, basis=after)
 
-    def _situation(self, belief: Belief, model: Model, u: Array) -> Situation:
+    def _situation(self, belief: Belief, model: Model, u: Array, forces: Array | None) -> Situation:
         """Return the place that a belief describes under inputs u, or lagging actual inputs."""
         n = model.system.n
         actual = belief.x[n:] if self._lagging else u
-        return Situation(model=model, x=belief.x[:n], actual=actual, forces=self.forces(belief))
+        return Situation(model=model, x=belief.x[:n], actual=actual, forces=forces)
 
     def _discrete(self, place: Situation, u: Array) -> Discrete:
         """Return the discrete linearisation about a place, (16), with motor lag (55)."""
@@ -296,10 +302,10 @@ class TeamFilter:
         Source: docs/equations.md (63e).
         """
         model, x, u = place.model, place.x, place.actual
-        still = model.derivative(x, u)
+        along_x, along_y = self._silent.held(silent, period.untold).T
+        f, *by_axis = model.derivatives(x, u, [np.zeros_like(along_x), along_x, along_y])
         E = np.zeros((len(A), 2))
-        for axis, held in enumerate(self._silent.held(silent, period.untold).T):
-            E[: len(x), axis] = model.derivative(x, u, forces=held) - still
+        E[: len(x)] = (by_axis - f).T
         #   integral of exp(A_c t) E  =  T_s / 2 (E + A E) + O(T_s^3)
         return np.asarray(self._period_s / 2.0 * (E + A @ E))
 
@@ -327,8 +333,9 @@ class TeamFilter:
         #   (1 - c^2) B_xi K_o T P T' K_o' B_xi'
         if period.silent is not None and period.K is not None:
             Q[:s, :s] += self._silent.noise(period.silent, period, L.T @ discrete.B, T, P[:s, :s])
-            held = L.T @ self._by_integrals(period.silent, period, place, discrete.A)
-            Q[:s, :s] += held @ held.T
+            if period.is_alone and self._silent.holds:
+                held = L.T @ self._by_integrals(period.silent, period, place, discrete.A)
+                Q[:s, :s] += held @ held.T
         elif period.K is not None:
             B_xi = L.T @ discrete.B[:, by_law]
             K_T = period.K[by_law] @ T
@@ -356,7 +363,7 @@ class TeamFilter:
         if not sensed:
             return None
 
-        place = self._situation(belief, model, belief.u)
+        place = self._situation(belief, model, belief.u, self.forces(belief))
         entries = _entries(tuple((one.uav, one.sensors) for one in sensed))
         values = np.array([one.values for one in sensed])
 

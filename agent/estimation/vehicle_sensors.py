@@ -192,6 +192,7 @@ class SensorEstimator:
             model=self._motion.model_at(tick),
             end=self._motion.predict(belief.x, tick, u, forces),
             u=u,
+            forces=forces,
             untold=untold,
             K=K,
             correlation=OthersErrors().correlation,

@@ -57,6 +57,7 @@ def _alone(run: Setup, along: Sequence[tuple[Array, Array]], ticks: int) -> list
             model=run.model,
             end=along[(k + 1) % len(along)][0],
             u=along[tick][1],
+            forces=kalman.forces(belief),
             untold=untold,
             K=controller.regulation.gain(tick),
             correlation=0.6,

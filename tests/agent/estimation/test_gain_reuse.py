@@ -46,7 +46,7 @@ def flown(team: Filter, own_only: range) -> list[Belief]:
             belief, run.model, measurements[:1] if k in own_only else measurements
         )
         beliefs.append(belief)
-        belief = team.predict(belief, told_period(run, X[k + 1], U[k + 1]))
+        belief = team.predict(belief, told_period(run, X[k + 1], U[k + 1], team.forces(belief)))
     return beliefs
 
 

@@ -35,13 +35,14 @@ DIFFERENCE = 1e-6  # of central differences: their error is some 1e-9 of the sec
 HONEST = (0.75, 1.3)
 
 
-def told_period(run: Setup, end: Array, u: Array) -> Period:
-    """Return a period all of whose inputs are told."""
+def told_period(run: Setup, end: Array, u: Array, forces: Array | None) -> Period:
+    """Return a period all of whose inputs are told, under forces estimated at its beginning."""
     told = np.zeros(run.system.m, dtype=bool)
     return Period(
         model=run.model,
         end=end,
         u=u,
+        forces=forces,
         untold=Untold(by_law=told, by_fail_safe=told),
         K=None,
         correlation=0.0,
@@ -143,7 +144,7 @@ def test_against_a_dense_filter_with_numerical_jacobians(forces: str) -> None:
         before = U[k] if k else run.hover.u
         dense.predict(U[k + 1], U[k + 1] - before, belief.level.value)
         end = dense.step(np.concatenate([belief.x, belief.unknowns]), U[k + 1])
-        belief = team.predict(belief, told_period(run, end, U[k + 1]))
+        belief = team.predict(belief, told_period(run, end, U[k + 1], team.forces(belief)))
 
     deviation = np.sqrt(np.diag(dense.P))
     np.testing.assert_allclose(
@@ -183,7 +184,7 @@ def level_after_flight(pull_N: float) -> tuple[TeamFilter, Belief]:
         x, _ = run.model.integrate(x, U[0], PERIOD_S, STEPS, forces=forces)
         sense = run.model.sense(x, U[0], forces=forces)[0].reshape(-1, state.SENSED)
         z = sense + np.repeat(run.sensors.noise, 3) * rng.standard_normal(sense.shape)
-        belief = team.predict(belief, told_period(run, end, U[0]))
+        belief = team.predict(belief, told_period(run, end, U[0], team.forces(belief)))
         belief = team.correct(belief, run.model, sensed(z))
     return team, belief
 
