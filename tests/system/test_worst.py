@@ -42,7 +42,7 @@ def test_the_minimal_case_is_flown_again_with_the_same_bits(tmp_path: Path) -> N
 @pytest.mark.slow
 def test_an_interrupted_search_is_resumed_with_the_same_result(tmp_path: Path) -> None:
     """Ctrl-C ends the command and its workers, which stay from batch to batch; the rest is flown later."""
-    words = [*SEARCH, "--set", SHORT, "--budget", "16", "--jobs", "2", "--format", "json", "--out"]
+    words = [*SEARCH, "--set", SHORT, "--budget", "12", "--jobs", "2", "--format", "json", "--out"]
     process = start(*words, "one", cwd=tmp_path)
     file = tmp_path / "one" / "evaluations.jsonl"
     assert wait_for(lambda: file.exists() and file.read_bytes().count(b"\n") > 4)
