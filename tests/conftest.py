@@ -3,10 +3,12 @@
 How several pytest workers share the tests, and compiled models.
 """
 
+import math
 import os
 import shutil
 import signal
 import tempfile
+import time
 from pathlib import Path
 
 import hypothesis
@@ -31,8 +33,21 @@ FIRST = ("test_soak", "test_live_viewer", "test_silence", "test_agile", "test_mu
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option that renews transcripts of runs (tests/transport/test_transcripts.py)."""
+    """Add options: renew transcripts of runs (tests/transport/test_transcripts.py), end in time."""
     parser.addoption("--rewrite", action="store_true", help="write transcripts of runs anew")
+    parser.addoption(
+        "--until",
+        type=float,
+        default=math.inf,
+        metavar="TIME",
+        help="skip tests that would begin after this time, s since 1970",
+    )
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip a test, and the fixtures that it needs, if the time of `--until` is over."""
+    if time.time() > item.config.getoption("--until"):
+        pytest.skip("no time left on this machine")
 
 
 def pytest_configure(config: pytest.Config) -> None:
