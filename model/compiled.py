@@ -148,8 +148,9 @@ def compile_functions(N: int, rates: bool = False) -> bool:
             if function.n_instructions() > _MAX_LENGTH:
                 continue
             source = _source(function)
-            sources.append(_OPTIMISED.format(source) if name == "step" else source)
-        compiler.compile_library(_file(N, rates), "\n".join(sources).encode(), _FLAGS)
+            optimised = _OPTIMISED.format(source) if name == "step" else source
+            sources.append(optimised.encode())
+        compiler.compile_library(_file(N, rates), sources, _FLAGS)
     return library(N, rates) is not None
 
 

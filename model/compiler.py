@@ -11,10 +11,11 @@ import subprocess
 import tempfile
 import warnings
 from collections.abc import Sequence
-from functools import lru_cache
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache, partial
 from pathlib import Path
 
-_COMMON = ("-fPIC", "-shared", "-w")
+_COMMON = ("-fPIC", "-w")
 _TIMEOUT_S = 300.0
 
 
@@ -65,11 +66,11 @@ def intact(path: Path) -> bool:
         return False
 
 
-def compile_library(path: Path, source: bytes, flags: Sequence[str]) -> bool:
-    """Compile a C source, unless its library is intact; return whether there is one.
+def compile_library(path: Path, sources: Sequence[bytes], flags: Sequence[str]) -> bool:
+    """Compile C sources, unless their library is intact; return whether there is one.
 
-    There is none without a compiler, if it fails, or if the cache cannot be written, which is
-    reported as a warning.
+    All processors work on them, one source each. There is no library without a compiler, if it
+    fails, or if the cache cannot be written, which is reported as a warning.
     """
     if intact(path):
         return True
@@ -81,12 +82,15 @@ def compile_library(path: Path, source: bytes, flags: Sequence[str]) -> bool:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+            objects = [Path(folder) / f"{number}.o" for number in range(len(sources))]
+            compiled = partial(_compile, [compiler, *_COMMON, *flags])
+            # The longest first: one at the end would leave processors idle.
+            longest_first = sorted(sources, key=len, reverse=True)
+            with ThreadPoolExecutor(os.cpu_count()) as workers:
+                list(workers.map(compiled, longest_first, objects))
+
             library = Path(folder) / path.name
-            from_input = ["-x", "c", "-", "-lm"]
-            command = [compiler, *_COMMON, *flags, "-o", str(library), *from_input]
-            subprocess.run(
-                command, input=source, check=True, capture_output=True, timeout=_TIMEOUT_S
-            )
+            _run([compiler, "-shared", "-o", str(library), *map(str, objects), "-lm"])
             checksum = _checksum_file(library)
             checksum.write_text(_checksum(library.read_bytes()), encoding="utf-8")
 
@@ -100,6 +104,16 @@ def compile_library(path: Path, source: bytes, flags: Sequence[str]) -> bool:
         _warn_of_plain_kernels(f"the cache {path.parent} cannot be written ({error.strerror})")
         return False
     return True
+
+
+def _compile(command: Sequence[str], source: bytes, target: Path) -> None:
+    """Compile a C source to an object file."""
+    _run([*command, "-c", "-o", str(target), "-x", "c", "-"], source)
+
+
+def _run(command: Sequence[str], source: bytes = b"") -> None:
+    """Run a compiler. Raises: subprocess.SubprocessError: it fails, or takes too long."""
+    subprocess.run(command, input=source, check=True, capture_output=True, timeout=_TIMEOUT_S)
 
 
 @lru_cache

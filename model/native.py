@@ -154,7 +154,7 @@ def _load() -> Any:
 
     source = Path(__file__).with_name("kernels.c").read_bytes()
     path = compiler.compiled_file("kernels", source, _FLAGS)
-    if not compiler.compile_library(path, source, _FLAGS):
+    if not compiler.compile_library(path, [source], _FLAGS):
         return None
     try:
         # PyDLL keeps the interpreter lock: a kernel is shorter than releasing and taking it.

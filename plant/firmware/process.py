@@ -77,7 +77,7 @@ def virtual_time() -> Path:
     """
     source = _SOURCE.read_bytes()
     path = compiler.compiled_file("virtual-time", source, _FLAGS)
-    if not compiler.compile_library(path, source, _FLAGS):
+    if not compiler.compile_library(path, [source], _FLAGS):
         raise FirmwareError(NO_COMPILER)
     return path
 

@@ -201,7 +201,7 @@ def test_a_library_of_another_user_is_not_loaded(
 ) -> None:
     """In a cache folder that others can write to, only what the user or root put there counts."""
     library = tmp_path / "library.so"
-    assert compiler.compile_library(library, b"int one(void) { return 1; }", ())
+    assert compiler.compile_library(library, [b"int one(void) { return 1; }"], ())
     assert compiler.intact(library)
     monkeypatch.setattr(os, "getuid", lambda: library.stat().st_uid + 1)
     if library.stat().st_uid != 0:
@@ -217,11 +217,11 @@ def test_a_damaged_library_is_compiled_again(kept: int, tmp_path: Path) -> None:
     """A library that a full disk emptied or cut is not loaded but rebuilt, with the same content."""
     library = tmp_path / "library.so"
     source = b"int one(void) { return 1; }"
-    assert compiler.compile_library(library, source, ())
+    assert compiler.compile_library(library, [source], ())
     whole = library.read_bytes()
     library.write_bytes(whole[:kept])
     assert not compiler.intact(library)
-    assert compiler.compile_library(library, source, ())
+    assert compiler.compile_library(library, [source], ())
     assert compiler.intact(library)
     assert len(library.read_bytes()) == len(whole)
 
@@ -232,5 +232,5 @@ def test_a_cache_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     no_folder = tmp_path / "file"
     no_folder.write_text("", encoding="utf-8")
     with pytest.warns(RuntimeWarning, match="plain ones are used") as warned:
-        assert not compiler.compile_library(no_folder / "library.so", b"int one;", ())
+        assert not compiler.compile_library(no_folder / "library.so", [b"int one;"], ())
     assert str(no_folder) in str(warned[0].message)
