@@ -76,9 +76,11 @@ class Recursion:
         if before is None:
             self._last = _first_at_rest(track)
         else:
-            self._before = before.gains
-            self._last = len(before.gains) - 1
-            missing = max(self._last + 1 - self._since, 0)
+            # At rest, where the last gains are held, the regulator of the new team holds at once.
+            held = max(self._since + 1 - len(before.gains), 0)
+            self._before = [*before.gains, *before.gains[-1:] * held]
+            self._last = len(self._before) - 1
+            missing = self._last + 1 - self._since
             self.ready += -(-missing // INSTANTS)
 
     @property

@@ -323,3 +323,30 @@ def test_conflicting_obstacles_give_way_in_the_order_of_their_penalties() -> Non
     assert first[0] == pytest.approx(kept_m(1e4, 0.0)[0], abs=1e-3)
     assert second[1] == pytest.approx(kept_m(0.0, 1e4)[0], abs=1e-3)
     assert second[0] < first[0] - 0.01
+
+
+@pytest.mark.parametrize("released", [(), (3,)], ids=["death", "release"])
+def test_law_of_another_team_after_the_reference_has_come_to_rest(
+    released: tuple[int, ...],
+) -> None:
+    """The law of the team that is left holds a tick later; the gains are those computed at once."""
+    model, track = flown(200)
+    reference = Sampled(X=track.X, track=track)
+    changed, at_once = (
+        Controller(model, hover(model.system), SETTINGS, (1,), reference).regulation
+        for _ in range(2)
+    )
+    tracker = changed.current.tracker
+    assert tracker is not None
+    since = len(tracker.gains) + 5
+    assert since < len(track.U)
+
+    changed.form({3}, released, released, since=since)
+    meanwhile = changed.gain(since)
+    assert not changed.advance(since)
+    assert changed.advance(since + 1)
+    at_once.form({3}, released, released)
+    own = input_slice(3)
+    np.testing.assert_array_equal(meanwhile[own], at_once.gain(since)[own])
+    for k in (since + 1, since + 20):
+        np.testing.assert_array_equal(changed.gain(k), at_once.gain(k))
