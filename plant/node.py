@@ -199,6 +199,7 @@ class PlantNode(Participant):
             self._x = released_state(self._x, uav)
             self._released.add(uav)
             self.environment.release(uav)
+            self._unload(uav)
         else:
             self._x = motor_off_state(self._x, uav)
 
@@ -207,6 +208,16 @@ class PlantNode(Participant):
         self._renew_fail_safe()
         if self._inner_loop is not None:
             self._inner_loop.reset(self._x)
+
+    def _unload(self, uav: int) -> None:
+        """Take thrust and wind off the bob that stands for a released UAV, 0-based.
+
+        Those of the interval before, on a millionth of a kilogram, are no specific force.
+        """
+        self._actual = no_inputs(self._actual, {uav})
+        if self._forces is not None:
+            self._forces = self._forces.copy()
+            self._forces.reshape(-1, 3)[1 + uav] = 0.0
 
     def _renew_fail_safe(self) -> None:
         """Take the fail-safe of the UAVs left along the newest reference."""

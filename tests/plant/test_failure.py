@@ -5,19 +5,22 @@ Motors off and rods released from their tick on, independent of the plans.
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from tests.support.nodes import PlantNode
-from tests.support.runs import ALL, plan, roster, setup, tick
+from tests.support.runs import ALL, VEHICLE, plan, roster, setup, tick
 from transport.model import state
 from transport.plant.actuators import MOTOR_OFF
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.wire.messages import Message, PlantState
+from transport.protocol.wire.messages import Measurement, Message, PlantState
 
 TICKS = 6
 UAV = 2
 MOTORS_OFF = setup("faults.event=[{at_s=0.1,do='motor_off',target='uav3'}]")
 RELEASED = setup("faults.event=[{at_s=0.1,do='release',target='uav3'}]")
 AT = 2  # tick of both
+# Of a plan by vehicle sensors, without any of their measurements.
+NO_REPORTS = np.zeros((1, state.REPORTS * state.REPORTED))
 
 
 def flown(run: Setup) -> list[Message]:
@@ -27,7 +30,10 @@ def flown(run: Setup) -> list[Message]:
     for k in range(TICKS):
         messages += node.receive(tick(k), 0)
         for agent in ALL:
-            messages += node.receive(plan(run, agent, k), 0)
+            hovering = plan(run, agent, k)
+            if run.sensors.vehicle:
+                hovering = replace(hovering, uav_states=NO_REPORTS)
+            messages += node.receive(hovering, 0)
     return messages
 
 
@@ -77,3 +83,15 @@ def test_no_wind_blows_on_what_is_gone() -> None:
     np.testing.assert_array_equal(
         forces.reshape(-1, 3).any(axis=1), [True, True, True, False, True]
     )
+
+
+def test_sensors_feel_neither_wind_nor_thrust_of_a_released_uav() -> None:
+    """At the tick of the release its wind and thrust were those of a whole UAV, on the bob."""
+    run = setup(
+        *(*VEHICLE, "plant.wind.speed_mps=[8.0,0.0,0.0]"),
+        "faults.event=[{at_s=0.1,do='release',target='uav3'}]",
+    )
+    measured = [message for message in flown(run) if isinstance(message, Measurement)]
+    forces = [one.uav_states[:, state.SPECIFIC_FORCE] for one in measured]
+    assert len(forces) == len(ALL) * TICKS
+    assert np.abs(forces).max() < 5.0 * run.system.gravity
