@@ -2,7 +2,7 @@
 
 Each agent decides by the age of its own news, so that agents without any network decide alike, and
 no agent waits for another. Its plan says how much, so that those who hear it predict it.
-Source: docs/equations.md (32c)-(32e).
+Source: docs/equations.md (32c), (32d), (63c).
 """
 
 from collections import deque

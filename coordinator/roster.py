@@ -101,7 +101,8 @@ class TeamRoster:
 
     def give_up(self, tick: int) -> Roster:
         """Return the roster without the agents that a tick has waited for."""
-        absent = names(self._returns.pop(tick))
+        absent = names(self.due_back(tick))
+        del self._returns[tick]
         return self.report(f"{absent} did not return at {self.time(tick)}", tick)
 
     def begin(self, tick: int) -> tuple[set[int], list[Message]]:

@@ -177,7 +177,7 @@ def _digest() -> bytes:
 def _source(function: ca.Function) -> str:
     """Return a function in C.
 
-    The generator's name prefixes its helpers, so that sources can be concatenated.
+    The generator's name prefixes its helpers.
     """
     generator = ca.CodeGenerator(f"{function.name()}_source.c", {"with_header": False})
     generator.add(function)

@@ -11,8 +11,7 @@ import subprocess
 import tempfile
 import warnings
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 
 _COMMON = ("-fPIC", "-w")
@@ -69,7 +68,7 @@ def intact(path: Path) -> bool:
 def compile_library(path: Path, sources: Sequence[bytes], flags: Sequence[str]) -> bool:
     """Compile C sources, unless their library is intact; return whether there is one.
 
-    All processors work on them, one source each. There is no library without a compiler, if it
+    All sources are compiled at the same time. There is no library without a compiler, if it
     fails, or if the cache cannot be written, which is reported as a warning.
     """
     if intact(path):
@@ -82,15 +81,10 @@ def compile_library(path: Path, sources: Sequence[bytes], flags: Sequence[str]) 
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-            objects = [Path(folder) / f"{number}.o" for number in range(len(sources))]
-            compiled = partial(_compile, [compiler, *_COMMON, *flags])
-            # The longest first: one at the end would leave processors idle.
-            longest_first = sorted(sources, key=len, reverse=True)
-            with ThreadPoolExecutor(os.cpu_count()) as workers:
-                list(workers.map(compiled, longest_first, objects))
-
+            objects = _compiled([compiler, *_COMMON, *flags], sources, Path(folder))
             library = Path(folder) / path.name
-            _run([compiler, "-shared", "-o", str(library), *map(str, objects), "-lm"])
+            link = [compiler, "-shared", "-o", str(library), *map(str, objects), "-lm"]
+            subprocess.run(link, check=True, capture_output=True, timeout=_TIMEOUT_S)
             checksum = _checksum_file(library)
             checksum.write_text(_checksum(library.read_bytes()), encoding="utf-8")
 
@@ -106,14 +100,35 @@ def compile_library(path: Path, sources: Sequence[bytes], flags: Sequence[str]) 
     return True
 
 
-def _compile(command: Sequence[str], source: bytes, target: Path) -> None:
-    """Compile a C source to an object file."""
-    _run([*command, "-c", "-o", str(target), "-x", "c", "-"], source)
+def _compiled(command: Sequence[str], sources: Sequence[bytes], folder: Path) -> list[Path]:
+    """Compile C sources, all at the same time; return the object files.
 
-
-def _run(command: Sequence[str], source: bytes = b"") -> None:
-    """Run a compiler. Raises: subprocess.SubprocessError: it fails, or takes too long."""
-    subprocess.run(command, input=source, check=True, capture_output=True, timeout=_TIMEOUT_S)
+    Raises: subprocess.SubprocessError: one cannot be compiled, or takes too long.
+    """
+    objects: list[Path] = []
+    compilers: list[subprocess.Popen[bytes]] = []
+    try:
+        for number, content in enumerate(sources):
+            source = folder / f"{number}.c"
+            source.write_bytes(content)
+            objects.append(source.with_suffix(".o"))
+            compilers.append(
+                subprocess.Popen(
+                    [*command, "-c", "-o", str(objects[-1]), str(source)],
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                )
+            )
+        for one in compilers:
+            if one.wait(_TIMEOUT_S) != 0:
+                raise subprocess.CalledProcessError(one.returncode, command)
+    finally:
+        # After an interrupt or an error no compiler goes on.
+        for one in compilers:
+            one.kill()
+            one.wait()
+    return objects
 
 
 @lru_cache

@@ -148,7 +148,7 @@ class Regulation:
 
     @property
     def version(self) -> object:
-        """The same object as long as the control law is the same."""
+        """The same object as long as its gains are; a target may change the feedforward."""
         return self.current.gain_source
 
     def law(

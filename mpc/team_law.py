@@ -274,23 +274,13 @@ def undisturbed(
     return UndisturbedMotion(team, X_ref, before=before, first=first, key=key)
 
 
-def team_law(crew: Crew, followed: Followed, team: Team) -> TeamLaw:
-    """Return the law of a team along the whole of a reference: equations.md (45), (50), (51).
-
-    If the remaining UAVs cannot stabilise the payload, the law is that of the team with the lost
-    agents, else without the failures, else of the whole team.
-    Raises: FeedbackError: the settings need a regulator, and none stabilises the whole team.
-    """
-    law = law_before_tracking(crew, followed, team)
-    if law.regulator is None or law.track is None:
-        return law
-    return replace(law, tracker=recursion_of(law, None, law.track.first).result())
-
-
 def law_before_tracking(crew: Crew, followed: Followed, team: Team) -> TeamLaw:
     """Return the law of a team without the regulator along a flat reference, which takes longest.
 
-    Teams to fall back on and errors are those of `team_law`.
+    If the remaining UAVs cannot stabilise the payload, the law is that of the team without the
+    losses of agents, else without the failures, else of the whole team: equations.md (45), (50),
+    (51).
+    Raises: FeedbackError: the settings need a regulator, and none stabilises the whole team.
     """
     fewer = [team, Team(off=team.off, released=team.released), Team(gone=team.gone)]
     for possible in fewer if any(team) else []:

@@ -78,7 +78,7 @@ class Recursion:
         else:
             # At rest, where the last gains are held, the regulator of the new team holds at once.
             held = max(self._since + 1 - len(before.gains), 0)
-            self._before = [*before.gains, *before.gains[-1:] * held]
+            self._before = [*before.gains, *[before.gains[-1]] * held]
             self._last = len(self._before) - 1
             missing = self._last + 1 - self._since
             self.ready += -(-missing // INSTANTS)

@@ -54,7 +54,7 @@ class Motion:
         model = self.model_at(tick)
         period = motors.Period(duration_s=self.period_s, steps=self.steps, lag_s=self.lag_s)
         end = motors.integrate(model, x, u, period, forces)
-        if np.abs(end).max() > state.LARGEST:
+        if not np.abs(end).max() <= state.LARGEST:  # NaN too
             return self.reference_at(tick + 1)
         return self.moved(end, tick + 1)
 

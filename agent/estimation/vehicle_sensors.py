@@ -201,19 +201,26 @@ class SensorEstimator:
 
     def _following(self, belief: Belief, tick: int, period: Period) -> Tick:
         """Return the beliefs after a period that began at `tick`."""
-        prior = self._filter.predict(belief, period)
-        for entries in self._motion.set_entries(period.end, tick + 1):
-            prior = self._filter.certain(prior, entries)
+        try:
+            prior = self._filter.predict(belief, period)
+            for entries in self._motion.set_entries(period.end, tick + 1):
+                prior = self._filter.certain(prior, entries)
+        except (ShapeError, np.linalg.LinAlgError):
+            return self._begun_anew(tick + 1)
         return self._corrected(Tick(prior=prior, posterior=prior), tick + 1)
 
     def _corrected(self, entry: Tick, tick: int) -> Tick:
         """Return the beliefs of a tick with all its measurements."""
         posterior = self._plausible(entry.prior, tick)
-        if posterior is not None:
-            return Tick(prior=entry.prior, posterior=posterior)
+        if posterior is None:
+            return self._begun_anew(tick)
+        return Tick(prior=entry.prior, posterior=posterior)
 
-        # Out of range: begin anew about the reference. The cause may be a measurement of this tick:
-        # then without it.
+    def _begun_anew(self, tick: int) -> Tick:
+        """Return the beliefs of a tick about the reference, as numbers were out of range.
+
+        The cause may be a measurement of this tick: then without it.
+        """
         self.resets.add(tick)
         anew = self._filter.first(self._motion.reference_at(tick))
         return Tick(prior=anew, posterior=self._plausible(anew, tick) or anew)

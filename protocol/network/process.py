@@ -89,7 +89,7 @@ def run_node(
             for message in on_interrupt(interruption.reason):
                 exchange.send(message)
         exchange.flush()
-        for notice in gate.notices(node.incarnation):
+        for notice in gate.notices(bus.incarnation):
             exchange.send(notice)
         _log_rejections(journal, gate)
 

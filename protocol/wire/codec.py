@@ -133,7 +133,7 @@ def _refusal(text: str, data: bytes) -> MessageError:
     reason: Reason = "wrong_shape"
     if number:
         if any(word in text for word in (" length ", " <= ", " >= ", "enum")):
-            reason = "not_finite" if "float" in text else "out_of_range"
+            reason = "not_finite" if _LARGEST_FLOAT in text else "out_of_range"
         with suppress(msgspec.DecodeError, RecursionError, KeyError):
             kind = _KIND_DECODER.decode(memoryview(data)[1:]).kind
             field = f"{CLASSES[kind].__struct_fields__[number - 1]}: "
@@ -175,6 +175,7 @@ def _unpack_array(code: int, data: memoryview) -> Array:
 _ENCODER = msgspec.msgpack.Encoder(enc_hook=_pack)
 _WITHOUT_ARRAYS = msgspec.msgpack.Encoder(enc_hook=_pack_without_arrays)
 _NOTHING = 1  # bytes of None
+_LARGEST_FLOAT = "e+308"  # in the text of a bound of `Finite`
 # Bytes by which the header of the list of a plan's fields is longer for its last one.
 _LAST_FIELD = 2
 _DECODER: Any = msgspec.msgpack.Decoder(reduce(or_, CLASSES.values()), ext_hook=_unpack_array)

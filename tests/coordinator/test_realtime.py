@@ -150,7 +150,7 @@ def test_abort_by_size() -> None:
     (end,) = node.poll(due(3))
     assert isinstance(end, Control)
     assert (end.outcome, end.exit_code) == ("aborted", 5)
-    assert end.reason == "tick 3 was 0.031 s late, 0.03 s allowed"
+    assert end.reason == "a plan before tick 3 was 0.031 s late, 0.03 s allowed"
 
 
 def run_until(

@@ -22,9 +22,6 @@ from transport.protocol.wire.messages import Control, Message, Roster, Tick
 
 BARRIER_NS = round(TIMEOUT_S * S)
 JOIN_NS = 30 * S  # clock.join_timeout_s, the default
-KILLED = (
-    "faults.event=[{at_s=0.05,do='kill',target='agent2'},{at_s=0.15,do='restart',target='agent2'}]"
-)
 SIX = ticks(6)
 ITERATIONS = "controller.negotiation_iterations=3"
 LEFT = (1, 3, 4)
@@ -35,15 +32,22 @@ def answers(k: int, agents: Sequence[int] = ALL, incarnation: int = 1) -> list[M
     return [plan(setup(SIX), agent, k, incarnation=incarnation) for agent in agents]
 
 
-def held() -> CoordinatorNode:
-    """Agent 2 was killed when tick 1 opened.
+def held(*killed: int) -> CoordinatorNode:
+    """Agents, by default agent 2, were killed when tick 1 opened.
 
-    Tick 2 is answered by the others, and tick 3 is to have it back.
+    Tick 2 is answered by the others, and tick 3 is to have them back.
     """
-    node = started(CoordinatorNode(setup(SIX, CONTINUE, KILLED)))
-    tell(node, [*answers(0), gone("agent2")])
+    dead = killed or (2,)
+    left = [agent for agent in ALL if agent not in dead]
+    events = ",".join(
+        f"{{at_s=0.05,do='kill',target='agent{agent}'}},"
+        f"{{at_s=0.15,do='restart',target='agent{agent}'}}"
+        for agent in dead
+    )
+    node = started(CoordinatorNode(setup(SIX, CONTINUE, f"faults.event=[{events}]")))
+    tell(node, [*answers(0), *(gone(f"agent{agent}") for agent in dead)])
     for k in (1, 2):
-        tell(node, [*answers(k, LEFT), plant_state(setup(SIX), k - 1)])
+        tell(node, [*answers(k, left), plant_state(setup(SIX), k - 1)])
     assert node.tick == 2
     return node
 
@@ -69,6 +73,17 @@ def test_a_tick_is_held_no_longer_than_the_join_timeout() -> None:
     assert isinstance(tick, Tick)
     assert tick.members == LEFT
     assert kinds(tell(node, answers(3, LEFT))) == ["tick 4"]
+
+
+def test_only_agents_that_are_not_back_are_given_up() -> None:
+    """Of two that are to return at a tick one does; the record names the other alone."""
+    node = held(2, 3)
+    assert tell(node, [ready("agent3", 2)], START_NS + 10 * MS) == []
+    rosters = [one for one in node.poll(START_NS + JOIN_NS) if isinstance(one, Roster)]
+    assert [roster.reason for roster in rosters] == [
+        "agent2 did not return at t = 0.15 s",
+        "agent3 joined at t = 0.15 s",
+    ]
 
 
 def proposals(agents: Sequence[int], negotiation: int) -> list[Message]:

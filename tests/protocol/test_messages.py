@@ -29,7 +29,7 @@ from transport.protocol.wire.codec import (
     header_of,
 )
 from transport.protocol.wire.errors import MessageError
-from transport.protocol.wire.messages import MAX_DATA, Measurement, Message, Plan, Tick
+from transport.protocol.wire.messages import MAX_DATA, Measurement, Message, Plan, StepReport, Tick
 from transport.protocol.wire.node import Outbox
 
 SEED = 20240611
@@ -58,6 +58,20 @@ def test_bytes_are_those_of_another_codec(message: Message) -> None:
         assert encoded_length(message) == len(data)
     head = (message.kind, message.sender, message.incarnation, message.sequence, message.tick)
     assert msgspec.structs.astuple(header_of(data)) == head
+
+
+@pytest.mark.parametrize(
+    ("kind", "field", "number", "reason"),
+    [(Plan, "alone", -5.0, "out_of_range"), (StepReport, "residual", INF, "not_finite")],
+)
+def test_a_number_beyond_its_range_is_no_infinity(
+    kind: type[Message], field: str, number: float, reason: str
+) -> None:
+    """Both are refused with the field and their own reason."""
+    message = msgspec.structs.replace(sample(kind), **{field: number})
+    with pytest.raises(MessageError, match=field) as refused:
+        decode(encode(message))
+    assert refused.value.reason == reason
 
 
 @pytest.mark.parametrize("message", samples(), ids=lambda message: message.kind)

@@ -61,8 +61,7 @@ _SHARES = {"plans_lost_share": ("lost", "sent"), "plans_shared_share": ("shared"
 # completed. None of them is a wall-clock time.
 NUMBERS = ("lost_s", *_FROM_SUMMARY, *_SHARES)
 
-# Keys, sections and values of a scenario that make a run random, unless they are the defaults.
-# Keys of a scenario that make draws from the seed.
+# Keys, sections and values of a scenario that make draws from the seed, unless they are defaults.
 _RANDOM = {
     "jitter_s",
     "loss",
@@ -267,7 +266,7 @@ def _result(case: Case) -> Result:
     setup = Setup.of(case.scenario, case.source)
     if key_of(setup.scenario) != case.key:
         raise RuntimeError(
-            "expected the version of this package that started the experiment, got another"
+            "expected the package, engine and controller that started the experiment, got another version"
         )
 
     log = run_in_memory(setup)

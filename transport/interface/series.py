@@ -59,14 +59,14 @@ QUANTITIES: Mapping[str, Quantity] = {
     "uav_attitude_deg": Quantity(
         "deg", (_UAV, _ANGLES), "UAV roll, pitch and yaw; NaN after a release."
     ),
-    "thrust_N": Quantity("N", (_UAV,), "Thrust applied from t_k on."),
+    "thrust_N": Quantity("N", (_UAV,), "Thrust commanded from t_k on."),
     "thrust_limits_N": Quantity(
         "N", (("smallest", "largest"),), "Limits of the thrust of each UAV."
     ),
     "moment_Nm": Quantity(
         "N m",
         (_UAV, _XYZ),
-        "Moments about the UAV's body axes, applied from t_k on; with body rates their mean.",
+        "Moments about the UAV's body axes, commanded from t_k on; with body rates the mean of the actual ones.",
     ),
     "moment_limit_Nm": Quantity("N m", (_XYZ,), "Limit of the moments of each UAV, either sign."),
     "rate_command_radps": Quantity(
@@ -95,7 +95,9 @@ QUANTITIES: Mapping[str, Quantity] = {
         "", (_AGENT,), "Plans of other agents lost at this tick; NaN without a step."
     ),
     "estimated_force_N": Quantity(
-        "N", (_AGENT, _XYZ), "Force on the payload that the agent estimates; NaN for none."
+        "N",
+        (_AGENT, _XYZ),
+        "Force on the payload that the agent estimates, zero if it estimates none; NaN without a step.",
     ),
     "step_ms": Quantity(
         "ms", (_AGENT,), "Wall-clock time of the agent's step; NaN without a step."
