@@ -34,6 +34,7 @@ JITTER = {
     "lognormal": Jitter(deviation=1.0, mean=_LOGNORMAL, least_mean=_LOGNORMAL),
 }
 
+_NO_JITTER = "links.jitter_s=0.0"
 _NO_LOSS = "links.loss=0.0"
 _NO_BURSTS = "links.gilbert_elliott={enter=0.0,leave=1.0,loss=0.0}"
 
@@ -47,14 +48,24 @@ NETWORKS: Mapping[str, tuple[str, ...]] = {
 @declared(
     "delay_s", delay=Values([0.0, 0.05, 0.1, 0.2, 0.4], "SECONDS", "Delay, s.", quick=[0.0, 0.2])
 )
-def latency(_: Scenario, delay: Sequence[float]) -> Iterator[Point]:
+def latency(scenario: Scenario, delay: Sequence[float]) -> Iterator[Point]:
     """Effect of a fixed delay on every link.
 
     Example: transport experiment latency --delay 0.1 --delay 0.3 --scenario resilient
     """
     for delay_s in sorted({0.0, *delay}):
-        setting = f"links.delay_s={delay_s!r}"
-        yield Point({"delay_s": delay_s}, _ms(delay_s), (setting,), baseline=delay_s == 0.0)
+        fixed = (f"links.delay_s={delay_s!r}", *without_jitter(scenario))
+        yield Point({"delay_s": delay_s}, _ms(delay_s), fixed, baseline=delay_s == 0.0)
+
+
+def without_jitter(scenario: Scenario) -> tuple[str, ...]:
+    """Return the setting that takes a scenario's own jitter away, if it has one."""
+    return () if scenario.links.jitter_s == 0.0 else (_NO_JITTER,)
+
+
+def without_bursts(scenario: Scenario) -> tuple[str, ...]:
+    """Return the setting that takes a scenario's own bursts of loss away, if it has them."""
+    return () if scenario.links.gilbert_elliott is None else (_NO_BURSTS,)
 
 
 @declared(
@@ -71,9 +82,8 @@ def loss(scenario: Scenario, loss: Sequence[float], burst: float) -> Iterator[Po
     Example: transport experiment loss --loss 0.3 --burst 10
     """
     # A loss of the scenario's own is left out.
-    links = scenario.links
-    no_bursts = () if links.gilbert_elliott is None else (_NO_BURSTS,)
-    no_loss = () if links.loss == 0.0 else (_NO_LOSS,)
+    no_bursts = without_bursts(scenario)
+    no_loss = () if scenario.links.loss == 0.0 else (_NO_LOSS,)
 
     yield Point({"model": NONE, "loss": 0.0}, "no loss", (_NO_LOSS, *no_bursts), baseline=True)
 
@@ -113,7 +123,7 @@ def _bursts(share: float, burst_ticks: float) -> str:
     mean=Values(0.16, "SECONDS", "Mean delay, s."),
 )
 def jitter(
-    _: Scenario, distribution: Sequence[str], std: Sequence[float], mean: float
+    scenario: Scenario, distribution: Sequence[str], std: Sequence[float], mean: float
 ) -> Iterator[Point]:
     """Effect of the distribution of random delays.
 
@@ -125,7 +135,7 @@ def jitter(
         yield Point(
             {"distribution": NONE, "std_s": 0.0, "mean_s": delay_s},
             f"constant {_ms(delay_s)}" if delay_s else "no delay",
-            (f"links.delay_s={delay_s!r}",),
+            (f"links.delay_s={delay_s!r}", *without_jitter(scenario)),
             baseline=delay_s == 0.0,
         )
 
@@ -164,19 +174,20 @@ def _jitter_settings(name: str, deviation_s: float, mean_s: float) -> tuple[str,
     delay=Values([0.0, 0.1, 0.2, 0.4], "SECONDS", "Delay, s.", quick=[0.0, 0.2]),
     loss=Values([0.0, 0.1, 0.3, 0.6], "SHARE", "Packet loss.", quick=[0.0, 0.3]),
 )
-def matrix(_: Scenario, delay: Sequence[float], loss: Sequence[float]) -> Iterator[Point]:
+def matrix(scenario: Scenario, delay: Sequence[float], loss: Sequence[float]) -> Iterator[Point]:
     """Maps of cost and completion over delay and loss.
 
     One map for each scenario: every delay with every loss, and none of either as the baseline.
 
     Example: transport experiment matrix --delay 0 --delay 0.2 --loss 0 --loss 0.3
     """
+    only = (*without_jitter(scenario), *without_bursts(scenario))
     for delay_s in sorted({0.0, *delay}):
         for share in sorted({0.0, *loss}):
             yield Point(
                 {"delay_s": delay_s, "loss": share},
                 f"{_ms(delay_s)} and {_percent(share)} loss",
-                (f"links.delay_s={delay_s!r}", f"links.loss={share!r}"),
+                (f"links.delay_s={delay_s!r}", f"links.loss={share!r}", *only),
                 baseline=delay_s == share == 0.0,
             )
 
@@ -195,7 +206,7 @@ def matrix(_: Scenario, delay: Sequence[float], loss: Sequence[float]) -> Iterat
     ),
     heartbeat=Values(1.0, "SECONDS", "Longest time between two plans, s."),
 )
-def sharing(_: Scenario, threshold: Sequence[float], heartbeat: float) -> Iterator[Point]:
+def sharing(scenario: Scenario, threshold: Sequence[float], heartbeat: float) -> Iterator[Point]:
     """Cost against the number of plans sent.
 
     On a perfect network and on one with 200 ms delay and 30 % packet loss.
@@ -204,6 +215,7 @@ def sharing(_: Scenario, threshold: Sequence[float], heartbeat: float) -> Iterat
 
     Example: transport experiment sharing --threshold 0.01 --threshold 0.1
     """
+    only = (*without_jitter(scenario), *without_bursts(scenario))
     for network, links in NETWORKS.items():
         # The baseline of each network sends all plans.
         for threshold_share in dict.fromkeys((0.0, *threshold)):
@@ -219,7 +231,7 @@ def sharing(_: Scenario, threshold: Sequence[float], heartbeat: float) -> Iterat
             yield Point(
                 {"network": network, "share_threshold": threshold_share},
                 f"{text}, {network}",
-                (*links, *shared),
+                (*links, *only, *shared),
                 baseline=not threshold_share,
                 group=network,
             )

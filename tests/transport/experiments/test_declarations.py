@@ -5,6 +5,7 @@ Points that can be simulated, impairments with the stated statistics, refused op
 
 import csv
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +126,24 @@ def test_a_loss_of_the_scenario_is_left_out() -> None:
         lost = np.array([not path.delays(tick) for tick in range(TICKS)])
         deviation = math.sqrt(share * (1.0 - share) * 10.0 / TICKS)
         assert abs(lost.mean() - share) <= 4.0 * deviation
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("latency", {"delay": [0.0]}),
+        ("jitter", {"distribution": ["uniform"], "std": [0.04], "mean": 0.16}),
+        ("matrix", {"delay": [0.0], "loss": [0.0]}),
+        ("sharing", {"threshold": [0.0], "heartbeat": 1.0}),
+    ],
+)
+def test_a_jitter_of_the_scenario_is_left_out(name: str, options: Mapping[str, Any]) -> None:
+    """The point without delay has none."""
+    own = "links.jitter_s=0.05"
+    points = EXPERIMENTS[name].experiment(scenarios("resilient", settings=(own,)), options).points
+    scenario = read_scenario(find_scenario("resilient"), [own, *points[0].settings])
+    path = Link(scenario.links, "agent1", "agent2", seed=0, period_s=0.05)
+    assert {delay for tick in range(TICKS) for delay in path.delays(tick)} == {0.0}
 
 
 def test_each_threshold_is_one_point() -> None:
