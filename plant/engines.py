@@ -166,14 +166,28 @@ class Engine:
 
     @property
     def tensions(self) -> Array:
-        """Least tension of each cable in the last interval, (N,), N; (0,) without cables."""
-        return np.asarray(getattr(self._physics, "tensions", ()), dtype=np.float64)
+        """Least tension of each cable in the last interval, (N,), N; (0,) without cables.
+
+        The last ones if the engine has failed.
+        """
+        if type(self._physics) is Rods or self.failure:
+            return self._tensions
+        with self._failing():
+            with errors_of("tensions"):
+                tensions = real_array(getattr(self._physics, "tensions", ()))
+            shapes = {self._tensions.shape} if len(self._tensions) else {(0,), (self._system.N,)}
+            if tensions.shape not in shapes:
+                expected = " or ".join(map(str, sorted(shapes)))
+                raise OwnClassError(f"tensions: expected shape {expected}, got {tensions.shape}")
+            self._tensions = tensions
+        return self._tensions
 
     def _build(self, system: System) -> None:
         """Make the engine of some bodies and give it the state. Raises: OwnClassError."""
         self._system = system
         methods = ("reset", "advance", "state")
         self._physics: Physics = new_object(self._make, methods, system, self._section)
+        self._tensions: Array = np.zeros(0)
         self._reset()
 
     def _reset(self) -> None:

@@ -63,6 +63,11 @@ FAILURES = {
         "return self.x",
         "expected a unit vector as rod direction of UAV1, got length 0.5",
     ),
+    "tensions": (
+        "self.tensions = [1.0]",
+        "return self.x",
+        "tensions: expected shape (0,) or (4,), got (1,)",
+    ),
     "nan": ("self.x[5] = float('nan')", "return self.x", "the state is no longer finite"),
     "long": ("raise ValueError('x' * 100_000)", "return self.x", "xxx (mine_long.py:4)"),
     "control": (
