@@ -111,11 +111,16 @@ class Engine:
 
     Its failure is data: `failure` says why the run ends.
 
+    Attributes:
+        failure: Why the engine has failed; "" if it has not.
+        tensions: Least tension of each cable in the last interval, (N,), N; (0,) without cables.
+
     Raises: ScenarioError: no such engine, or it does not take the initial state.
     """
 
     def __init__(self, setup: Setup, system: System) -> None:
         self.failure = ""
+        self.tensions: Array = np.zeros(0)
         self._section = setup.scenario.plant
         self._x: Array = setup.initial_state()
         try:
@@ -162,32 +167,14 @@ class Engine:
                 if told_error is not None and math.isfinite(told_error):
                     error = float(told_error)
             self._x = self._read()
+            self.tensions = self._read_tensions()
         return self._x, error
-
-    @property
-    def tensions(self) -> Array:
-        """Least tension of each cable in the last interval, (N,), N; (0,) without cables.
-
-        The last ones if the engine has failed.
-        """
-        if type(self._physics) is Rods or self.failure:
-            return self._tensions
-        with self._failing():
-            with errors_of("tensions"):
-                tensions = real_array(getattr(self._physics, "tensions", ()))
-            shapes = {self._tensions.shape} if len(self._tensions) else {(0,), (self._system.N,)}
-            if tensions.shape not in shapes:
-                expected = " or ".join(map(str, sorted(shapes)))
-                raise OwnClassError(f"tensions: expected shape {expected}, got {tensions.shape}")
-            self._tensions = tensions
-        return self._tensions
 
     def _build(self, system: System) -> None:
         """Make the engine of some bodies and give it the state. Raises: OwnClassError."""
         self._system = system
         methods = ("reset", "advance", "state")
         self._physics: Physics = new_object(self._make, methods, system, self._section)
-        self._tensions: Array = np.zeros(0)
         self._reset()
 
     def _reset(self) -> None:
@@ -217,6 +204,17 @@ class Engine:
             expected = f"expected a unit vector as rod direction of UAV{wrong[0] + 1}"
             raise OwnClassError(f"state: {expected}, got length {lengths[wrong[0]]:g}")
         return x
+
+    def _read_tensions(self) -> Array:
+        """Return the tensions of the engine's cables. Raises: OwnClassError: a wrong shape."""
+        with errors_of("tensions"):
+            tensions = real_array(getattr(self._physics, "tensions", ()))
+        cables = (self._system.N,)
+        has_cables = len(self.tensions) > 0
+        if tensions.shape != cables and (has_cables or tensions.shape != (0,)):
+            expected = f"{cables}" if has_cables else f"(0,) or {cables}"
+            raise OwnClassError(f"tensions: expected shape {expected}, got {tensions.shape}")
+        return tensions
 
     @contextmanager
     def _failing(self) -> Iterator[None]:

@@ -275,7 +275,7 @@ class PlantNode(Participant):
         error = UNKNOWN_ERROR  # less than any error
         actual = u
         mean = np.zeros_like(u)
-        tensions = np.full(len(self.engine.tensions), np.inf)
+        tensions = np.array([np.inf])  # the least ones have the shape of the engine's
         part_s = self._period_s / self._parts
 
         for _ in range(self._parts):
@@ -287,8 +287,7 @@ class PlantNode(Participant):
                 x, local_error = self.engine.advance(actual, forces, duration_s)
                 error = max(local_error, error)
                 mean = mean + duration_s / self._period_s * actual
-                if len(tensions):
-                    tensions = np.minimum(tensions, self.engine.tensions)
+                tensions = np.minimum(tensions, self.engine.tensions)
         return Integrated(x=x, error=error, actual=actual, mean=mean, tensions=tensions)
 
     def _actual_inputs(self, k: int, end: Integrated) -> list[Message]:
