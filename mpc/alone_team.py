@@ -13,10 +13,10 @@ from transport.model.hover import Hover
 from transport.model.linearisation import Model
 from transport.mpc.alone import AloneLaw, Course, course_of, motion_of
 from transport.mpc.fail_safe import FailSafe
+from transport.mpc.forming import undisturbed
 from transport.mpc.reference import Sampled
 from transport.mpc.regulation import Regulation
 from transport.mpc.settings import ControllerSettings
-from transport.mpc.team_law import undisturbed
 from transport.mpc.undisturbed import UndisturbedMotion
 
 _KEPT = 512  # ticks: more than estimators look back and horizons ahead

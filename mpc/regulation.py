@@ -4,22 +4,18 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from transport.model.arrays import Array
+from transport.model.flat import Track
 from transport.model.hover import Hover
 from transport.model.linearisation import Model
 from transport.mpc.expressions import UserCosts
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.feedback import FeedbackLaw
+from transport.mpc.forming import Followed, law_after_change, law_before_tracking, recursion_of
 from transport.mpc.hover_law import Crew
 from transport.mpc.reference import Change, Sampled
 from transport.mpc.regulator import Team
 from transport.mpc.settings import ControllerSettings
-from transport.mpc.team_law import (
-    Followed,
-    TeamLaw,
-    law_after_change,
-    law_before_tracking,
-    recursion_of,
-)
+from transport.mpc.team_law import TeamLaw
 from transport.mpc.tracking import Recursion
 
 
@@ -84,19 +80,31 @@ class Regulation:
         if law.regulator is None or law.track is None:
             return law
 
-        recursion = self._recursions.get(law.team)
-        if recursion is None:
-            if since is None or before is None:
-                recursion = recursion_of(law, None, law.track.first)
-            else:
-                recursion = recursion_of(law, before.tracker, since)
-            self._recursions[law.team] = recursion
-
+        recursion = self._recursion_of(law, law.track, before, since)
         if since is None or since >= recursion.ready:
             return replace(law, tracker=recursion.result())
         self._advancing = recursion
         meanwhile = recursion.meanwhile(law.team.off, self.crew.settings.horizon)
         return replace(law, tracker=meanwhile)
+
+    def _recursion_of(
+        self, law: TeamLaw, track: Track, before: TeamLaw | None, since: int | None
+    ) -> Recursion:
+        """Return the recursion of a team along the present reference.
+
+        A team that was formed before goes on with its recursion, of which a part may be computed.
+        Otherwise the law before holds until the given instant; without one the gains are those
+        along the whole reference, as an agent has them that starts in mid-run.
+        """
+        known = self._recursions.get(law.team)
+        if known is not None:
+            return known
+        if since is None or before is None:
+            recursion = recursion_of(law, None, track.first)
+        else:
+            recursion = recursion_of(law, before.tracker, since)
+        self._recursions[law.team] = recursion
+        return recursion
 
     def advance(self, instant: int) -> bool:
         """Continue the recursion of a new team at an instant.
@@ -119,12 +127,16 @@ class Regulation:
         """
         if reference.change is None:
             return False
-        completed = self._advancing is not None and self.advance(self._advancing.ready)
+        completed = self._complete()
         self._whole.follow(reference, reference.change)
         self._followed = replace(self._whole.followed, preview_before=self.current.preview)
         self._recursions.clear()
         self.current = law_after_change(self.current, self._followed)
         return completed
+
+    def _complete(self) -> bool:
+        """Take the result of a recursion that is under way, computing the rest of it."""
+        return self._advancing is not None and self.advance(self._advancing.ready)
 
     @property
     def whole(self) -> TeamLaw:

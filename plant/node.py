@@ -122,7 +122,7 @@ class PlantNode(Participant):
         while not self._diverged:
             tick = self._pending[0] if self._pending else None
             if tick and tick.tick == self._k and tick.roster <= self._membership.version:
-                out += self._measure(self._pending.popleft())
+                out += self._begin_tick(self._pending.popleft())
             elif self._can_integrate():
                 out += self._integrate(now_ns)
             else:
@@ -145,8 +145,8 @@ class PlantNode(Participant):
             senders &= set(self._pending[0].answered)
         return senders <= self._arrived.get(decisive, set())
 
-    def _measure(self, tick: Tick) -> list[Message]:
-        """Return the measurements of a tick, one for each agent on the roster."""
+    def _begin_tick(self, tick: Tick) -> list[Message]:
+        """Apply failures of UAVs; return the measurements, one for each agent on the roster."""
         self._tick = tick.tick
         self._fail_uavs(tick.tick)
         if self._sensors is not None:

@@ -2,6 +2,10 @@
 
 Modules are imported by the functions that need them: from its first line on, `main` decides what a
 signal does.
+
+    until the command runs   the process ends at once: `_leave`
+    while it runs            it is interrupted, and its exit code is 130: `_code_of_command`
+    once its code is known   nothing; a second one ends the process at once: `_end`
 """
 # ruff: noqa: E402  # Ctrl-C is decided before the other imports
 
@@ -39,7 +43,7 @@ if TYPE_CHECKING:
 def main() -> "NoReturn":
     """Run the command and end the process.
 
-    SIGTERM and SIGHUP end it like Ctrl-C, from the first import to the end.
+    SIGTERM and SIGHUP end it like Ctrl-C.
     """
     _leave_on_signals()
     if sys.getfilesystemencoding() != "utf-8" and os.environ.get("PYTHONUTF8") != "1":
@@ -56,8 +60,8 @@ def main() -> "NoReturn":
     except BaseException as error:  # noqa: BLE001  # `_end` leaves no time for Python's own report
         code = _code_of_error(error)
     finally:
-        while True:
-            with suppress(KeyboardInterrupt):  # until `_end` has its own handlers
+        while True:  # again if an interrupt comes before `_end` has its own handlers
+            with suppress(KeyboardInterrupt):
                 _end(code)
 
 
@@ -133,7 +137,7 @@ def _serve() -> "NoReturn":
     ):
         load(name)
     serve(socket.socket(fileno=int(sys.argv[2])), prepare, main)
-    os._exit(0)
+    os._exit(0)  # the processes that it forked run their exit functions, not the server
 
 
 def _end(code: int) -> "NoReturn":

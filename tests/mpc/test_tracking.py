@@ -19,10 +19,10 @@ from transport.model.phase import Phase
 from transport.model.state import R0, StateView, input_slice
 from transport.mpc.controller import Controller, StepResult
 from transport.mpc.course import Course
+from transport.mpc.forming import recursion_of
 from transport.mpc.reference import Sampled
 from transport.mpc.rollout import Actuation, rollout
 from transport.mpc.settings import ControllerSettings, Limits, Separation, Tension, Tilt, Weights
-from transport.mpc.team_law import recursion_of
 from transport.mpc.tracking import INSTANTS
 
 PERIOD_S = 0.05
