@@ -66,6 +66,11 @@ class Ramp:
             complete=(complete_s + heartbeat_s) / period_s,
         )
 
+    def not_before(self, age: float) -> "Ramp":
+        """Return a ramp as long that begins at least at an age."""
+        later = max(0.0, age - self.begins)
+        return Ramp(begins=self.begins + later, complete=self.complete + later)
+
     def share(self, age: float) -> float:
         """Return the share at an age, 0 to 1."""
         return min(max((age - self.begins) / (self.complete - self.begins), 0.0), 1.0)
@@ -86,10 +91,12 @@ class Silence:
     def of(period_s: float, *, is_filtered: bool, heartbeat_s: float = 0.0) -> "Silence":
         """Return the rule for a sampling period; plans come at the latest after a heartbeat, s."""
         overdue = Ramp.of(FILTERED_S if is_filtered else MEASURED_S, heartbeat_s, period_s)
+        # News of the tick before are on time, however long a period is.
+        late = Ramp.of(LATE_S, heartbeat_s, period_s).not_before(1.0)
         return Silence(
             overdue=overdue,
             uninformed=(_UNINFORMED_S + heartbeat_s) / period_s,
-            late=Ramp.of(LATE_S, heartbeat_s, period_s) if is_filtered else None,
+            late=late if is_filtered else None,
             forgets=_FORGETS_S / period_s,
             window=round(_WINDOW * overdue.complete),
             recent=max(1, round(_MEAN_S / period_s)),

@@ -108,8 +108,8 @@ class SensorEstimator:
         age of a sensor before.
         """
         self._reports.tell(tick, uav, report)
-        self._history.tell(tick - self._oldest)
-        self._history.outdate_after(tick - 1)
+        self._history.tell(tick - self._oldest)  # a further measurement of that tick's state
+        self._history.outdate_after(tick - 1)  # other inputs in the period before
 
     def change(self, failure: Failure) -> None:
         """Change the system at a tick, not before the previous change."""

@@ -49,6 +49,14 @@ def test_late_news_count_by_their_mean_age_with_a_filter() -> None:
     assert [measured.alone(age) for age in ages] == [0.0] * len(ages)
 
 
+@pytest.mark.parametrize("period_s", [0.05, 0.2, 2.0])
+def test_news_of_the_tick_before_are_never_late(period_s: float) -> None:
+    """On a perfect network no agent acts alone, however long its period is."""
+    rule = Silence.of(period_s, is_filtered=True)
+    assert rule.alone(NewsAge(mean=1.0, overdue=0.0)) == 0.0
+    assert rule.alone(NewsAge(mean=1.0 + 1.0 / period_s, overdue=0.0)) == 1.0
+
+
 def test_a_heartbeat_is_no_silence() -> None:
     """Where plans are sent on change, an agent waits for the heartbeat before it counts ages."""
     plain, shared = (
