@@ -128,7 +128,8 @@ class Bus:
         self._options = options or BusOptions()
         self._keys = Keys(place.run)
         self._clock = SteadyClock()
-        self._renewing = self.incarnation  # the newest incarnation of this process
+        self._renewing = self.incarnation  # the newest incarnation, announced or about to be
+        self._asks_again_s = 0.0  # monotonic time before which the coordinator is not asked again
         self._left: set[str] = set()  # processes that were up, and are not any more
         self._inbox: queue.SimpleQueue[tuple[int, _Item]] = queue.SimpleQueue()
         # What came for the node before this process had joined: older than all in the inbox.
@@ -297,12 +298,13 @@ class Bus:
 
         A process that was stopped for long reads messages of connections that have closed since: a
         roster without it, and then that the coordinator is gone. Announced between the two, it would
-        join the run and leave at once. Without an answer of the coordinator nothing is announced;
-        the next call tries again.
+        join the run and leave at once. Without an answer of the coordinator, for which this waits,
+        nothing is announced; calls try again, so seldom that this process goes on reading.
         """
-        if self._renewing == incarnation:
+        if self._renewing == incarnation or time.monotonic() < self._asks_again_s:
             return
         if self.ask(COORDINATOR, "status", timeout_s=_ANSWER_S) is None:
+            self._asks_again_s = time.monotonic() + _ANSWER_S
             return
         self._renewing = incarnation
         self._put(_Renewal(incarnation))

@@ -224,7 +224,7 @@ def test_a_new_incarnation_is_announced_after_all_that_came_before(
     key = KEYS.request("coordinator", "status")
     status = session.declare_queryable(key, lambda query: query.reply(key, "{}"))
     coordinator.undeclare()  # type: ignore[no-untyped-call]
-    time.sleep(0.5)
+    time.sleep(1.5)  # the coordinator is asked again
 
     bus.renew(1)
     arrival = bus.next(PATIENCE_S)
