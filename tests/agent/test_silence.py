@@ -5,17 +5,24 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from msgspec import structs
 
 from tests.support import runs
 from tests.support.runs import VEHICLE, completed, measurement
 from transport.agent.announced import AnnouncedInputs, SharedLaw, Silent, Untold
+from transport.agent.estimation.belief import Belief
 from transport.agent.estimation.estimator import sensor_estimator
+from transport.agent.estimation.gain_reuse import GainReuse
+from transport.agent.estimation.motion import Failure, Motion
 from transport.agent.estimation.team_filter import Period, Sensed, TeamFilter
+from transport.agent.estimation.vehicle_sensors import SensorEstimator
 from transport.agent.handover import LESS_THAN_OTHERS, Ramp, Silence
 from transport.model import state
-from transport.model.arrays import Array
+from transport.model.arrays import Array, ShapeError
+from transport.model.hover import motor_off_state
+from transport.model.linearisation import Model
 from transport.mpc.controller import Controller
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Message, Note, Plan, PlantState, StepReport
@@ -119,6 +126,43 @@ def test_an_estimate_out_of_range_begins_anew() -> None:
         assert np.isfinite(x).all()
         assert np.abs(state.StateView(x).Theta[:, :2]).max() < 1.5
     assert estimator.resets == {0}
+
+
+class Singular(GainReuse):
+    """A filter whose covariance cannot be computed when a failure sets entries of the state."""
+
+    def certain(self, belief: Belief, entries: npt.NDArray[np.intp]) -> Belief:
+        """Raise, as the zero-order hold does far out of range."""
+        raise ShapeError(f"{len(entries)} entries of {len(belief.x)}: out of range")
+
+
+def test_a_covariance_out_of_range_at_a_failure_begins_anew() -> None:
+    """The filter raises at the tick at which motors stop; the agent goes on, and counts it."""
+    run = runs.setup(*VEHICLE)
+    no_gain = np.zeros((run.system.m, run.system.n))
+    motion = Motion(
+        model=run.model,
+        reference=lambda tick: run.X_ref[tick],
+        period_s=run.settings.sampling_period_s,
+    )
+    team_filter = Singular(TeamFilter(run), run.owned[0])
+    estimator = SensorEstimator(motion, run.owned[0], team_filter, lambda _: no_gain, (0,) * 5)
+    announced = AnnouncedInputs(run.owned, run.hover.u, own=1)
+    for k in range(4):
+        if k == 2:
+            stopped = Model(run.system, off=[3])
+            estimator.change(
+                Failure(
+                    tick=2,
+                    model=stopped,
+                    hover=run.hover,
+                    moved=lambda x: motor_off_state(x, 3),
+                    own_left=run.owned[0],
+                )
+            )
+        x = estimator.estimate(k, announced)
+        assert np.isfinite(x).all()
+    assert estimator.resets == {2}
 
 
 def test_before_a_first_plan_the_others_follow_the_law() -> None:

@@ -301,3 +301,15 @@ def test_the_law_makes_late_states_exact() -> None:
     held = estimates(plant_state, led.late())
     missed = [np.abs(held[k] - plant_state.X[k]).max() for k in range(LATE, TICKS + 1)]
     assert np.mean(missed) > MISSED_BY_HELD_PLANS
+
+
+def test_a_prediction_that_is_no_number_is_the_reference() -> None:
+    """A rod that turns at 1000 rad/s makes the integration overflow to NaN, which exceeds no limit."""
+    run = setup(FOUR)
+    x = run.initial_state()
+    x[state.uav_slice(0)][state.ROD_RATE] = [1e3, 1e3, 1e3]
+    motion = Motion(model=run.model, reference=lambda _: run.initial_state(), period_s=PERIOD_S)
+    with np.errstate(all="ignore"):
+        end = run.model.advance(x, run.hover.u, PERIOD_S, motion.steps)
+    assert np.isnan(end).any()
+    np.testing.assert_array_equal(motion.predict(x, 0, run.hover.u, None), run.initial_state())
