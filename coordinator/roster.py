@@ -168,6 +168,8 @@ class TeamRoster:
             )
 
         if "groups" in given:
+            if given.keys() & {"from", "to"}:
+                raise RequestError("groups: expected neither from nor to beside it")
             groups = self._groups(given["groups"])
             ends = [
                 (sender, receiver)

@@ -150,6 +150,10 @@ def test_other_groups_are_refused(groups: Any) -> None:
             {"to": "coordinator", "settings": {"loss": 0.1}},
             "to: expected one of plant, agent1, agent2",
         ),
+        (
+            {"groups": [["agent1"], ["agent2"]], "to": "agent1", "settings": {"loss": 1.0}},
+            "groups: expected neither from nor to beside it",
+        ),
         ({"settings": {"samples_s": "x.csv"}}, "samples_s: expected a valid list, got 'x.csv'"),
         (
             {"settings": {"delay_s": 1e308}},

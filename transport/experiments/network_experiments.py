@@ -35,6 +35,7 @@ JITTER = {
 }
 
 _NO_JITTER = "links.jitter_s=0.0"
+_NO_SAMPLES = "links.distribution=uniform"
 _NO_LOSS = "links.loss=0.0"
 _NO_BURSTS = "links.gilbert_elliott={enter=0.0,leave=1.0,loss=0.0}"
 
@@ -59,12 +60,33 @@ def latency(scenario: Scenario, delay: Sequence[float]) -> Iterator[Point]:
 
 
 def without_jitter(scenario: Scenario) -> tuple[str, ...]:
-    """Return the setting that takes a scenario's own jitter away, if it has one."""
-    return () if scenario.links.jitter_s == 0.0 else (_NO_JITTER,)
+    """Return the settings that take a scenario's own random delays away, if it has any.
+
+    Raises: ExperimentError: the links are recorded ones.
+    """
+    _refuse_recorded(scenario)
+    links = scenario.links
+    settings = []
+    if links.jitter_s != 0.0:
+        settings.append(_NO_JITTER)
+    if links.distribution == "empirical":
+        settings.append(_NO_SAMPLES)
+    return tuple(settings)
+
+
+def _refuse_recorded(scenario: Scenario) -> None:
+    """Refuse a scenario with recorded links: they have delays and losses of their own."""
+    if scenario.links.trace is not None:
+        expected = "none, as the experiment sets delays and losses"
+        raise refused("links.trace", expected, f"{len(scenario.links.trace)} rows")
 
 
 def without_bursts(scenario: Scenario) -> tuple[str, ...]:
-    """Return the setting that takes a scenario's own bursts of loss away, if it has them."""
+    """Return the setting that takes a scenario's own bursts of loss away, if it has them.
+
+    Raises: ExperimentError: the links are recorded ones.
+    """
+    _refuse_recorded(scenario)
     return () if scenario.links.gilbert_elliott is None else (_NO_BURSTS,)
 
 

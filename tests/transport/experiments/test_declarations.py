@@ -137,13 +137,27 @@ def test_a_loss_of_the_scenario_is_left_out() -> None:
         ("sharing", {"threshold": [0.0], "heartbeat": 1.0}),
     ],
 )
-def test_a_jitter_of_the_scenario_is_left_out(name: str, options: Mapping[str, Any]) -> None:
+@pytest.mark.parametrize(
+    "own", ["links.jitter_s=0.05", "links={distribution='empirical',samples_s=[0.05,0.1]}"]
+)
+def test_a_jitter_of_the_scenario_is_left_out(
+    name: str, options: Mapping[str, Any], own: str
+) -> None:
     """The point without delay has none."""
-    own = "links.jitter_s=0.05"
     points = EXPERIMENTS[name].experiment(scenarios("resilient", settings=(own,)), options).points
     scenario = read_scenario(find_scenario("resilient"), [own, *points[0].settings])
     path = Link(scenario.links, "agent1", "agent2", seed=0, period_s=0.05)
     assert {delay for tick in range(TICKS) for delay in path.delays(tick)} == {0.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "options"), [("latency", {"delay": [0.1]}), ("loss", {"loss": [0.1], "burst": 5.0})]
+)
+def test_recorded_links_are_refused(name: str, options: Mapping[str, Any]) -> None:
+    """A recording has delays and losses of its own, which no setting takes away."""
+    recorded = scenarios("resilient", settings=("links.trace=[[0.0,0.05],[1.0,0.1]]",))
+    with pytest.raises(ExperimentError, match=r"links\.trace: expected none.*got 2 rows"):
+        EXPERIMENTS[name].experiment(recorded, options)
 
 
 def test_each_threshold_is_one_point() -> None:
