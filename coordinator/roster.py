@@ -8,7 +8,7 @@ from typing import Any
 
 from transport.protocol.scenario.errors import RequestError
 from transport.protocol.scenario.faults import failures
-from transport.protocol.scenario.link_changes import link_change, words_of
+from transport.protocol.scenario.link_changes import changed_in_words, link_change, words_of
 from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.target_planning import planned
@@ -153,9 +153,9 @@ class TeamRoster:
     def link(self, given: Mapping[str, Any], tick: int) -> list[LinkChange | Roster]:
         """Return the messages of a change of links that holds from a tick on.
 
-        The request has the "settings" to change, and a sender "from" and a receiver "to", each
-        omitted for any agent, or "groups" of agents: lists of names. The settings then apply to
-        all links from one group to another.
+        The request has the "settings" to change, and the links that change: a sender "from" and a
+        receiver "to", each omitted for any agent; or "groups" of agents, lists of names, for all
+        links from one group to another; or "all", for those of the plant as well.
 
         Raises: RequestError: the request is refused.
         """
@@ -167,25 +167,10 @@ class TeamRoster:
                 f"settings: expected at most {MAX_TEXT} characters, got {len(settings)}"
             )
 
-        if "groups" in given:
-            if given.keys() & {"from", "to"}:
-                raise RequestError("groups: expected neither from nor to beside it")
-            groups = self._groups(given["groups"])
-            ends = [
-                (sender, receiver)
-                for group, other in permutations(groups, 2)
-                for sender in group
-                for receiver in other
-            ]
-            words = " | ".join(", ".join(group) for group in groups)
-            reason = f"links between {words}: {settings}"[:MAX_TEXT]
-        else:
-            source, target = self._ends(given)
-            link_change(source, target, settings)  # refused here: agents take only valid changes
-            ends = [(source, target)]
-            reason = ""
-
         changes = []
+        ends, words = self._changed(given)
+        for source, target in ends:
+            link_change(source, target, settings)  # refused here: agents take only valid changes
         for source, target in ends:
             change = self._out.stamp(
                 LinkChange,
@@ -197,8 +182,30 @@ class TeamRoster:
             )
             self._links.append(change)
             changes.append(change)
-        reason = reason or f"{words_of(changes[0])}, from {self.time(tick)} on"
-        return [*changes, self.report(reason, tick)]
+        reason = changed_in_words(words, given["settings"]) if words else words_of(changes[0])
+        return [*changes, self.report(f"{reason}, from {self.time(tick)} on"[:MAX_TEXT], tick)]
+
+    def _changed(self, given: Mapping[str, Any]) -> tuple[list[tuple[str, str]], str]:
+        """Return sender and receiver of each link in a request, empty for any agent, and words.
+
+        The words are empty for one sender and receiver.
+        """
+        several = [name for name in ("groups", "all") if name in given]
+        if several and len(given.keys() & {"from", "to", "groups", "all"}) > 1:
+            raise RequestError(f"{several[0]}: expected no other links beside it")
+        if "all" in given:
+            return [("", ""), (PLANT, ""), ("", PLANT)], "all links"
+        if "groups" not in given:
+            return [self._ends(given)], ""
+
+        groups = self._groups(given["groups"])
+        ends = [
+            (sender, receiver)
+            for group, other in permutations(groups, 2)
+            for sender in group
+            for receiver in other
+        ]
+        return ends, f"links between {' | '.join(', '.join(group) for group in groups)}"
 
     def _ends(self, given: Mapping[str, Any]) -> tuple[str, str]:
         """Return sender and receiver in a request of a link, empty for any agent."""

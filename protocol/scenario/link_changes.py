@@ -79,7 +79,11 @@ def change_in_words(source: str, target: str, settings: Mapping[str, Any]) -> st
     sender = f" from {source}" if source else ""
     receiver = f" to {target}" if target else ""
     links = f"links{sender}{receiver}" if source or target else "links between agents"
+    return changed_in_words(links, settings)
 
+
+def changed_in_words(links: str, settings: Mapping[str, Any]) -> str:
+    """Return the change of some links, in words, in words."""
     if PERFECT.items() <= settings.items():
         return f"{links} cleared"
     values = ", ".join(f"{key} {value!s:.40}" for key, value in settings.items())

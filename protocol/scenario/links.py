@@ -84,7 +84,8 @@ class Link:
         # Each change keeps the keys that it does not give from the epoch before.
         del self._epochs[1:]
         for one in self._changes:
-            section = self._epochs[-1].section.model_copy(update=one.keys)
+            before = self._epochs[-1].section
+            section = before.model_copy(update={**_ended(before, one.keys), **one.keys})
             self._epochs.append(Epoch(one.first_tick, section, section.perfect))
 
     def impairments(self, tick: int) -> LinkSection:
@@ -199,6 +200,16 @@ def traced_delay_s(trace: Sequence[Sequence[float]], sent_s: float) -> float:
     at_s = begin_s + sent_s % duration_s
     row = bisect_right(trace, at_s + _SLACK, key=itemgetter(0)) - 1
     return trace[max(row, 0)][1]
+
+
+def _ended(before: LinkSection, keys: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the keys that end recorded or measured delays, where a change gives others."""
+    ended: dict[str, Any] = {}
+    if keys.keys() & {"delay_s", "jitter_s", "distribution", "samples_s"}:
+        ended["trace"] = None
+    if before.distribution == "empirical" and keys.keys() & {"delay_s", "jitter_s"}:
+        ended["distribution"] = "uniform"
+    return ended
 
 
 def _section_of(links: LinksSection, sender: str, receiver: str) -> LinkSection:

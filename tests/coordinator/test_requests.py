@@ -19,6 +19,7 @@ from tests.support.coordinator_clock import (
 )
 from tests.support.coordinator_clock import ready as is_ready
 from tests.support.nodes import CoordinatorNode
+from transport.protocol.scenario.link_changes import PERFECT
 from transport.protocol.wire.messages import LinkChange, Message, Request, Roster
 
 
@@ -113,6 +114,17 @@ def test_a_cut_between_groups() -> None:
     assert roster.reason.startswith("links between agent1 | agent2, agent3")
 
 
+def test_all_links_are_cleared_at_one_tick() -> None:
+    """Those between agents, from the plant and to it."""
+    node = started(coordinator())
+    _, sent = answer_to(node, "link", all=True, settings=dict(PERFECT))
+    *changes, roster = sent
+    ends = [(one.source, one.target) for one in changes if isinstance(one, LinkChange)]
+    assert ends == [("", ""), ("plant", ""), ("", "plant")]
+    assert isinstance(roster, Roster)
+    assert roster.reason == "all links cleared, from t = 0.05 s on"
+
+
 @pytest.mark.parametrize("end", ["agent1", "plant"])
 def test_a_link_from_a_process_to_itself_is_refused(end: str) -> None:
     """Agents would refuse the change, and with it all later ones: none is sent."""
@@ -152,8 +164,9 @@ def test_other_groups_are_refused(groups: Any) -> None:
         ),
         (
             {"groups": [["agent1"], ["agent2"]], "to": "agent1", "settings": {"loss": 1.0}},
-            "groups: expected neither from nor to beside it",
+            "groups: expected no other links beside it",
         ),
+        ({"all": True, "from": "agent1", "settings": {"loss": 1.0}}, "all: expected no other"),
         ({"settings": {"samples_s": "x.csv"}}, "samples_s: expected a valid list, got 'x.csv'"),
         (
             {"settings": {"delay_s": 1e308}},

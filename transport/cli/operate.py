@@ -25,7 +25,7 @@ from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.named_files import points_of
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.wire.keys import Keys
-from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER
+from transport.protocol.wire.names import COORDINATOR, RECORDER
 
 # Numbers in the answer of a process to `health` (docs/protocol.md): name in Prometheus and
 # description. Two only grow.
@@ -220,6 +220,12 @@ def set_links(
     receiver: str | None = Option(
         None, "--to", metavar="PROCESS", help="Receiver, in the same way."
     ),
+    groups: str | None = Option(
+        None,
+        "--between",
+        metavar="GROUPS",
+        help="All links from one group of agents to another instead, such as 1,2/3,4.",
+    ),
     output: FormatOption = Format.text,
 ) -> None:
     """Impair or repair links from the next tick on.
@@ -227,12 +233,20 @@ def set_links(
     Options that are not given keep their values.
 
     Example: transport link set --from 1 --to 2 --delay 0.1
+
+    Example: transport link set --between 1,2/3,4 --loss 1
     """
     if not settings:
         fail("expected at least one of --delay, --jitter, --loss, ..., got none")
     link_change("", "", json.dumps(settings))
-    ends = {"from": _process_name(sender), "to": _process_name(receiver)}
-    answer = run.ask(COORDINATOR, "link", {**ends, "settings": settings})
+    changed: dict[str, Any] = {}
+    if sender is not None:
+        changed["from"] = _process_name(sender)
+    if receiver is not None:
+        changed["to"] = _process_name(receiver)
+    if groups is not None:
+        changed["groups"] = _groups(groups)
+    answer = run.ask(COORDINATOR, "link", {**changed, "settings": settings})
     show(output, answer, f"links change with tick {answer['tick']} (t = {answer['t_s']:.2f} s)")
 
 
@@ -242,17 +256,19 @@ def clear_links(run: ActiveRun, output: FormatOption = Format.text) -> None:
 
     Example: transport link clear
     """
-    for ends in ({}, {"from": PLANT}, {"to": PLANT}):
-        answer = run.ask(COORDINATOR, "link", {**ends, "settings": dict(PERFECT)})
+    answer = run.ask(COORDINATOR, "link", {"all": True, "settings": dict(PERFECT)})
     cleared = "all links: delay 0, loss 0, no other impairment"
     show(output, answer, f"{cleared}, from tick {answer['tick']} on (t = {answer['t_s']:.2f} s)")
 
 
-def _process_name(end: str | None) -> str:
-    """Return the name of a process given as 2, agent2 or plant; empty for all agents."""
-    if end is None:
-        return ""
+def _process_name(end: str) -> str:
+    """Return the name of a process given as 2, agent2 or plant."""
     return f"agent{end}" if end.isdecimal() else end
+
+
+def _groups(text: str) -> list[list[str]]:
+    """Return the names of agents in groups given as 1,2/3,4."""
+    return [[_process_name(name.strip()) for name in group.split(",")] for group in text.split("/")]
 
 
 @with_options(ActiveRun)

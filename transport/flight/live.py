@@ -22,7 +22,7 @@ from transport.protocol.scenario.link_changes import PERFECT
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.keys import ROUTER
 from transport.protocol.wire.messages import agent_name
-from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER
+from transport.protocol.wire.names import COORDINATOR, RECORDER
 
 _FILE = "live.json"
 # Process ids have 31 bits in POSIX; an id of 0 or below would mean a group.
@@ -150,8 +150,7 @@ class Commands:
 
     def clear(self) -> None:
         """Make all links perfect, those of the plant included."""
-        for ends in ({}, {"from": PLANT}, {"to": PLANT}):
-            self._requests.put((COORDINATOR, "link", {**ends, "settings": PERFECT}))
+        self._requests.put((COORDINATOR, "link", {"all": True, "settings": PERFECT}))
 
     def target(self, place: Array) -> None:
         """Send the payload to a position, (3,), inertial frame, m."""
