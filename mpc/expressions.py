@@ -36,6 +36,8 @@ _NORM_FLOOR = 1e-18
 _CASADI_FUNCTIONS = ("dot", "cross", "sin", "cos", "tan", "sqrt", "exp", "fabs", "fmin", "fmax")
 _FUNCTIONS: dict[str, Callable[..., Any]] = {name: getattr(ca, name) for name in _CASADI_FUNCTIONS}
 _FUNCTIONS["norm"] = lambda a: ca.sqrt(ca.sumsqr(a) + _NORM_FLOOR)
+# Largest violation of a hard constraint at hover that counts as rounding.
+_KEPT_WITHIN = 1e-6
 
 # What an expression is of: x, (n,), or u, (m,).
 Variable = Literal["state", "input"]
@@ -249,14 +251,23 @@ def check_costs(
 def check_constraints(
     constraints: Sequence[Constraint], system: System, x: Array, u: Array
 ) -> None:
-    """Check that constraints can be read and are finite at the start, x, (n,), and u, (m,).
+    """Check that constraints can be read and are finite at the start, x, (n,), and hover, u, (m,).
 
-    Raises: SettingsError: the first that is not.
+    Those on inputs are hard: a team that cannot hover within them falls.
+
+    Raises: SettingsError: the first that is not, or that hover breaks.
     """
     on_states, on_inputs = compile_constraints(constraints, system)
     for part, point in ((on_states, x), (on_inputs, u)):
         for text, value, slope in zip(part.texts, *part.at(point), strict=True):
             _check_finite(f"constraint {text!r}", value, slope, "at the start")
+
+    values, _ = on_inputs.at(u)
+    excess = np.where(on_inputs.equality, np.abs(values), values)
+    for text, by in zip(on_inputs.texts, excess, strict=True):
+        if by > _KEPT_WITHIN:
+            expected = "expected inputs that allow hover, as a constraint on them is hard"
+            raise SettingsError(f"constraint {text!r}: {expected}, got one broken there by {by:.4g}")
 
 
 def _check_finite(label: str, value: float, slope: Array, where: str) -> None:
@@ -344,7 +355,21 @@ def _value(node: ast.AST, names: dict[str, Any], label: str) -> Any:
         case ast.Subscript(value=value, slice=ast.Constant(value=int() as index)) if not isinstance(
             index, bool
         ):
-            return _evaluate(value, names, label)[index]
-        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in _FUNCTIONS:
+            return _component(_evaluate(value, names, label), index, ast.unparse(node), label)
+        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
+            if name not in _FUNCTIONS:
+                known = ", ".join(_FUNCTIONS)
+                raise SettingsError(f"{label}: unknown function {name!r}; known: {known}")
             return _FUNCTIONS[name](*[_evaluate(argument, names, label) for argument in arguments])
-    raise SettingsError(f"{label}: {ast.unparse(node)!r} is not allowed; see mpc/expressions.py")
+    expected = "expected numbers, names, components such as r0[2], + - * / ** and functions"
+    raise SettingsError(f"{label}: {ast.unparse(node)!r} is not allowed; {expected}")
+
+
+def _component(vector: Any, index: int, text: str, label: str) -> Any:
+    """Return a component of a vector. Raises: SettingsError: it has no such one."""
+    size = vector.numel() if isinstance(vector, ca.SX) else 1
+    if size == 1:
+        raise SettingsError(f"{label}: {text!r}: expected a component of a vector, got a number")
+    if not 0 <= index < size:
+        raise SettingsError(f"{label}: {text!r}: expected a component 0 to {size - 1}")
+    return vector[index]

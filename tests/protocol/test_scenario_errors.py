@@ -321,7 +321,7 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         "controller.constraint=[{expression='thrust1 <= r0[0]'}]",
         "expected states or inputs, got both",
     ),
-    ("controller.constraint=[{expression='__import__(1) <= 1'}]", "is not allowed"),
+    ("controller.constraint=[{expression='__import__(1) <= 1'}]", "unknown function '__import__'"),
     # Terms of the cost.
     ("controller.cost=[{expression='v9',weight=1}]", "cost 'v9': unknown name 'v9'; known: Omega1"),
     ("controller.cost=[{expression='v0[0] -',weight=1}]", "cost 'v0[0] -': cannot be read"),
