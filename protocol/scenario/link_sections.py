@@ -16,7 +16,7 @@ from pydantic import (
 )
 
 from transport.mpc.settings import Key, NotNegative, Positive, Section
-from transport.protocol.scenario.named_files import delays_of, trace_of
+from transport.protocol.scenario.named_files import TableError, delays_of, trace_of
 from transport.protocol.wire.names import PLANT
 
 Probability = Annotated[float, Interval(ge=0.0, le=1.0)]
@@ -42,11 +42,18 @@ def _read_samples(value: Any, info: ValidationInfo) -> Any:
 def _read_trace(value: Any, info: ValidationInfo) -> Any:
     """Return the rows in a file of a trace, as `_read_samples` does of delays."""
     if isinstance(value, str) and info.context is not None:
-        return trace_of(info.context / value)
+        path = info.context / value
+        rows = trace_of(path)
+        try:
+            return _checked_trace(rows, first_row=2)  # after the heading
+        except ValueError as error:
+            raise TableError(f"{path}: {error}") from error
     return value
 
 
-def _checked_trace(rows: list[list[float]] | None) -> list[list[float]] | None:
+def _checked_trace(
+    rows: list[list[float]] | None, *, first_row: int = 1
+) -> list[list[float]] | None:
     """Return the rows of a trace.
 
     Raises: ValueError: too few, bad, not in the order of times, or with delays in milliseconds.
@@ -57,7 +64,7 @@ def _checked_trace(rows: list[list[float]] | None) -> list[list[float]] | None:
         raise ValueError(f"expected at least two rows of a time and a delay, got {len(rows)}")
 
     before_s = -math.inf
-    for number, row in enumerate(rows, start=1):
+    for number, row in enumerate(rows, start=first_row):
         if len(row) != 2:
             raise ValueError(f"row {number}: expected a time and a delay, got {row}")
         time_s, delay_s = row

@@ -1,5 +1,6 @@
 """Relations between the fields of a scenario, checked once each field is valid by itself."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -105,6 +106,20 @@ def _ownership(scenario: Scenario) -> Problems:
     owned = sorted(uav for group in scenario.owned for uav in group)
     if owned != ids:
         yield "agents.owned", f"each UAV of {ids} once", owned
+
+
+def after_the_end(scenario: Scenario) -> Iterator[str]:
+    """Yield, in words, the scripted events that come after the end of the run: none happens."""
+    end_s = math.fsum(phase.duration_s for phase in scenario.maneuver.phase)
+    links = scenario.links
+    times_s = {
+        **{f"faults.event.{i}.at_s": one.at_s for i, one in enumerate(scenario.faults.event, 1)},
+        **{f"links.change.{i}.at_s": one.at_s for i, one in enumerate(links.change, 1)},
+        **{f"links.partition.{i}.start_s": one.start_s for i, one in enumerate(links.partition, 1)},
+    }
+    for field, at_s in times_s.items():
+        if at_s >= end_s:
+            yield f"{field}: {at_s:g} s is after the end of the run at {end_s:g} s, so it does not happen"
 
 
 def _links(scenario: Scenario) -> Problems:

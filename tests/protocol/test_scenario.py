@@ -10,7 +10,13 @@ import pytest
 import tomli_w
 
 from tests.support.runs import PAPER, SCENARIOS, setup
-from transport.protocol.scenario.file import ScenarioError, read_scenario, validate
+from transport.protocol.scenario.file import (
+    ScenarioError,
+    find_scenario,
+    read_scenario,
+    validate,
+)
+from transport.protocol.scenario.relations import after_the_end
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
 
@@ -323,3 +329,22 @@ def test_a_spline_passes_different_way_points() -> None:
                 read_scenario(PAPER, [phase % (points, duration)])
     timed = read_scenario(PAPER, [phase % ("[[1,0,0],[1,0,0],[2,0,0]]", "times_s=[4,5,9]")])
     assert timed.maneuver.phase[0].duration_s == 9.0
+
+
+def test_events_after_the_end_are_told() -> None:
+    """A time in milliseconds is a valid one at which nothing happens any more."""
+    scenario = read_scenario(
+        find_scenario("paper"),
+        [
+            "faults.event=[{at_s=8000.0,do='kill',target='agent3'}]",
+            "links.change=[{at_s=1.0,loss=1.0},{at_s=2000.0,loss=0.0}]",
+            "links.partition=[{between=['agent1'],start_s=25.0,end_s=26.0}]",
+        ],
+    )
+    told = list(after_the_end(scenario))
+    assert [text.split(":")[0] for text in told] == [
+        "faults.event.1.at_s",
+        "links.change.2.at_s",
+        "links.partition.1.start_s",
+    ]
+    assert told[0].endswith("8000 s is after the end of the run at 25 s, so it does not happen")

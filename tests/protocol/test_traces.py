@@ -68,6 +68,10 @@ def test_a_trace_comes_from_a_file(tmp_path: Path) -> None:
         (tmp_path / "roof.csv").write_text(content)
         with pytest.raises(ScenarioError, match="trace"):
             Setup.of(validate(tree, source), source)
+    # Rows of a file are counted from its heading on.
+    (tmp_path / "roof.csv").write_text("t_s,delay_s\n0.0,12\n0.1,0.1\n")
+    with pytest.raises(ScenarioError, match=r"roof\.csv: row 2: expected seconds, at most 10"):
+        Setup.of(validate(tree, source), source)
 
 
 def test_a_table_of_a_trace_is_read_as_all_tables(tmp_path: Path) -> None:

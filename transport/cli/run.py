@@ -12,6 +12,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Self
 
+import typer
 from rich.console import Console
 from typer import Option
 
@@ -22,6 +23,7 @@ from transport.flight.harness import Child, start_child
 from transport.flight.run import simulate
 from transport.flight.run_files import new_folder
 from transport.protocol.network.endpoints import process_names
+from transport.protocol.scenario.relations import after_the_end
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
 from transport.protocol.wire.names import COORDINATOR
@@ -60,6 +62,8 @@ def run(
     setup = options.read_setup(scenario, settings, allow_large=allow_large)
     started_by_user = external or []
     _check_external(setup, started_by_user)
+    for problem in after_the_end(setup.scenario):
+        typer.echo(f"warning: {problem}", err=True)
     folder = out if out is not None else new_folder(options.RUNS, setup.scenario.name)
 
     viewer: ViewerBeside | nullcontext[None] = nullcontext()

@@ -16,6 +16,7 @@ from transport.model.state import INPUTS
 from transport.protocol.scenario.budget import check_budget, estimate
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.radio_settings import slot_lengths
+from transport.protocol.scenario.relations import after_the_end
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.team import FEWEST, MOST, Team, given_values
 from transport.protocol.wire.exit_codes import EXIT_CHECK_FAILED
@@ -148,6 +149,8 @@ def validate(
     slots = slot_lengths(setup)
     if slots is not None:
         typer.echo(f"radio{'' if slots.are_enough else ', warning'}: {slots.text()}", err=True)
+    for problem in after_the_end(setup.scenario):
+        typer.echo(f"warning: {problem}", err=True)
     typer.echo(f"estimate: {estimate(setup.scenario).text()}", err=True)
 
 
