@@ -267,7 +267,9 @@ def check_constraints(
     for text, by in zip(on_inputs.texts, excess, strict=True):
         if by > _KEPT_WITHIN:
             expected = "expected inputs that allow hover, as a constraint on them is hard"
-            raise SettingsError(f"constraint {text!r}: {expected}, got one broken there by {by:.4g}")
+            raise SettingsError(
+                f"constraint {text!r}: {expected}, got one broken there by {by:.4g}"
+            )
 
 
 def _check_finite(label: str, value: float, slope: Array, where: str) -> None:

@@ -37,9 +37,7 @@ def test_losses_act_beside_a_trace() -> None:
     assert [link.delays(tick) for tick in range(4)] == [[], [], [], []]
 
 
-@pytest.mark.parametrize(
-    "before", [TRACE, "links={distribution='empirical',samples_s=[0.3,0.4]}"]
-)
+@pytest.mark.parametrize("before", [TRACE, "links={distribution='empirical',samples_s=[0.3,0.4]}"])
 def test_a_delay_given_later_takes_the_place_of_recorded_ones(before: str) -> None:
     """From the change on messages have its delay; a change of the loss leaves the recorded ones."""
     change = "links.change=[{at_s=0.1,loss=0.0},{at_s=0.2,delay_s=0.6}]"

@@ -69,6 +69,7 @@ def operated(
                 invoke("link", "set", "--from", "9", "--loss", "0.1"),
                 invoke("link", "set", "--distribution", "gauss"),
                 invoke("link", "set"),
+                invoke("link", "set", "--between", "1,2/9", "--loss", "1"),
                 invoke("status", "--run", "nowhere"),
             ]
             succeed("link", "set", "--from", "1", "--to", "2", "--delay", "0.2")
@@ -94,6 +95,7 @@ def operated(
             succeed("fault", "continue", "agent4")
             assert wait_for(lambda: members() == [1, 2, 3, 4])
             succeed("link", "clear")
+            succeed("link", "set", "--between", "1/2,3", "--loss", "0")
             tick = json.loads(succeed("status", "--format", "json"))["tick"]
             assert wait_for(
                 lambda: json.loads(succeed("status", "--format", "json"))["tick"] > tick + 10
@@ -129,6 +131,7 @@ def test_impossible_requests_are_refused(
         "from: expected one of plant, agent1, agent2, agent3, agent4, got 'agent9'",
         "distribution: expected 'uniform'",
         "expected at least one of --delay, --jitter, --loss, ..., got none",
+        "groups: expected two or more lists of agents, each once, got [['agent1', 'agent2'], ['agent9']]",
         "no active run in nowhere; name its folder with --run",
         "agent3 is not running",
         "no active run in runs/",
@@ -144,7 +147,9 @@ def test_links_by_hand(log: RunLog) -> None:
     """Changes are in the log and apply to the named links from their tick on until they are cleared."""
     changes = list(log.of(LinkChange))
     first = {change.number: change for change in changes}
-    assert list(first) == [1, 2, 3, 4, 5]
+    assert list(first) == list(range(1, 10))
+    cleared_at, cut_at = {first[i].tick for i in (3, 4, 5)}, {first[i].tick for i in (6, 7, 8, 9)}
+    assert (len(cleared_at), len(cut_at)) == (1, 1)
     assert (first[1].source, first[1].target, json.loads(first[1].settings)) == (
         "agent1",
         "agent2",

@@ -43,6 +43,13 @@ def test_leaving_the_debugger_ends_the_replay(folder: Path, text: str) -> None:
 
 
 @pytest.mark.slow
+def test_the_debugger_leads_into_the_step(folder: Path) -> None:
+    """As docs/replay.md says: `node` is the agent, and a breakpoint at its `receive` is reached."""
+    done = debugged(folder, "tbreak node.receive\nc\np (self.name, event.tick)\nq\n")
+    assert "('agent1', 3)" in done.stdout
+
+
+@pytest.mark.slow
 def test_going_on_compares_the_plans(folder: Path) -> None:
     """After `continue` all plans are compared."""
     done = debugged(folder, "c\n")

@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import re
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -268,7 +269,10 @@ def _process_name(end: str) -> str:
 
 def _groups(text: str) -> list[list[str]]:
     """Return the names of agents in groups given as 1,2/3,4."""
-    return [[_process_name(name.strip()) for name in group.split(",")] for group in text.split("/")]
+    return [
+        [_process_name(name.strip()) for name in group.split(",")]
+        for group in re.split("[/|]", text)
+    ]
 
 
 @with_options(ActiveRun)

@@ -29,6 +29,7 @@ from transport.report.replay_figure import draw_replay
 # Smaller differences of thrusts, N, and of moments, N m, or body rates, rad/s, are rounding: other
 # numbers on the way to the same decision.
 _ROUNDING = 1e-6
+_BY_HAND = "links or processes were changed by hand"
 
 
 def _owned(setup: Setup) -> list[list[int]]:
@@ -144,10 +145,11 @@ def replay(
 def _debugger_at(tick: int | None) -> Callable[[AgentNode, Measurement], None]:
     """Return a function that opens the debugger before an agent gets the measurement of a tick."""
 
-    def before(_: AgentNode, measurement: Measurement) -> None:
+    # In the debugger `node` is the agent: `tbreak node.receive` and `c` lead into its step.
+    def before(node: AgentNode, measurement: Measurement) -> None:  # noqa: ARG001
         if measurement.tick == tick:
             leave_interrupts_to_python()
-            breakpoint()  # the next call is of the agent's `receive`
+            breakpoint()
 
     return before
 
@@ -263,8 +265,8 @@ def _notes(
     if run.log.cut:
         yield run.log.cut
     if run.setup.scenario.clock.mode == "realtime":
-        exceptions = "links have jitter, reordering or duplicates, or measurements are delayed"
-        yield f"real time: exact unless {exceptions}"
+        exceptions = "links have jitter, reordering, duplicates or delays that become shorter"
+        yield f"real time: exact unless {exceptions}, measurements are delayed, or {_BY_HAND}"
     if comparison.first is not None and not is_changed:
         recorded = [run.log.header.get(name) for name in ("versions", "machine")]
         if recorded != [versions(), machine()]:

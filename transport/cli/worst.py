@@ -25,7 +25,12 @@ _INDENTED: Any = {"initial_indent": " " * 8, "subsequent_indent": " " * 8}
 def worst(
     scenario: ScenarioArgument = "resilient",
     settings: SetOption = None,
-    budget: Annotated[int, Option(metavar="COUNT", min=1, help="Cases to simulate.")] = 300,
+    budget: Annotated[
+        int,
+        Option(
+            metavar="COUNT", min=1, help="Cases to simulate, in eights; a minimal case takes more."
+        ),
+    ] = 300,
     over: Annotated[
         str,
         Option(
