@@ -11,7 +11,7 @@ from typer.testing import CliRunner, Result
 from tests.support import logs, runs
 from transport.cli.main import app
 from transport.log.run_log import open_run
-from transport.report.compare import Compared, doubts, rows
+from transport.report.compare import Compared, doubts, rows, settings_apart
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +69,23 @@ def test_unequal_runs_are_noted(folders: dict[str, Path], tmp_path: Path) -> Non
     assert header == ["quantity", "unit", "first", "other", "other, more than first (%)"]
     flown = next(line for line in lines if line[0] == "simulated time")
     assert np.allclose([float(cell) for cell in flown[2:]], [1.5, 0.5, -200.0 / 3.0])
+
+
+def test_settings_apart(folders: dict[str, Path], tmp_path: Path) -> None:
+    """The keys of the scenarios that differ are listed, with the values of all runs."""
+    usual, late, other = (
+        Compared.of(name, open_run(folders[name])) for name in ("usual", "late", "other")
+    )
+    assert settings_apart([usual, usual]) == []
+    assert [tuple(one) for one in settings_apart([usual, late])] == [
+        ("controller.received_plans", ("by_one", "by_age")),
+        ("links.delay_s", (0.0, 0.1)),
+    ]
+    phases, weight = settings_apart([usual, other])[:2]
+    assert (phases.key, len(phases.values[0])) == ("maneuver.phase", 2)
+    assert weight == ("controller.weights.attitude", (5.0, 6.0))
+    result = ask(f"a={folders['usual']}", f"b={folders['late']}", "--out", tmp_path, "--no-figures")
+    assert "links.delay_s" in result.stdout
 
 
 def test_json(folders: dict[str, Path], tmp_path: Path) -> None:

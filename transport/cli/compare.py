@@ -12,8 +12,19 @@ from transport.cli.output import Format, blame, fail, rows, show
 from transport.flight.run_files import new_folder
 from transport.log.run_log import open_run
 from transport.log.whole_files import write_csv
-from transport.report.compare import Compared, Row, doubts, draw_compared
+from transport.report.compare import (
+    Compared,
+    Row,
+    Setting,
+    doubts,
+    draw_compared,
+    settings_apart,
+)
 from transport.report.compare import rows as quantities
+
+# Heading of the settings that differ, how many are shown, and characters of a value.
+_SETTINGS = "settings that differ"
+_MOST_SETTINGS, _LONGEST_SHOWN = 20, 20
 
 
 def compare(
@@ -50,14 +61,22 @@ def compare(
 
     for note in notes:
         typer.echo(f"note: {note}", err=True)
+    apart = settings_apart(compared)
     content = {
         "runs": [{"label": one.label, "folder": str(one.run.folder)} for one in compared],
         "quantities": [row._asdict() for row in table],
+        "settings": [setting._asdict() for setting in apart],
         "notes": notes,
         "files": [str(file) for file in files],
     }
     shown = [_in_words(row, labels) for row in table]
-    show(output, content, rows(shown, ""), *(f" {file}" for file in files))
+    tables = [rows(shown, "")]
+    if apart:
+        told = [_setting_in_words(setting, labels) for setting in apart[:_MOST_SETTINGS]]
+        tables += ["", rows(told, _SETTINGS)]
+    if len(apart) > _MOST_SETTINGS:
+        tables.append(f" and {len(apart) - _MOST_SETTINGS} more settings")
+    show(output, content, *tables, *(f" {file}" for file in files))
 
 
 def _chosen(runs: Sequence[str]) -> list[Compared]:
@@ -99,6 +118,22 @@ def _in_words(row: Row, labels: Sequence[str]) -> dict[str, Any]:
             difference = f"{percent:+.1f}%" if percent else "="
             line[label] = f"{value:.4g}  {difference:>7}"
     return line
+
+
+def _setting_in_words(setting: Setting, labels: Sequence[str]) -> dict[str, str]:
+    """Return a line of the table of settings that differ."""
+    values = map(_shortly, setting.values)
+    return {_SETTINGS: setting.key, **dict(zip(labels, values, strict=True))}
+
+
+def _shortly(value: Any) -> str:
+    """Return a value of a scenario in few words."""
+    if value is None or value == []:
+        return "-"
+    if isinstance(value, list) and any(isinstance(entry, list | dict) for entry in value):
+        return f"{len(value)} entries"
+    text = str(value)
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
 
 
 def _read(arguments: Sequence[str]) -> Iterator[Compared]:

@@ -1,6 +1,6 @@
 """Comparison of recorded runs: quantities with differences from the first run, caveats, figure."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -130,6 +130,46 @@ _SHARED: tuple[tuple[str, Callable[[Compared], Any], str], ...] = (
     ("cost function", lambda one: one.run.setup.settings.cost, "costs are not comparable"),
     ("machine", lambda one: one.summary["machine"], "times do not only depend on the controller"),
 )
+
+
+class Setting(NamedTuple):
+    """A key of the scenario that the compared runs do not all have alike."""
+
+    key: str
+    values: tuple[Any, ...]  # of each run; None where it has none
+
+
+# Keys that change no flight.
+_WITHOUT_EFFECT = ("name", "network.")
+
+
+def settings_apart(runs: Sequence[Compared]) -> list[Setting]:
+    """Return the keys of the scenarios that differ between runs."""
+    trees = [one.run.setup.scenario.tree() for one in runs]
+    apart = _apart("", trees)
+    return [one for one in apart if not one.key.startswith(_WITHOUT_EFFECT)]
+
+
+def _apart(key: str, values: Sequence[Any]) -> Iterator[Setting]:
+    """Yield the keys at and below a dotted key whose values differ; entries count from 1."""
+    first = values[0]
+    if all(value == first for value in values):
+        return
+    below: Iterable[Any] = ()
+    if all(isinstance(value, Mapping) for value in values):
+        below = dict.fromkeys(name for value in values for name in value)
+    elif all(_is_tables(value) and len(value) == len(first) for value in values):
+        values = [dict(enumerate(value, start=1)) for value in values]
+        below = values[0]
+    else:
+        yield Setting(key, tuple(values))
+    for name in below:
+        yield from _apart(f"{key}.{name}".removeprefix("."), [value.get(name) for value in values])
+
+
+def _is_tables(value: Any) -> bool:
+    """Return whether a value of a scenario is a list of tables."""
+    return isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value)
 
 
 def rows(runs: Sequence[Compared]) -> list[Row]:
