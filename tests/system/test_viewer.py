@@ -221,7 +221,7 @@ def test_what_cannot_be_shown_is_refused(tmp_path: Path, recorded: Path) -> None
     empty.mkdir()
     (empty / "scenario.toml").write_bytes((recorded / "scenario.toml").read_bytes())
     refusals = {
-        f"{tmp_path / 'nowhere' / 'run.mcap'}: cannot read the log": [
+        f"{tmp_path / 'nowhere'}: no such run, neither here nor in": [
             "view",
             str(tmp_path / "nowhere"),
         ],

@@ -110,7 +110,7 @@ def test_json(folders: dict[str, Path], tmp_path: Path) -> None:
 def test_nothing_to_compare(folders: dict[str, Path], tmp_path: Path) -> None:
     """One run, no log, or a log without a tick: exit code 2 and one line."""
     assert "expected at least two runs, got 1" in ask(folders["usual"]).output
-    assert "cannot read the log" in ask(folders["usual"], tmp_path / "nowhere").output
+    assert "no such run, neither here nor in" in ask(folders["usual"], tmp_path / "nowhere").output
     empty = tmp_path / "empty"
     empty.mkdir()
     (empty / "scenario.toml").write_text((folders["usual"] / "scenario.toml").read_text())

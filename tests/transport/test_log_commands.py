@@ -186,8 +186,8 @@ def test_targets_and_airtime_have_tables(form: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("info", "nowhere"), "cannot read the log"),
-        (("export", "nowhere", "--out", "tables"), "cannot read the log"),
+        (("info", "nowhere"), "no such run, neither here nor in"),
+        (("export", "nowhere", "--out", "tables"), "no such run, neither here nor in"),
         (
             ("export", "nowhere", "--out", "tables", "--kind", "poem"),
             f"expected one of {', '.join(KINDS)}, got 'poem'",

@@ -166,7 +166,9 @@ def fault(
     action: Literal["kill", "stop", "continue", "restart"] = Argument(
         metavar="ACTION", help="kill, stop, continue or restart."
     ),
-    target: str = Argument(metavar="PROCESS", help="agent1, agent2, ..., plant or coordinator."),
+    target: str = Argument(
+        metavar="PROCESS", help="Number of an agent, agent1, ..., plant or coordinator."
+    ),
     output: FormatOption = Format.text,
 ) -> None:
     """Kill, stop, continue or restart a process of an active run.
@@ -175,6 +177,7 @@ def fault(
 
     Example: transport fault kill agent3
     """
+    target = _process_name(target)
     answer = run.ask(RECORDER, "fault", {"do": action, "target": target})
     show(output, answer, f"{action} {target}: done at tick {answer['tick']}")
 

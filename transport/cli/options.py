@@ -147,17 +147,18 @@ def run_folder(given: Path | None) -> Path:
     The most recent one is told on standard error.
     """
     if given is not None:
-        in_runs = RUNS / given
-        if given.exists():
-            return given
-        if in_runs.exists():
-            return in_runs
+        for folder in (given, RUNS / given):
+            if (folder / "experiment.json").exists():
+                got = "one of an experiment, whose results are in report.md and points.csv"
+                fail(f"{folder}: expected a run folder, got {got}")
+            if folder.exists():
+                return folder
         folders = newest_runs()
         known = [*map(str, folders), *(folder.name for folder in folders)]
         similar = get_close_matches(str(given), known, n=1)
         if similar:
             fail(f"{given}: no such run; did you mean {similar[0]}?")
-        return given
+        fail(f"{given}: no such run, neither here nor in {RUNS}/")
 
     runs = newest_runs()
     if not runs:
