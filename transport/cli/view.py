@@ -37,7 +37,8 @@ def view(
 
     Example: transport view runs/20260102-101500-paper
     """
-    folder = run_folder(given)
+    # A run that is waited for has no folder yet.
+    folder = given if given is not None and wait > 0.0 else run_folder(given)
     has_parent_ended = parent_ended()
     result = sys.stdout  # for the address alone: viser also prints when it stops
     try:
