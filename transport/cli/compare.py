@@ -115,7 +115,9 @@ def _in_words(row: Row, labels: Sequence[str]) -> dict[str, Any]:
     for i, (label, value, percent) in enumerate(runs):
         line[label] = value
         if i > 0 and percent is not None:
-            difference = f"{percent:+.1f}%" if percent else "="
+            difference = "=" if percent == 0.0 else f"{percent:+.1f}%"
+            if difference in ("+0.0%", "-0.0%"):
+                difference = "0.0%"
             line[label] = f"{value:.4g}  {difference:>7}"
     return line
 

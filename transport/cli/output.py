@@ -1,5 +1,6 @@
 """Answers of commands: results on standard output, errors on one line of standard error."""
 
+import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,6 +12,9 @@ import typer
 
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_USAGE
+
+# Columns of tables in a file or pipe, where no terminal says how many there are.
+_FILE_WIDTH = 120
 
 
 class Format(StrEnum):
@@ -50,6 +54,8 @@ def show(output: Format, content: Any, *shown: Any, width: int = 0) -> None:
     from rich.console import Console  # no process of a run needs it
 
     console = Console()
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        width = max(width, _FILE_WIDTH)
     console.width = max(console.width, width)
     for part in shown:
         if isinstance(part, str):

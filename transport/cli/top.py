@@ -250,7 +250,7 @@ def table_of(watch: Watch, run: str) -> Group:
     if watch.plant_state is not None:
         progress += f"  cost {content['cost']:.5f}  attitude {content['attitude_deg']:.2f} deg"
 
-    refused = [f"{count} messages refused by {name}" for name, count in watch.rejections.items()]
+    refused = [f"refused by {name}: {count}" for name, count in watch.rejections.items()]
     lines = [Text(f" {line}", "yellow") for line in (*content["notices"], *refused)]
     cells = [_cells(agent) for agent in content["agents"]]
     return Group(title, Text(progress), rows(cells, "uavs", "state", "plan ages", ""), *lines)
