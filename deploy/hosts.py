@@ -163,6 +163,9 @@ def _problems(inventory: Inventory, processes: Sequence[str]) -> Iterator[tuple[
             expected = f"expected a host that runs a router, one of {routers}"
             yield f"host.{i}.router", f"{expected}, got {host.router!r}"
         yield from _strangers(f"host.{i}.runs", host.runs, allowed)
+        twice = [process for process, times in Counter(host.runs).items() if times > 1]
+        if twice:
+            yield f"host.{i}.runs", f"expected each process once, got {twice[0]!r} again"
         yield from _strangers(f"host.{i}.cpus", host.cpus, host.runs)
 
     runs = Counter(process for host in inventory.host for process in host.runs)

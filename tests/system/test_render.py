@@ -96,6 +96,7 @@ def test_routers(tmp_path: Path) -> None:
         (("", "x = "), "not valid TOML"),
         (('"agent4"]', "]"), "host: expected one host that runs agent4, got 0"),
         (('"agent4"]', '"agent4", "agent2"]'), "host: expected one host that runs agent2, got 2"),
+        (('"agent4"]', '"agent4", "agent4"]'), "host.2.runs: expected each process once, got"),
         (('"agent4"]', '"agent44"]'), "host.2.runs: expected one of coordinator, plant"),
         (('"agent4"]', '"agnet4"]'), "got 'agnet4'"),
         (("cpus = { plant", "cpus = { agent3"), "host.1.cpus: expected one of coordinator, plant"),

@@ -4,10 +4,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.file import validate
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.team import FEWEST, Team, resized
-from transport.search.events import Death, Event, Silence, changes_of_links
+from transport.search.events import Death, Event, Silence
+from transport.search.silent_links import changes_of_links
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,18 +34,20 @@ class Candidate:
     def scenario(self, base: Base) -> Scenario:
         """Return the scenario with the events. Raises: ScenarioError: it is impossible."""
         tree = base.scenario.tree()
-        agents = len(base.scenario.owned)
+        source = str(Path(base.source))
         silences = [event for event in self.events if isinstance(event, Silence)]
 
         for event in self.events:
             if not isinstance(event, Silence):
                 event.apply(tree)
-
-        changes = changes_of_links(silences, agents, tree["links"]["loss"])
-        tree["links"]["change"] = [*tree["links"]["change"], *changes]
         tree["faults"]["event"].sort(key=lambda fault: fault["at_s"])
+        without_silences = validate(tree, source)
 
-        return validate(tree, str(Path(base.source)))
+        changes = changes_of_links(silences, without_silences)
+        if not changes:
+            return without_silences
+        tree["links"]["change"] = [*tree["links"]["change"], *changes]
+        return validate(tree, source)
 
     def without(self, index: int) -> "Candidate":
         """Return the candidate without one event."""
@@ -59,12 +63,19 @@ class Candidate:
         return [Candidate((*before, simpler, *after)) for simpler in self.events[index].simpler()]
 
     def smaller_teams(self, base: Base) -> Iterator[Base]:
-        """Yield smaller teams in which every agent of the events exists, the smallest first."""
+        """Yield smaller teams in which every agent of the events exists, the smallest first.
+
+        None in which the scenario itself names an agent or a UAV that the team does not have.
+        """
         agents = len(base.scenario.owned)
         if agents < len(base.scenario.system.uav):
             return
         for uavs in range(max(FEWEST, self._last_agent()), agents):
-            yield base.of_size(uavs)
+            try:
+                smaller = base.of_size(uavs)
+            except ScenarioError:
+                continue
+            yield smaller
 
     def _last_agent(self) -> int:
         """Return the largest number of an agent in the events; 0 without one."""

@@ -5,9 +5,11 @@ itself, from which the minimal case is made. A further kind also needs its bound
 colour and mark in report.py, and a row in docs/worst.md.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
+
+from transport.protocol.wire.names import PLANT
 
 Tree = dict[str, Any]
 
@@ -141,8 +143,16 @@ class Links:
     loss: float = 0.0
 
     def apply(self, tree: Tree) -> None:
-        """Set the keys of the links."""
-        tree["links"] |= {"delay_s": self.delay_s, "jitter_s": self.jitter_s, "loss": self.loss}
+        """Set the keys of the links, of exceptions between agents too, in place of recorded delays."""
+        links = tree["links"]
+        exceptions = [
+            one for one in links["override"] if PLANT not in (one.get("from"), one.get("to"))
+        ]
+        for section in (links, *exceptions):
+            section |= {"delay_s": self.delay_s, "jitter_s": self.jitter_s, "loss": self.loss}
+            section.pop("trace", None)
+            if section["distribution"] == "empirical":
+                section["distribution"] = "uniform"
 
     def in_words(self) -> str:
         """Return the event as a phrase."""
@@ -227,7 +237,7 @@ class Sensors:
     of_network: ClassVar[bool] = False
 
     factor: float
-    seed: int
+    seed: int | None  # None: that of the gusts beside it
 
     def apply(self, tree: Tree) -> None:
         """Scale the standard deviations and set the seed of the run."""
@@ -235,17 +245,19 @@ class Sensors:
         for key, value in noise.items():
             if isinstance(value, float):
                 noise[key] = value * self.factor
-        tree["seed"] = self.seed
+        if self.seed is not None:
+            tree["seed"] = self.seed
 
     def in_words(self) -> str:
         """Return the event as a phrase."""
-        return f"sensor noise of {self.factor:g} times the scenario's, seed {self.seed}"
+        seed = "" if self.seed is None else f", seed {self.seed}"
+        return f"sensor noise of {self.factor:g} times the scenario's{seed}"
 
     def simpler(self) -> Iterator["Sensors"]:
         """Yield simpler versions: the scenario's noise, small seeds."""
         if self.factor != 1.0:
             yield replace(self, factor=1.0)
-        if self.seed > 0:
+        if self.seed:
             yield replace(self, seed=0)
 
 
@@ -285,49 +297,3 @@ class TargetEvent:
 
 
 Event = Silence | Death | Links | Gusts | ModelError | Sensors | TargetEvent
-
-
-def changes_of_links(silences: Sequence[Silence], agents: int, loss: float) -> list[Tree]:
-    """Return the changes of `links` that silences make, which may overlap.
-
-    At each instant a link has the largest loss of the silences that cover it, otherwise that of the
-    scenario. Links that change alike are one entry: all, those from an agent, or those to it.
-    """
-    pairs = [(i, j) for i in range(1, agents + 1) for j in range(1, agents + 1) if i != j]
-    in_force = dict.fromkeys(pairs, loss)
-    changes: list[Tree] = []
-
-    for at_s in sorted({time for one in silences for time in (one.start_s, one.end_s)}):
-        active = [one for one in silences if one.start_s <= at_s < one.end_s]
-        new = {
-            pair: max([loss, *(one.loss for one in active if one.silences(*pair))])
-            for pair in pairs
-        }
-        changed = {pair: value for pair, value in new.items() if value != in_force[pair]}
-        changes += [{"at_s": at_s, **entry} for entry in _entries(changed, new)]
-        in_force = new
-
-    return changes
-
-
-def _entries(
-    changed: dict[tuple[int, int], float], new: dict[tuple[int, int], float]
-) -> list[Tree]:
-    """Return as few changes as it takes to bring some links to new losses."""
-    if not changed:
-        return []
-    if len(set(new.values())) == 1:
-        return [{"loss": next(iter(new.values()))}]
-    entries: list[Tree] = []
-    left = dict(changed)
-
-    for end, key in ((0, "from"), (1, "to")):
-        for agent in sorted({pair[end] for pair in left}):
-            links = {pair: value for pair, value in new.items() if pair[end] == agent}
-            if links.keys() <= left.keys() and len(set(links.values())) == 1:
-                entries.append({key: f"agent{agent}", "loss": next(iter(links.values()))})
-                left = {pair: value for pair, value in left.items() if pair not in links}
-
-    for (sender, receiver), value in left.items():
-        entries.append({"from": f"agent{sender}", "to": f"agent{receiver}", "loss": value})
-    return entries

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -134,21 +134,25 @@ KINDS = tuple(Bounds.model_fields)
 
 
 def read_bounds(file: Path | None, duration_s: float) -> Bounds:
-    """Return the bounds in a file, without one the defaults; times are cut to the run's duration.
+    """Return the bounds in a file, or the defaults; times that it does not give fit the run.
 
     Raises: ScenarioError: the file cannot be read, or a value is invalid.
     """
     tree = {} if file is None else read_tree(file)
     bounds = validated(Bounds, tree, str(file or "bounds"), Path())
 
-    if file is not None:
-        return bounds
     last_s = 0.8 * duration_s
-    silence = bounds.silence.model_copy(update={"start_s": (min(1.0, last_s), last_s)})
-    deaths = bounds.deaths.model_copy(update={"at_s": (min(1.0, last_s), last_s)})
-    targets = bounds.targets.model_copy(update={"at_s": (min(1.0, last_s), 0.4 * duration_s)})
-    changed = {"silence": silence, "deaths": deaths, "targets": targets}
-
+    first_s = min(1.0, last_s)
+    fitting = {
+        "silence": {"start_s": (first_s, last_s)},
+        "deaths": {"at_s": (first_s, last_s)},
+        "targets": {"at_s": (first_s, 0.4 * duration_s)},
+    }
+    changed = {}
+    for kind, ranges in fitting.items():
+        section = getattr(bounds, kind)
+        left = {key: value for key, value in ranges.items() if key not in section.model_fields_set}
+        changed[kind] = section.model_copy(update=left)
     return bounds.model_copy(update=changed)
 
 
@@ -194,12 +198,21 @@ class Space:
         """Return the candidate at a point of the unit cube, (dimension,)."""
         slots = zip(self._slots, self.layout.events, strict=True)
         events = [slot.event(point[part]) for slot, part in slots]
-        return Candidate(tuple(event for event in events if event is not None))
+        return Candidate(_with_one_seed([event for event in events if event is not None]))
 
     @property
     def dimension(self) -> int:
         """Return the number of coordinates of the unit cube."""
         return self.layout.dimension
+
+
+def _with_one_seed(events: Sequence[Event]) -> tuple[Event, ...]:
+    """Return events of which the sensors take the seed of the gusts: a run has one."""
+    has_gusts = any(isinstance(event, Gusts) for event in events)
+    return tuple(
+        replace(event, seed=None) if has_gusts and isinstance(event, Sensors) else event
+        for event in events
+    )
 
 
 def _between(bounds: Range, share: float) -> float:

@@ -1,5 +1,6 @@
 """Events change a scenario as their words say, alone and together."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from transport.protocol.scenario.file import read_scenario
 from transport.protocol.scenario.links import Link
 from transport.protocol.scenario.schema import Scenario
 from transport.search.candidate import Base, Candidate
-from transport.search.events import Death, Gusts, Silence, TargetEvent
+from transport.search.events import Death, Gusts, Links, Silence, TargetEvent
 from transport.search.space import KINDS, Bounds, Space, read_bounds
 
 PERIOD_S = 0.05
@@ -61,6 +62,66 @@ def test_overlapping_silences_lose_exactly_the_messages_that_one_covers(
                     for one in silences
                 )
                 assert (link.delays(tick) == []) == silent, (names, tick)
+
+
+def losses(changed: Scenario, times_s: Sequence[float]) -> list[tuple[float, float]]:
+    """Return the losses from agent 4 to agent 1, and from agent 1 to agent 4, at some times."""
+    pairs = (("agent4", "agent1"), ("agent1", "agent4"))
+    links = [Link(changed.links, *pair, seed=0, period_s=PERIOD_S) for pair in pairs]
+    ticks = [round(time_s / PERIOD_S) for time_s in times_s]
+    first, second = ([link.impairments(tick).loss for tick in ticks] for link in links)
+    return list(zip(first, second, strict=True))
+
+
+def test_after_a_silence_a_link_has_the_loss_of_the_scenario() -> None:
+    """Also where an exception or a change of the scenario has set another one, even meanwhile."""
+    own = [
+        "links.override=[{from='agent4',loss=0.5}]",
+        "links.change=[{at_s=2.0,from='agent1',loss=0.25},{at_s=4.0,delay_s=0.1,loss=0.125}]",
+    ]
+    base = Base(scenario=read_scenario(FILE, own), source=str(FILE))
+    changed = Candidate((Silence(start_s=1.0, duration_s=2.0),)).scenario(base)
+    assert losses(changed, [0.5, 1.5, 2.5, 3.5, 4.5]) == [
+        (0.5, 0.0),
+        (1.0, 1.0),
+        (1.0, 1.0),
+        (0.5, 0.25),
+        (0.125, 0.125),
+    ]
+
+
+@pytest.mark.parametrize(
+    "own",
+    [
+        "links.override=[{from='agent4',loss=0.5}]",
+        "links.trace=[[0.0,0.05],[1.0,0.1]]",
+        "links={distribution='empirical',samples_s=[0.05]}",
+    ],
+)
+def test_links_of_a_candidate_are_those_of_every_pair(own: str) -> None:
+    """They take the place of exceptions, of recorded and of measured delays."""
+    base = Base(scenario=read_scenario(FILE, [own]), source=str(FILE))
+    changed = Candidate((Links(delay_s=0.3, loss=0.0),)).scenario(base)
+    for pair in (("agent4", "agent1"), ("agent1", "agent2")):
+        link = Link(changed.links, *pair, seed=0, period_s=PERIOD_S)
+        assert {delay for tick in range(TICKS) for delay in link.delays(tick)} == {0.3}
+
+
+def test_a_run_has_one_seed() -> None:
+    """Sensors beside gusts have the draws of their seed, and say no other."""
+    space = Space(("gusts", "sensors"), Bounds(), BASE.scenario)
+    candidate = space.candidate(np.full(space.dimension, 0.9))
+    seed = candidate.scenario(BASE).seed
+    assert f"seed {seed}" in candidate.in_words()
+    assert candidate.in_words().count("seed") == 1
+
+
+def test_teams_that_the_scenario_does_not_allow_are_left_out() -> None:
+    """A scenario that names agent 4 has no smaller team."""
+    named = read_scenario(FILE, ["links.override=[{from='agent4',loss=0.5}]"])
+    base = Base(scenario=named, source=str(FILE))
+    assert list(Candidate(()).smaller_teams(base)) == []
+    assert len(list(Candidate(()).smaller_teams(BASE))) > 0
 
 
 def test_links_that_change_alike_are_one_entry() -> None:
@@ -139,6 +200,11 @@ def test_bounds_of_a_file_are_read(tmp_path: Path) -> None:
     bounds = read_bounds(file, 25.0)
     assert bounds.silence.duration_s == (1.0, 2.0)
     assert bounds.silence.count == 2
+    # Times that it does not give fit the run, as without a file.
+    assert bounds.silence.start_s == (1.0, 20.0)
+    assert read_bounds(file, 10.0).silence.start_s == (1.0, 8.0)
+    file.write_text("[silence]\nstart_s = [3.0, 30.0]\n", encoding="utf-8")
+    assert read_bounds(file, 10.0).silence.start_s == (3.0, 30.0)
 
 
 REFUSED = {
