@@ -4,6 +4,7 @@ import importlib.resources
 import os
 import tomllib
 from collections.abc import Collection, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -130,7 +131,13 @@ def _apply(tree: dict[str, Any], setting: str) -> None:
     *parents, last = key_of(setting).split(".")
 
     section: Any = tree
-    for part in parents:
+    for part, below in pairwise([*parents, last]):
+        is_left_out = isinstance(section, dict) and part not in section
+        if is_left_out and below.isdecimal():
+            problem = (
+                f"expected a list that the file gives, got {part!r} left out: set the whole list"
+            )
+            raise ScenarioError(option(setting), "", problem)
         section = _child(section, part, setting)
 
     place = _index(section, last, setting) if isinstance(section, list) else last

@@ -163,7 +163,7 @@ class AgentsSection(Section):
         Key(type="mpc, alone, package.module:Class", label="controller", short="controller"),
     ] = "mpc"
     """controller of every agent: that of this project; alone, by which each UAV keeps to its part of the
-    reference by its own sensors, without messages ([equations.md](equations.md#a-uav-alone)); or [your own
+    reference by its own sensors, whatever messages say ([equations.md](equations.md#a-uav-alone)); or [your own
     class](bring-your-own.md#your-own-controller)"""
     failed_share: Annotated[
         float, Interval(ge=0.0, le=1.0), Key(label="allowed share of failed steps")

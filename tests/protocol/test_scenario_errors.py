@@ -346,6 +346,10 @@ WRONG_SETTINGS = [
     ("maneuver.phase.first.duration_s=1", "expected an entry from 1 to 5, got 'first'"),
     ("agents.owned.5=[1]", "expected an entry from 1 to 4, got '5'"),
     ("name.x=1", "expected 'name' to be a section, got the value 'paper'"),
+    (
+        "plant.wind.gust_mps.3=1.0",
+        "expected a list that the file gives, got 'gust_mps' left out: set the whole list",
+    ),
     ("controller.horizon.x.y=1", "expected 'horizon' to be a section, got the value 20"),
 ]
 

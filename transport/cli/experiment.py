@@ -52,7 +52,7 @@ _OUT = (
 )
 _SCENARIO = (
     "Scenario file or name; default: paper and resilient (hover: also centralized; "
-    "deaths, sharing: resilient; agile: eight). Repeatable."
+    "deaths, sharing: resilient; agile: eight; weather: five). Repeatable."
 )
 _QUICK_SEEDS = 2
 # Experiments that are drawn so measure processor times.
@@ -304,6 +304,7 @@ def paper(
         seeds=options.repetitions,
         gust_mps=gust,
         quick=options.quick,
+        allow_large=options.allow_large,
     )
     console = Console(stderr=True)
     lines, table = comparison_report.compare(compared, folder, options.simulate, console)

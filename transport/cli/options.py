@@ -64,7 +64,7 @@ SetOption = Annotated[
 LargeOption = Annotated[
     bool,
     Option(
-        "--allow-large", help="Accept a run beyond the limits on size, memory, log and computation."
+        "--allow-large", help="Accept a run beyond the limits on steps, memory and computation."
     ),
 ]
 RunArgument = Annotated[

@@ -70,8 +70,8 @@ QUICK_REPEATS = 1
 
 Row = dict[str, Any]
 
-# Defaults of the common options; the command has a report of its own.
-DECLARED = Experiment(name=NAME, seeds=5)
+# Defaults of the common options; the command has a report and scenarios of its own.
+DECLARED = Experiment(name=NAME, seeds=5, scenarios=())
 
 
 class Cell(NamedTuple):

@@ -49,12 +49,14 @@ class ComparisonOptions:
         seeds: Repetitions of each run in gusts.
         gust_mps: Standard deviation of gusts; 0 for still air only.
         quick: Whether this is a trial with few points.
+        allow_large: Whether runs may exceed the limits.
     """
 
     settings: Sequence[str]
     seeds: int
     gust_mps: float
     quick: bool = False
+    allow_large: bool = False
 
     def reference(self) -> Cell:
         """Return the centralized controller at the period of its scenario.
@@ -62,7 +64,7 @@ class ComparisonOptions:
         Raises: ScenarioError: wrong settings.
         """
         path = find_scenario(comparison.SCENARIOS[CENTRALIZED])
-        scenario = read_scenario(path, self.settings)
+        scenario = read_scenario(path, self.settings, allow_large=self.allow_large)
         agents = len(scenario.owned)
         if agents > 1:
             expected = f"expected one agent that owns all, got {agents}"
@@ -106,7 +108,7 @@ def plan(options: ComparisonOptions, *, simulated_before: bool = False) -> Compa
     measurement = Experiment(name="processor time", points=experiment.points[: len(distinct)])
     maneuver = comparison.QUICK_MEASUREMENT if options.quick else comparison.MANEUVER
     repeats = comparison.QUICK_REPEATS if options.quick else comparison.REPEATS
-    cases = partial(cases_of, simulated_before=simulated_before)
+    cases = partial(cases_of, simulated_before=simulated_before, allow_large=options.allow_large)
     return ComparisonPlan(
         reference=reference,
         cells=cells,

@@ -9,6 +9,7 @@ from rich.console import Console, RenderableType
 
 from transport.protocol.scenario.errors import PythonSetting, hint
 from transport.protocol.scenario.keys import short_names
+from transport.protocol.scenario.schema import Scenario
 from transport.protocol.wire.errors import TransportError
 
 Settings = Mapping[str, Any]
@@ -60,6 +61,7 @@ class ShortSettings(TypedDict, total=False):
 
 
 KEY_OF: Mapping[str, str] = short_names()  # keys of the scenario
+_SECTIONS = frozenset(field.alias or name for name, field in Scenario.model_fields.items())
 
 
 def key_of(name: str) -> str:
@@ -69,7 +71,7 @@ def key_of(name: str) -> str:
     """
     if name in KEY_OF:
         return KEY_OF[name]
-    if "." in name or name in ("name", "seed", "schema", "obstacle"):
+    if "." in name or name in _SECTIONS:
         return name
     expected = "expected a dotted key such as 'links.delay_s' or a short name"
     raise ArgumentError(f"{name}: {expected}; {hint(name, KEY_OF)}")

@@ -107,6 +107,14 @@ def test_sections_are_attributes() -> None:
     assert {"links", "resized"} <= set(dir(scenario))
 
 
+def test_whole_sections_are_values() -> None:
+    """A section is given as one value, as for `--set`, by name or as an attribute."""
+    scenario = transport.Scenario("resilient", {"radio": {"rate_mbps": 12.0}})
+    assert scenario["radio.rate_mbps"] == 12.0
+    scenario.links = {"delay_s": 0.2}
+    assert (scenario["delay_s"], scenario["loss"]) == (0.2, 0.0)
+
+
 WRONG: list[tuple[dict[str, Any], str]] = [
     (
         {"settings": {"links.delay_s": None}},
