@@ -366,7 +366,8 @@ class Planner:
             return []
         self._noted_resets |= new
         problem = (
-            f"filter: estimate out of range, begun anew about the reference at tick {max(new)}"
+            "filter: estimate out of range or denied by measurements, begun anew about the "
+            f"reference at tick {max(new)}"
         )
         return [numbers_note(tick, self._agent, {}, out, problem)]
 

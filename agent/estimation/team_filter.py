@@ -36,6 +36,9 @@ from transport.protocol.scenario.setup import Setup
 # singular. A variance that no measurement of a UAV's own sensors leaves, SI.
 _STEEPEST = 1.4
 _LARGEST_VARIANCE = 1e4
+# Squared innovation per measurement, in units of its covariance, beyond which measurements deny an
+# estimate. Gusts and masses that the model does not know stay below 15.
+_LARGEST_NIS = 100.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -230,16 +233,20 @@ class TeamFilter:
         return np.asarray(self._kept_alone ** (0.5 * share))
 
     def is_plausible(self, belief: Belief) -> bool:
-        """Return whether a belief can be that of a team in flight: numbers in range, no body over."""
+        """Return whether a belief can be that of a team in flight.
+
+        Its numbers are in range, no body is over, and its measurements do not deny it.
+        """
         view = state.StateView(belief.x[: self._system.n])
         tilts = np.concatenate([view.Theta0[:2], view.Theta[:, :2].reshape(-1)])
         in_range = np.abs(belief.x).max() < state.LARGEST and np.isfinite(belief.unknowns).all()
         if not in_range or np.abs(tilts).max() > _STEEPEST:
             return False
         source = belief.source
-        return not isinstance(source, Covariance) or bool(
-            source.P.diagonal().max() < _LARGEST_VARIANCE
-        )
+        if not isinstance(source, Covariance):
+            return True
+        is_denied = source.squared_error > _LARGEST_NIS * source.measurements
+        return bool(source.P.diagonal().max() < _LARGEST_VARIANCE) and not is_denied
 
     def predicted_covariance(self, belief: Belief, period: Period) -> Covariance:
         """Return the covariance at the end of a sampling period. Source: docs/equations.md (63)."""

@@ -128,6 +128,37 @@ def test_an_estimate_out_of_range_begins_anew() -> None:
     assert estimator.resets == {0}
 
 
+def test_an_estimate_that_measurements_deny_begins_anew() -> None:
+    """A belief within centimetres and a UAV that measures itself a metre away: one of them is wrong."""
+    run = runs.setup(*VEHICLE)
+    no_gain = np.zeros((run.system.m, run.system.n))
+    estimator = sensor_estimator(run, 1, lambda tick: run.X_ref[tick], lambda _: no_gain)
+    announced = AnnouncedInputs(run.owned, run.hover.u, own=1)
+    away = np.zeros(state.SENSED)
+    for k in range(11):
+        if k == 9:  # a tick with a gain of its own
+            away[state.POSITION] = [1.0, 0.0, 0.0]
+        z = run.model.sensed(run.X_ref[k], run.hover.u)[: state.SENSED] + away
+        seen = measurement(run, 1, k)
+        estimator.measure(structs.replace(seen, payload=np.zeros(0), uav_states=z[None]))
+        estimator.estimate(k, announced)
+    assert estimator.resets
+    assert min(estimator.resets) == 9
+
+
+@pytest.mark.slow
+def test_news_after_a_long_silence_at_speed_are_no_end() -> None:
+    """In a case that a search has found, they turned a filter over, which believed itself sure."""
+    run = runs.ready(
+        "eight",
+        *("links.delay_s=0.253", "links.jitter_s=0.071", "links.loss=0.353"),
+        "links.change=[{at_s=1.0,loss=1.0},{at_s=10.987,loss=0.353}]",
+    )
+    states = [message for message in completed(run) if isinstance(message, PlantState)]
+    attitudes = np.degrees(np.abs([message.x[state.THETA0] for message in states]))
+    assert attitudes.max() < ATTITUDE_DEG
+
+
 class Singular(GainReuse):
     """A filter whose covariance cannot be computed when a failure sets entries of the state."""
 
