@@ -103,7 +103,8 @@ class Curve:
     @cached_property
     def _spline(self) -> Any:
         """Spline through the way points over s."""
-        from scipy.interpolate import make_interp_spline  # 0.3 s at start, and only splines need it
+        # 0.3 s, and only splines need it; processes of a run have it before their first tick.
+        from scipy.interpolate import make_interp_spline
 
         points = np.vstack([np.zeros(3), np.asarray(self.points_I, dtype=np.float64)])
         if self.times_s is None:

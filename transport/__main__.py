@@ -134,6 +134,7 @@ def _serve() -> "NoReturn":
         "transport.agent.node",
         "transport.coordinator.node",
         "transport.plant.node",
+        "scipy.interpolate",  # of targets through way points, which come within a tick
     ):
         load(name)
     serve(socket.socket(fileno=int(sys.argv[2])), prepare, main)

@@ -23,7 +23,9 @@ def fault_problems(scenario: Scenario) -> Problems:
         yield from _fault(scenario, event, field)
 
         before = last.get(event.target, "start")
-        if before == "release" or (event.do == "continue" and before != "stop"):
+        is_gone = event.do == "stop" and before == "kill"
+        is_running = event.do == "continue" and before != "stop"
+        if before == "release" or is_gone or is_running:
             expected = f"an action possible for {event.target} after its {before}"
             yield f"{field}.do", expected, repr(event.do)
         last[event.target] = event.do

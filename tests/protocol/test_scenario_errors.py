@@ -211,6 +211,10 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         "faults.event.1.do: expected an action possible for agent1 after its kill, got 'continue'",
     ),
     (
+        "faults.event=[{at_s=1,do='kill',target='agent1'},{at_s=2,do='stop',target='agent1'}]",
+        "faults.event.2.do: expected an action possible for agent1 after its kill, got 'stop'",
+    ),
+    (
         "faults.event=[{at_s=1,do='motor_off',target='agent3'}]",
         "faults.event.1.target: expected one of uav1, uav2, uav3, uav4, got 'agent3'",
     ),

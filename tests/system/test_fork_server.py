@@ -142,6 +142,15 @@ def test_without_server(
     assert child.wait(60.0) == 0
 
 
+def test_processes_have_splines_before_their_first_tick() -> None:
+    """A target through way points comes within a tick, in which an import takes too long."""
+    code = (
+        "import sys; from transport.cli.processes import ProcessOptions; "
+        "ProcessOptions(scenario='paper').setup(); sys.exit('scipy.interpolate' not in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
 def test_environment_and_folder_of_now(
     begin: Begin, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
