@@ -69,7 +69,7 @@ def test_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for arguments, text in (
         ((), "no active run in runs/"),
-        (("--run", "nowhere"), "expected a run folder with a log, got nowhere"),
+        (("--run", "nowhere"), "no such run, neither here nor in"),
         (("--format", "json"), "expected it with --once"),
     ):
         result = CliRunner().invoke(app, ["top", *arguments])
