@@ -217,7 +217,7 @@ class SensorEstimator:
         return Tick(prior=entry.prior, posterior=posterior)
 
     def _begun_anew(self, tick: int) -> Tick:
-        """Return the beliefs of a tick about the reference, as numbers were out of range.
+        """Return the beliefs of a tick about the reference, as those before were implausible.
 
         The cause may be a measurement of this tick: then without it.
         """
@@ -226,7 +226,7 @@ class SensorEstimator:
         return Tick(prior=anew, posterior=self._plausible(anew, tick) or anew)
 
     def _plausible(self, prior: Belief, tick: int) -> Belief | None:
-        """Return a belief with the measurements of its tick; None if numbers are out of range."""
+        """Return a belief with the measurements of its tick; None if it is implausible."""
         try:
             belief = self._filter.correct(prior, self._motion.model_at(tick), self._sensed(tick))
         except (ShapeError, np.linalg.LinAlgError):

@@ -107,12 +107,17 @@ def test_without_news_the_covariance_along_a_path_is_bounded() -> None:
     assert max(third) <= LAP * max(second)
 
 
+def _estimator(run: Setup) -> tuple[SensorEstimator, AnnouncedInputs]:
+    """Return the estimator of agent 1 about the reference, without a shared law."""
+    no_gain = np.zeros((run.system.m, run.system.n))
+    estimator = sensor_estimator(run, 1, lambda tick: run.X_ref[tick], lambda _: no_gain)
+    return estimator, AnnouncedInputs(run.owned, run.hover.u, own=1)
+
+
 def test_an_estimate_out_of_range_begins_anew() -> None:
     """A belief far over is replaced by one about the reference, and counted."""
     run = runs.setup(*VEHICLE)
-    no_gain = np.zeros((run.system.m, run.system.n))
-    estimator = sensor_estimator(run, 1, lambda tick: run.X_ref[tick], lambda _: no_gain)
-    announced = AnnouncedInputs(run.owned, run.hover.u, own=1)
+    estimator, announced = _estimator(run)
     wrong = np.zeros(state.SENSED)
     wrong[state.THETA] = [1.56, 0.0, 0.0]
     for k in range(4):
@@ -131,9 +136,7 @@ def test_an_estimate_out_of_range_begins_anew() -> None:
 def test_an_estimate_that_measurements_deny_begins_anew() -> None:
     """A belief within centimetres and a UAV that measures itself a metre away: one of them is wrong."""
     run = runs.setup(*VEHICLE)
-    no_gain = np.zeros((run.system.m, run.system.n))
-    estimator = sensor_estimator(run, 1, lambda tick: run.X_ref[tick], lambda _: no_gain)
-    announced = AnnouncedInputs(run.owned, run.hover.u, own=1)
+    estimator, announced = _estimator(run)
     away = np.zeros(state.SENSED)
     for k in range(11):
         if k == 9:  # a tick with a gain of its own

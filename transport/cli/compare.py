@@ -70,13 +70,8 @@ def compare(
         "files": [str(file) for file in files],
     }
     shown = [_in_words(row, labels) for row in table]
-    tables = [rows(shown, "")]
-    if apart:
-        told = [_setting_in_words(setting, labels) for setting in apart[:_MOST_SETTINGS]]
-        tables += ["", rows(told, _SETTINGS)]
-    if len(apart) > _MOST_SETTINGS:
-        tables.append(f" and {len(apart) - _MOST_SETTINGS} more settings")
-    show(output, content, *tables, *(f" {file}" for file in files))
+    settings = _table_of_settings(apart, labels)
+    show(output, content, rows(shown, ""), *settings, *(f" {file}" for file in files))
 
 
 def _chosen(runs: Sequence[str]) -> list[Compared]:
@@ -120,6 +115,15 @@ def _in_words(row: Row, labels: Sequence[str]) -> dict[str, Any]:
                 difference = "0.0%"
             line[label] = f"{value:.4g}  {difference:>7}"
     return line
+
+
+def _table_of_settings(apart: Sequence[Setting], labels: Sequence[str]) -> Iterator[Any]:
+    """Yield the table of the first settings that differ, and how many there are beyond it."""
+    if apart:
+        yield ""
+        yield rows([_setting_in_words(one, labels) for one in apart[:_MOST_SETTINGS]], _SETTINGS)
+    if len(apart) > _MOST_SETTINGS:
+        yield f" and {len(apart) - _MOST_SETTINGS} more settings"
 
 
 def _setting_in_words(setting: Setting, labels: Sequence[str]) -> dict[str, str]:
