@@ -197,14 +197,17 @@ class AnnouncedInputs:
     def observe_news(self, k: int) -> None:
         """Take in how old the newest plans of the others are: `news` and `oldest_news`.
 
-        To be called once a tick, after its plans are added.
+        To be called once a tick, after its plans are added. Without a rule by which agents act alone
+        nothing depends on ages, and none are taken.
         """
+        if self.silence is None:
+            return
         if self._began is None:
             self._began = k
         mean = 0.0
         overdue = 0.0
         for agent in self._columns:
-            plan = self.newest(agent, before=k)
+            plan = self._plans.newest(agent, before=k)
             if plan is not None and agent != self._own:
                 self.news.observe(agent, k - plan.tick)
             age = self._age(agent, plan, k)
@@ -214,7 +217,7 @@ class AnnouncedInputs:
 
     def age(self, agent: int, tick: int, before: int) -> NewsAge:
         """Return how old another agent's news are at a tick, also for past ticks by those of now."""
-        return self._age(agent, self.newest(agent, before, started=tick), tick)
+        return self._age(agent, self._plans.newest(agent, before, started=tick), tick)
 
     def _age(self, agent: int, plan: Plan | None, tick: int) -> NewsAge:
         """Return how old an agent's news are at a tick, of which a plan, if any, is the newest."""
@@ -239,7 +242,7 @@ class AnnouncedInputs:
 
     def share_alone(self, agent: int, tick: int, before: int) -> float:
         """Return how much another agent is assumed to act alone: as its plan says, by the rule."""
-        return self._share_alone(agent, self.newest(agent, before, started=tick), tick)
+        return self._share_alone(agent, self._plans.newest(agent, before, started=tick), tick)
 
     def _share_alone(self, agent: int, plan: Plan | None, tick: int) -> float:
         """Return how much an agent is assumed to act alone at a tick after a plan, if there is one."""
@@ -257,14 +260,14 @@ class AnnouncedInputs:
         if not self._began:
             return False
         present = self._columns.keys() - self.off_roster - self._returned.keys() - {self._own}
-        return any(self.newest(agent, before) is None for agent in present)
+        return any(self._plans.newest(agent, before) is None for agent in present)
 
     def least_said(self, agents: Iterable[int], before: int) -> float:
         """Return how much each of some agents on the roster at least says to act alone.
 
         0 where one has said nothing.
         """
-        plans = [self.newest(agent, before) for agent in agents if agent not in self.off_roster]
+        plans = [self._plans.newest(agent, before) for agent in agents if agent not in self.off_roster]
         return min((0.0 if plan is None else plan.alone for plan in plans), default=0.0)
 
     def silent(self, tick: int, before: int) -> Silent | None:
@@ -275,7 +278,7 @@ class AnnouncedInputs:
         correlation = np.full(len(self._u_hover), SHARED)
         for agent, columns in self._columns.items():
             if agent != self._own:
-                plan = self.newest(agent, before, started=tick)
+                plan = self._plans.newest(agent, before, started=tick)
                 share[columns] = self._share_alone(agent, plan, tick)
                 correlation[columns] = self.silence.correlation(self._age(agent, plan, tick))
         if not share.any() and (correlation == SHARED).all():
@@ -333,7 +336,7 @@ class AnnouncedInputs:
         """
         U = np.empty((steps, len(self._u_hover)))
         for agent, columns in self._columns.items():
-            plan = self.newest(agent, before)
+            plan = self._plans.newest(agent, before)
             assumed = self._assumed.get(agent)
 
             #   u_a(s + j) = U_a(min(s + j - s_a, N_p - 1))    (32)
@@ -361,7 +364,7 @@ class AnnouncedInputs:
         """
         c = np.zeros((steps, len(self._u_hover)))
         for agent, columns in self._columns.items():
-            plan = self.newest(agent, before)
+            plan = self._plans.newest(agent, before)
             if plan is None or agent in self.off_roster or plan.tick < self.failed_since:
                 continue
             entries = self._aligned(plan.corrections, plan, start, steps)
@@ -400,7 +403,7 @@ class AnnouncedInputs:
         u = np.empty_like(self._u_hover)
         instant = None if x is None else StateAt(tick=tick, x=x, law=self._law)
         for agent, columns in self._columns.items():
-            plan = self.newest(agent, before, started=tick)
+            plan = self._plans.newest(agent, before, started=tick)
             if plan is None:
                 u[columns] = self._without_plan(agent, instant)
             else:
@@ -421,7 +424,7 @@ class AnnouncedInputs:
         m = len(self._u_hover)
         untold = Untold(by_law=np.zeros(m, dtype=bool), by_fail_safe=np.zeros(m, dtype=bool))
         for agent, columns in self._columns.items():
-            plan = self.newest(agent, before, started=tick)
+            plan = self._plans.newest(agent, before, started=tick)
             if agent in self.off_roster:
                 untold.by_fail_safe[columns] = plan is not None and self._is_over(plan, tick)
             elif plan is None and self._is_before_return(agent, tick):
