@@ -267,7 +267,9 @@ class AnnouncedInputs:
 
         0 where one has said nothing.
         """
-        plans = [self._plans.newest(agent, before) for agent in agents if agent not in self.off_roster]
+        plans = [
+            self._plans.newest(agent, before) for agent in agents if agent not in self.off_roster
+        ]
         return min((0.0 if plan is None else plan.alone for plan in plans), default=0.0)
 
     def silent(self, tick: int, before: int) -> Silent | None:

@@ -103,7 +103,7 @@ class Curve:
     @cached_property
     def _spline(self) -> Any:
         """Spline through the way points over s."""
-        # 0.3 s, and only splines need it; processes of a run have it before their first tick.
+        # 0.3 s, and only splines need it; processes at a set speed have it before their first tick.
         from scipy.interpolate import make_interp_spline
 
         points = np.vstack([np.zeros(3), np.asarray(self.points_I, dtype=np.float64)])

@@ -117,15 +117,26 @@ def _serve() -> "NoReturn":
 
     wake_with_its_end()
     from transport.cli.lazy import load
-    from transport.cli.options import read_setup
+    from transport.cli.options import process_setup
     from transport.flight.fork_server import serve
+    from transport.mpc.regulation import Regulation
+    from transport.protocol.scenario.setup import Setup
+
+    # Of the run whose processes are being started. Its results are shared as long as it is kept.
+    setup: Setup | None = None
+    law: Regulation | None = None
 
     def prepare(arguments: list[str]) -> None:
-        """Compute the model of a run once: the processes share its memory."""
+        """Compute model and control law of a run once: the processes share their memory."""
+        nonlocal setup, law
+        before = setup
         scenario = arguments[arguments.index("--scenario") + 1]
         settings = [value for option, value in itertools.pairwise(arguments) if option == "--set"]
-        setup = read_setup(scenario, settings, allow_large=True)  # `transport run` has checked it
-        _ = setup.model  # computed and kept when it is first asked for
+        # `transport run` has checked it.
+        setup = process_setup(scenario, settings, allow_large=True)
+        if setup is not before:
+            law = Regulation(setup.model, setup.hover, setup.settings, setup.reference.sampled)
+            law.fail_safe.warm_up()
 
     for name in (
         "transport.cli.main",
@@ -134,7 +145,6 @@ def _serve() -> "NoReturn":
         "transport.agent.node",
         "transport.coordinator.node",
         "transport.plant.node",
-        "scipy.interpolate",  # of targets through way points, which come within a tick
     ):
         load(name)
     serve(socket.socket(fileno=int(sys.argv[2])), prepare, main)

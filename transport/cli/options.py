@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
+from transport.cli.lazy import load
 from transport.cli.output import Format, fail
 from transport.cli.setting_words import complete_setting
 from transport.protocol.scenario.file import find_scenario, read_scenario
@@ -114,6 +115,20 @@ def read_setup(
     path = find_scenario(scenario)
     version_ns = path.stat().st_mtime_ns if path.exists() else 0
     return _setup(path, tuple(settings or ()), allow_large, version_ns)
+
+
+def process_setup(
+    scenario: str, settings: Sequence[str] | None = None, *, allow_large: bool = False
+) -> Setup:
+    """Return the setup as `read_setup` does, for a process of the run.
+
+    At a set speed its time for a tick is limited: a target through way points finds its spline
+    imported, which takes 0.3 s. As fast as possible, the others wait that long.
+    """
+    setup = read_setup(scenario, settings, allow_large=allow_large)
+    if setup.scenario.clock.speed > 0.0:
+        load("scipy.interpolate")
+    return setup
 
 
 def forget_setup() -> None:

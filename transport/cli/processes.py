@@ -16,7 +16,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from transport.cli.lazy import load, with_options
+from transport.cli.lazy import with_options
 from transport.cli.options import (
     RUNS,
     FiguresOption,
@@ -25,6 +25,7 @@ from transport.cli.options import (
     ScenarioOption,
     SetOption,
     forget_setup,
+    process_setup,
     read_setup,
 )
 from transport.cli.output import Format, blame, fail
@@ -72,9 +73,8 @@ class ProcessOptions:
     allow_large: LargeOption = False
 
     def setup(self) -> Setup:
-        """Return the setup of the scenario, ready also for a target through way points."""
-        load("scipy.interpolate")  # too long for the tick at which such a target comes
-        return read_setup(self.scenario, self.settings, allow_large=self.allow_large)
+        """Return the setup of the scenario, ready also for targets of a run at a set speed."""
+        return process_setup(self.scenario, self.settings, allow_large=self.allow_large)
 
     def compiled_setup(self) -> Setup:
         """Return the setup with the model compiled for this processor.
