@@ -110,33 +110,13 @@ def _code_of_error(error: BaseException) -> int:
 
 def _serve() -> "NoReturn":
     """Be the fork server (`transport.flight.fork_server`), whose processes begin with `main`."""
-    import itertools
     import socket
 
     from transport.protocol.network.parent import wake_with_its_end
 
     wake_with_its_end()
     from transport.cli.lazy import load
-    from transport.cli.options import process_setup
     from transport.flight.fork_server import serve
-    from transport.mpc.regulation import Regulation
-    from transport.protocol.scenario.setup import Setup
-
-    # Of the run whose processes are being started. Its results are shared as long as it is kept.
-    setup: Setup | None = None
-    law: Regulation | None = None
-
-    def prepare(arguments: list[str]) -> None:
-        """Compute model and control law of a run once: the processes share their memory."""
-        nonlocal setup, law
-        before = setup
-        scenario = arguments[arguments.index("--scenario") + 1]
-        settings = [value for option, value in itertools.pairwise(arguments) if option == "--set"]
-        # `transport run` has checked it.
-        setup = process_setup(scenario, settings, allow_large=True)
-        if setup is not before:
-            law = Regulation(setup.model, setup.hover, setup.settings, setup.reference.sampled)
-            law.fail_safe.warm_up()
 
     for name in (
         "transport.cli.main",
@@ -147,7 +127,9 @@ def _serve() -> "NoReturn":
         "transport.plant.node",
     ):
         load(name)
-    serve(socket.socket(fileno=int(sys.argv[2])), prepare, main)
+    from transport.cli.processes import Prepared
+
+    serve(socket.socket(fileno=int(sys.argv[2])), Prepared().prepare, main)
     os._exit(0)  # the processes that it forked run their exit functions, not the server
 
 

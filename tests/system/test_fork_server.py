@@ -12,9 +12,12 @@ import psutil
 import pytest
 
 from tests.support.commands import command, command_of, wait_for
+from transport.cli.options import read_setup
+from transport.cli.processes import Prepared
 from transport.flight import harness
 from transport.flight.fork_server import ForkServer
 from transport.flight.harness import Child, start_child
+from transport.mpc.regulation import Regulation
 
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="processes are forked on Linux alone"
@@ -140,6 +143,17 @@ def test_without_server(
     child = begin("out.log", "--version")
     assert not is_forked(child)
     assert child.wait(60.0) == 0
+
+
+def test_processes_share_the_control_law() -> None:
+    """What an agent or the plant computes first, the server has computed for all."""
+    prepared = Prepared()
+    prepared.prepare(["plant", "--scenario", "resilient"])
+    setup = read_setup("resilient")
+    law = Regulation(setup.model, setup.hover, setup.settings, setup.reference.sampled)
+    assert prepared.law is not None
+    assert law.current.about_hover is prepared.law.current.about_hover
+    assert law.fail_safe.motion is prepared.law.fail_safe.motion is not None
 
 
 def test_processes_have_splines_before_their_first_tick() -> None:

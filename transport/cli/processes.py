@@ -5,13 +5,15 @@ These are agent, plant, coordinator, record and router.
 Each imports only its own role: the processes of a run start with these commands.
 """
 
+import itertools
 import re
 import signal
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Option
@@ -37,6 +39,9 @@ from transport.protocol.scenario.schema import LONGEST_WAIT_S
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.keys import ROUTER, Keys
 from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER, agent_name
+
+if TYPE_CHECKING:
+    from transport.mpc.regulation import Regulation
 
 _LOOKS_FOR_SIGNALS_S = 0.2
 
@@ -125,6 +130,30 @@ class ProcessOptions:
                 if not re.fullmatch(r"[a-z0-9-]+/\S+", endpoint):
                     expected = "an endpoint such as tcp/127.0.0.1:7447"
                     fail(f"{option}: expected {expected}, got {endpoint!r}")
+
+
+class Prepared:
+    """Model and control law of a run, computed once: the processes forked after share their memory.
+
+    The law's results are shared as long as it is kept: `mpc.shared`.
+    """
+
+    def __init__(self) -> None:
+        self.setup: Setup | None = None
+        self.law: Regulation | None = None
+
+    def prepare(self, arguments: Sequence[str]) -> None:
+        """Take in the arguments of a process of the run, which `transport run` has checked."""
+        from transport.mpc.regulation import Regulation
+
+        scenario = arguments[arguments.index("--scenario") + 1]
+        settings = [value for option, value in itertools.pairwise(arguments) if option == "--set"]
+        setup = process_setup(scenario, settings, allow_large=True)
+        if setup is self.setup:
+            return
+        self.setup = setup
+        self.law = Regulation(setup.model, setup.hover, setup.settings, setup.reference.sampled)
+        self.law.fail_safe.warm_up()
 
 
 @with_options(ProcessOptions)
