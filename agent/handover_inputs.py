@@ -10,7 +10,7 @@ from transport.agent.team_estimate import TeamEstimate
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.rotations import rotation
-from transport.mpc.alone import Course, Motion, OwnSensors, motion_of, steps_alone
+from transport.mpc.alone import Motion, OwnSensors, motion_of, steps_alone
 from transport.mpc.prediction import Linear
 from transport.protocol.scenario.setup import Setup
 
@@ -66,13 +66,11 @@ class HandOver:
             self._held_I[uav] = self._preload(uav, k)
         held_I = self._held_I[uav]
         motion = self._motion(uav, k, start, x)
-        deviation = law.inputs(motion, course, held_I) - _own_inputs(course)
+        deviation = law.inputs(motion, course, held_I) - course.inputs
         self._held_I[uav] = law.held(held_I, motion, course, self._period_s)
 
         fading = np.exp(-self._period_s / _FADES_S * np.arange(steps))
-        ahead = np.array(
-            [_own_inputs(self._team.alone(uav, start + step)[1]) for step in range(steps)]
-        )
+        ahead = np.array([self._team.alone(uav, start + step)[1].inputs for step in range(steps)])
         return np.asarray(ahead + fading[:, None] * deviation)
 
     def _motion(self, uav: int, k: int, start: int, x: Array) -> Motion:
@@ -115,8 +113,3 @@ class HandOver:
             differences.append(applied_I - law.force(motion, course))
         law, _ = self._team.alone(uav, k)
         return law.within(np.mean(differences, axis=0)) if differences else np.zeros(3)
-
-
-def _own_inputs(course: Course) -> Array:
-    """Return the inputs of a course, (4,): thrust, and moments or body rates."""
-    return np.concatenate([[np.linalg.norm(course.force_I)], course.turning])

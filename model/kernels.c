@@ -773,6 +773,106 @@ void conclude(const problem *p, const double *z, double w, double *U, double *c)
           p->feedback, w, p->low, p->high, p->rate, U, c, p->work);
 }
 
+/* The law of a UAV alone, with what it follows from; the state of the team x is that of model/state.py. */
+typedef struct {
+    double rho[3], length;              /* attachment point, payload frame, and length of the rod */
+    double masses[3];                   /* that a force moves, by axis */
+    double position, velocity, swing;   /* gains of the position loop */
+    double steepest;                    /* largest change of roll and pitch */
+    double stiffness[9], damping[9];    /* of the attitude loop */
+} alone_law;
+
+/* The motion that it follows, and the inputs that belong to it. */
+typedef struct {
+    double position[3], velocity[3], Theta[3], omega[3], rod[3], swing[3];
+    double force[3], turning[3];
+} alone_course;
+
+/* R = Rz(yaw) Ry(pitch) Rx(roll): (2). */
+static void rotation(const double *Theta, double *R)
+{
+    const double cr = cos(Theta[0]), cp = cos(Theta[1]), cy = cos(Theta[2]);
+    const double sr = sin(Theta[0]), sp = sin(Theta[1]), sy = sin(Theta[2]);
+    R[0] = cy * cp, R[1] = cy * sp * sr - sy * cr, R[2] = cy * sp * cr + sy * sr;
+    R[3] = sy * cp, R[4] = sy * sp * sr + cy * cr, R[5] = sy * sp * cr - cy * sr;
+    R[6] = -sp, R[7] = cp * sr, R[8] = cp * cr;
+}
+
+/* to = M a, a matrix (3, 3). */
+static void times(const double *M, const double *a, double *to)
+{
+    for (int i = 0; i < 3; i++) to[i] = M[3 * i] * a[0] + M[3 * i + 1] * a[1] + M[3 * i + 2] * a[2];
+}
+
+/* to = a x b. */
+static void cross(const double *a, const double *b, double *to)
+{
+    to[0] = a[1] * b[2] - a[2] * b[1];
+    to[1] = a[2] * b[0] - a[0] * b[2];
+    to[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+/* Roll and pitch whose thrust has the direction of a force, at a yaw: (31b). */
+static void attitude(const double *force, double yaw, double *roll, double *pitch)
+{
+    const double strength = sqrt(force[0] * force[0] + force[1] * force[1] + force[2] * force[2]);
+    const double forward = cos(yaw) * force[0] + sin(yaw) * force[1];
+    const double right = cos(yaw) * force[1] - sin(yaw) * force[0];
+    *roll = strength > 0.0 ? asin(right / strength) : 0.0;
+    *pitch = strength > 0.0 ? atan2(-forward, -force[2]) : 0.0;
+}
+
+static double within(double value, double largest) { return fmin(fmax(value, -largest), largest); }
+
+/* Inputs u of a UAV alone at a state of the team, before limits: (31a), (31b). `own` is its part of the state,
+   `held` the force of its integral. */
+void alone_inputs(const double *x, const double *own, const alone_law *law, const alone_course *course,
+                  const double *held, double *u)
+{
+    const double *v0 = x + 3, *Theta0 = x + 6, *omega0 = x + 9;
+    const double *e = own, *rod_rate = own + 3, *Theta = own + 6, *omega = own + 9;
+    double R0[9], R[9];
+    rotation(Theta0, R0);
+    rotation(Theta, R);
+
+    /* Its motion: position r0 + R0 (rho - l e), velocity R0 (v0 + omega0 x rho - l Omega x e), (1), (39). */
+    double rod_P[3], swing_P[3], velocity_P[3], to_uav_P[3], to_uav[3], velocity[3], swing[3];
+    for (int i = 0; i < 3; i++) rod_P[i] = law->length * e[i];
+    cross(rod_rate, rod_P, swing_P);
+    cross(omega0, law->rho, velocity_P);
+    for (int i = 0; i < 3; i++) {
+        velocity_P[i] += v0[i] - swing_P[i];
+        to_uav_P[i] = law->rho[i] - rod_P[i];
+    }
+    times(R0, to_uav_P, to_uav);
+    times(R0, velocity_P, velocity);
+    times(R0, swing_P, swing);
+
+    /* F = F_ref + M (k_p (p_ref - p) + k_v (v_ref - v) - k_s (s - s_ref)) + g, the swing s level: (31a). */
+    double force[3];
+    for (int i = 0; i < 3; i++) {
+        const double error = course->position[i] - (x[i] + to_uav[i]);
+        const double slower = course->velocity[i] - velocity[i];
+        const double swinging = i < 2 ? swing[i] - course->swing[i] : 0.0;
+        const double acceleration = law->position * error + law->velocity * slower - law->swing * swinging;
+        force[i] = course->force[i] + law->masses[i] * acceleration + held[i];
+    }
+
+    /* The attitude whose thrust has that direction, near the one of the course; thrust along the own axis: (31b). */
+    double roll, pitch, roll_ref, pitch_ref;
+    attitude(force, Theta[2], &roll, &pitch);
+    attitude(course->force, Theta[2], &roll_ref, &pitch_ref);
+    const double error[3] = {Theta[0] - (roll_ref + within(roll - roll_ref, law->steepest)),
+                             Theta[1] - (pitch_ref + within(pitch - pitch_ref, law->steepest)),
+                             remainder(Theta[2] - course->Theta[2], 2.0 * M_PI)};
+    double turned_faster[3], stiff[3], damped[3];
+    for (int i = 0; i < 3; i++) turned_faster[i] = omega[i] - course->omega[i];
+    times(law->stiffness, error, stiff);
+    times(law->damping, turned_faster, damped);
+    u[0] = -(R[2] * force[0] + R[5] * force[1] + R[8] * force[2]);
+    for (int i = 0; i < 3; i++) u[1 + i] = course->turning[i] - stiff[i] - damped[i];
+}
+
 #define PIVOTS 16 /* rows of the factor per update of the remaining matrix */
 
 /* Cholesky factor H = U' U in place, U_ii = sqrt(H_ii - sum_k U_ki^2), U_ij = (H_ij - sum_k U_ki U_kj) / U_ii; rows of

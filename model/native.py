@@ -37,6 +37,7 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "condense_work": (_number, [_number] * 5),
     "fill": (None, [_address]),
     "conclude": (None, [_address] * 2 + [_double] + [_address] * 2),
+    "alone_inputs": (None, [_address] * 6),
     "within_bounds_work": (_number, [_number] * 2),
     "solve_within_bounds": (
         ctypes.c_int,

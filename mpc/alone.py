@@ -96,6 +96,7 @@ class Course:
     motion: Motion
     force_I: Array  # force of the thrust, (3,), N
     turning: Array  # moments, or commanded body rates, (3,)
+    inputs: Array  # thrust, and what turns it, (4,)
 
 
 def motion_of(system: System, uav: int, x: Array) -> Motion:
@@ -119,9 +120,14 @@ def motion_of(system: System, uav: int, x: Array) -> Motion:
 
 def course_of(system: System, uav: int, x_ref: Array, u_ref: Array) -> Course:
     """Return the course of a UAV, 0-based, from a reference state, (n,), and its inputs, (m,)."""
-    motion, inputs = motion_of(system, uav, x_ref), u_ref[state.input_slice(uav)]
+    motion = motion_of(system, uav, x_ref)
+    thrust_N, *turning = u_ref[state.input_slice(uav)]
+    force_I = -thrust_N * rotation(motion.Theta)[:, 2]
     return Course(
-        motion=motion, force_I=-inputs[0] * rotation(motion.Theta)[:, 2], turning=inputs[1:]
+        motion=motion,
+        force_I=force_I,
+        turning=np.array(turning),
+        inputs=np.array([np.linalg.norm(force_I), *turning]),
     )
 
 
@@ -143,6 +149,14 @@ class AloneLaw:
         else:
             self._stiffness = _FREQUENCY_RAD_S**2 * inertia @ weights
             self._damping = 2.0 * _DAMPING * _FREQUENCY_RAD_S * inertia
+
+    def numbers(self) -> Array:
+        """Return its numbers in the order of the struct `alone_law` of the kernels, (29,)."""
+        uav, gains = self._system.uavs[self._uav], self._gains
+        position_loop = [gains.position, gains.velocity, self._swing, gains.steepest_rad]
+        attitude_loop = [self._stiffness.reshape(-1), self._damping.reshape(-1)]
+        rod = [uav.rho, [uav.rod_length]]
+        return np.concatenate([*rod, self._masses, position_loop, *attitude_loop])
 
     def inputs(self, motion: Motion, course: Course, held_I: Array | None = None) -> Array:
         """Return thrust and moments, or body rates, before limits, (4,), N and N m or rad/s: (31a), (31b).

@@ -7,11 +7,14 @@ Source: docs/equations.md (31f).
 """
 
 from collections.abc import Collection
+from typing import NamedTuple
 
+from transport.model import native
 from transport.model.arrays import Array
 from transport.model.hover import Hover
 from transport.model.linearisation import Model
 from transport.mpc.alone import AloneLaw, Course, course_of, motion_of
+from transport.mpc.compiled_alone import CompiledAloneLaw, CompiledCourse
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.forming import undisturbed
 from transport.mpc.reference import Sampled
@@ -23,6 +26,13 @@ _KEPT = 512  # ticks: more than estimators look back and horizons ahead
 # Time before the first tick that is asked for, at which the motion of the present team starts from
 # the reference: its start has decayed, s.
 _LEAD_S = 10.0
+
+
+class _Known(NamedTuple):
+    """The course of a UAV at a tick."""
+
+    course: Course
+    compiled: CompiledCourse | None  # None without compiled kernels
 
 
 class AloneTeam:
@@ -56,7 +66,8 @@ class AloneTeam:
         self._off, self._released = frozenset(off), frozenset(released)
         # Those left follow the reference itself.
         self._left = self._on_reference.of_team(off, released)
-        self._courses: dict[tuple[int, int], Course] = {}
+        self._courses: dict[tuple[int, int], _Known] = {}
+        self._compiled_laws: dict[int, CompiledAloneLaw] = {}
 
     def law(self, uav: int) -> AloneLaw:
         """Return the control law of a UAV, 0-based."""
@@ -64,17 +75,27 @@ class AloneTeam:
 
     def course(self, uav: int, tick: int) -> Course:
         """Return what a UAV, 0-based, follows at a tick."""
+        return self._known(uav, tick).course
+
+    def inputs(self, uav: int, x: Array, tick: int, held_I: Array | None = None) -> Array:
+        """Return the inputs of a UAV, 0-based, alone at a state, (n,), before limits, (4,)."""
+        known = self._known(uav, tick)
+        if known.compiled is None:
+            return self.law(uav).inputs(motion_of(self._system, uav, x), known.course, held_I)
+        if uav not in self._compiled_laws:
+            self._compiled_laws[uav] = CompiledAloneLaw(self._system, uav, self.law(uav))
+        return self._compiled_laws[uav].inputs(x, known.compiled, held_I)
+
+    def _known(self, uav: int, tick: int) -> _Known:
         key = uav, max(tick, 0)
         self._renew(key[1])
         if key not in self._courses:
             while len(self._courses) > _KEPT * self._system.N:
                 del self._courses[next(iter(self._courses))]
-            self._courses[key] = self._course(*key)
+            course = self._course(*key)
+            compiled = CompiledCourse(course) if native.AVAILABLE else None
+            self._courses[key] = _Known(course, compiled)
         return self._courses[key]
-
-    def inputs(self, uav: int, x: Array, tick: int, held_I: Array | None = None) -> Array:
-        """Return the inputs of a UAV, 0-based, alone at a state, (n,), before limits, (4,)."""
-        return self.law(uav).inputs(motion_of(self._system, uav, x), self.course(uav, tick), held_I)
 
     def _course(self, uav: int, tick: int) -> Course:
         if self._off or self._motion is None:

@@ -95,11 +95,11 @@ class SilentTeam:
             P: Covariance of the coordinates, (s, s).
         """
         by_law = period.untold.by_law
-        sensing = B * (silent.alone * by_law)
-        Q = (sensing * self._variance) @ sensing.T
-        if period.K is None:
-            return np.asarray(Q)
-        unshared = (1.0 - silent.alone) * np.sqrt(1.0 - silent.correlation**2)
-        B_law = (B * unshared)[:, by_law]
-        K_T = period.K[by_law] @ T
-        return np.asarray(Q + B_law @ (K_T @ P @ K_T.T) @ B_law.T)
+        alone = silent.alone[by_law]
+        of_inputs = np.diag(alone**2 * self._variance[by_law])
+        if period.K is not None:
+            unshared = (1.0 - alone) * np.sqrt(1.0 - silent.correlation[by_law] ** 2)
+            K_T = unshared[:, None] * (period.K[by_law] @ T)
+            of_inputs += K_T @ P @ K_T.T
+        B_law = B[:, by_law]
+        return np.asarray(B_law @ of_inputs @ B_law.T)

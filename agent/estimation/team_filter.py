@@ -10,7 +10,7 @@ their own estimates.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import product
 from typing import Protocol
 
@@ -41,7 +41,7 @@ _LARGEST_VARIANCE = 1e4
 _LARGEST_NIS = 100.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Period:
     """A sampling period of the team, as it is understood when its end is predicted."""
 
@@ -58,10 +58,18 @@ class Period:
     # Where news of the others are overdue: how much they act alone, and c by input; else None.
     silent: Silent | None = None
 
+    @cached_property
+    def alone(self) -> float:
+        """Mean share of the law alone in the untold inputs, 0 to 1."""
+        by_law = self.untold.by_law
+        if self.silent is None or not by_law.any():
+            return 0.0
+        return float(self.silent.alone[by_law].mean())
+
     @property
     def is_alone(self) -> bool:
         """Return whether an untold input is partly that of a UAV alone."""
-        return self.silent is not None and bool(self.silent.alone[self.untold.by_law].any())
+        return self.alone > 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -227,10 +235,7 @@ class TeamFilter:
         others they are such walks; without any they return to zero, and their variance to that
         before the first measurement. Source: docs/equations.md (63d).
         """
-        if period.silent is None or not self._unknowns:
-            return np.ones(self._unknowns)
-        share = float(period.silent.alone[period.untold.by_law].mean())
-        return np.asarray(self._kept_alone ** (0.5 * share))
+        return np.asarray(self._kept_alone ** (0.5 * period.alone))
 
     def is_plausible(self, belief: Belief) -> bool:
         """Return whether a belief can be that of a team in flight.
@@ -289,7 +294,7 @@ class TeamFilter:
         #   dx(k+1) = (A + (1 - c) B_o K_o) T xi
         ahead = discrete.A @ T
         if period.silent is not None and period.K is not None:
-            ahead = ahead + discrete.B @ self._silent.gain(period.silent, period) @ T
+            ahead = ahead + discrete.B @ (self._silent.gain(period.silent, period) @ T)
         elif period.K is not None:
             closed = untold.by_law | untold.by_fail_safe
             answered = np.where(untold.by_law, 1.0 - period.correlation, 1.0)

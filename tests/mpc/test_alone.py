@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support import runs
-from transport.model import state
+from transport.model import native, state
 from transport.model.arrays import Array
 from transport.model.discretisation import zero_order_hold
 from transport.model.hover import hover
@@ -16,6 +16,7 @@ from transport.model.rotations import rotation
 from transport.mpc.actual_plant import Mismatch
 from transport.mpc.alone import GAINS, AloneLaw, Motion, OwnSensors, course_of, motion_of
 from transport.mpc.alone_margins import AloneLoop
+from transport.mpc.compiled_alone import CompiledAloneLaw, CompiledCourse
 from transport.mpc.controller import Controller
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.manifold import tangent
@@ -68,6 +69,23 @@ def test_its_linearisation_along_a_path_is_its_gain_there(*, rates: bool) -> Non
             ahead, back = (follows.inputs(UAV, x + sign * step, tick) for sign in (1.0, -1.0))
             slope = (ahead - back) / (2.0 * STEP)
             np.testing.assert_allclose(slope, gain @ (step / STEP), atol=SLOPE_TOLERANCE)
+
+
+@pytest.mark.skipif(not native.AVAILABLE, reason="no compiled kernels")
+@pytest.mark.parametrize("system", [SYSTEM, RATES], ids=["moments", "body rates"])
+def test_its_kernel_is_its_twin(system: System) -> None:
+    """At states near the course and far off, with and without a held force, for every UAV."""
+    rng = np.random.default_rng(3)
+    for _, uav in product(range(50), range(system.N)):
+        x = AT_REST.x + 10.0 ** rng.uniform(-4.0, 0.0) * rng.standard_normal(system.n)
+        x_ref = AT_REST.x + 0.1 * rng.standard_normal(system.n)
+        law = AloneLaw(system, uav, float(AT_REST.u[4 * uav]))
+        course = course_of(system, uav, x_ref, AT_REST.u)
+        for held_I in (None, rng.standard_normal(3)):
+            expected = law.inputs(motion_of(system, uav, x), course, held_I)
+            compiled = CompiledAloneLaw(system, uav, law)
+            found = compiled.inputs(x, CompiledCourse(course), held_I)
+            np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-11)
 
 
 def test_its_derivative_by_the_sensors() -> None:
