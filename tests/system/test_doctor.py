@@ -2,6 +2,7 @@
 
 import json
 import socket
+from collections.abc import Callable
 
 import pytest
 from typer.testing import CliRunner
@@ -11,6 +12,7 @@ from tests.support.commands import free_base
 from transport.cli.main import app
 from transport.doctor import checks as doctor
 from transport.doctor.checks import Finding
+from transport.protocol.scenario.setup import Setup
 
 HERE = runs.setup()
 
@@ -27,9 +29,12 @@ def test_ports() -> None:
     assert check.status == "fail"
     assert str(base + 2) in check.found
     assert "network.base_port" in check.advice
-    away = doctor.ports(
-        runs.setup("network.host='192.0.2.1'")
-    )  # an address reserved for documentation
+
+
+@pytest.mark.parametrize("check", [doctor.ports, doctor.network])
+def test_an_address_of_another_machine(check: Callable[[Setup], Finding]) -> None:
+    """Both checks that listen on it advise another address."""
+    away = check(runs.setup("network.host='192.0.2.1'"))  # reserved for documentation
     assert away.status == "fail"
     assert "address of this machine" in away.advice
 

@@ -84,7 +84,10 @@ def ports(setup: Setup) -> Finding:
 def network(setup: Setup) -> Finding:
     """Check that two Zenoh sessions on the network's host find each other, and measure the round trip."""
     host = setup.scenario.network.host
-    times_ms = _round_trips_ms(host)
+    try:
+        times_ms = _round_trips_ms(host)
+    except HarnessError as error:
+        return Finding("fail", str(error), "an address of this machine as network.host")
     if len(times_ms) < _ROUND_TRIPS:
         advice = (
             "check for a firewall or a network namespace without loopback "
