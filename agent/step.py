@@ -1,7 +1,7 @@
 """One tick's work of an agent: estimate, form the problem, solve it, negotiate, conclude.
 
-Times of the stages run between `lap`s of the stopwatch. A stage of one's own between two of them
-counts towards the one whose lap comes next.
+`lap(name)` counts the time since the lap before, or since `resume`, as that of a stage. Time after the
+last lap counts nowhere.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -108,7 +108,10 @@ class Planner:
         self._reset()
 
     def follow(self, setup: Setup) -> None:
-        """Follow the reference of the run with a further target, from that target's tick on."""
+        """Follow the reference of the run with a further target, from that target's tick on.
+
+        The parts that `_reset` makes read nothing that a target changes.
+        """
         self._setup = setup
         self._team.follow(setup)
 
@@ -218,8 +221,9 @@ class Planner:
             return [self._plan(step, result, out)]
 
         result = self._handed_over(step, result)
+        self._times.lap("solve")
         plan = self._plan(step, result, out)
-        # The plan is announced before the report, which counts it, and the times end with it.
+        # The plan is announced first: the report gives its age. The times end here.
         self._team.announced.add(plan)
         self._times.conclude(publish_ns)
         report = self._report(step, result, out)
@@ -337,12 +341,12 @@ class Planner:
     def _shifted(self, step: Step) -> StepResult:
         """Return the shifted previous plan without a solve: all UAVs of the agent act wholly alone.
 
-        `_handed_over` replaces its inputs, and cuts its corrections to the 0.2 s of a plan alone.
+        `_handed_over` replaces its inputs, and cuts its corrections to `steps_alone` entries.
         """
         problem = step.problem
         self._times.resume()
         no_qp = unsolved(n=0, rows=0, solver=_ALONE)
-        on_purpose = replace(no_qp, status="solved")  # not a failed step
+        on_purpose = replace(no_qp, status="solved")  # no QP was due: summaries count no failure
         result = self._controller.give_up(problem.U, problem.law, on_purpose)
         self._team.expected = None
         self._times.lap("solve")

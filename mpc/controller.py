@@ -62,7 +62,14 @@ class StepResult:
 class Controller:
     """Model predictive control of the owned UAVs, given the announced inputs of the others.
 
-    The control law follows the reference; along a flat one the team keeps clear of obstacles.
+    `step` is its work in one call. An agent calls the stages itself, in this order: `linearise`,
+    `discretise`, `predict`, `condense`, `solve`, `conclude`. A stage may rely on what the one before
+    has left: `solve` softens the constraints of the program that `condense` has formed last.
+
+    Args:
+        reference: What the control law follows; None for hover.
+        obstacles: What the team keeps clear of; ignored unless the reference is flat.
+
     Raises: SettingsError, FeedbackError.
     """
 
@@ -96,10 +103,11 @@ class Controller:
         on_states = bool(settings.constraint) and bool(OwnStates(self._decision).texts)
         on_inputs = bool(settings.constraint) and OwnInputs(self._decision).is_shared
         self._shares_rows = on_states or on_inputs
-        self._relaxation = self._relaxed(others_obstruct=self._shares_rows)
+        self._relaxation = self._relaxation_of(others_obstruct=self._shares_rows)
 
         self._at_hover: Jacobians | None = None
-        # Derivatives of the newest step and their difference equation, that of hover every time.
+        # Derivatives of the newest step and their difference equation, used again while the derivatives
+        # are the same read-only array, as those at hover.
         self._discretised: tuple[Array, Discrete] | None = None
         # Outputs along a trajectory beyond their linearisation, (N_p + 1, p).
         self._curvature: Array | None = None
@@ -160,7 +168,8 @@ class Controller:
     def linearise(self, x0: Array, u0: Array, forces: Array | None = None) -> Linear:
         """Linearise about x0, (n,), or [x, actual inputs], (n + m,), and u0, (m,), SI.
 
-        Along the control law with the derivatives at hover.
+        With a shared control law and another `linearisation` than "present" f is taken at x0, but the
+        derivatives are those at hover.
         Source: docs/equations.md (15), (35a), (37), (40), (55).
         """
         law = self.regulation.current
@@ -193,7 +202,8 @@ class Controller:
         if self.settings.discretisation == "euler":
             return euler(linear.model, period_s)
 
-        # Derivatives at hover are the same read-only array at every step, with the same A and B.
+        # Derivatives at hover are the same read-only array at every step, with the same A and B. With
+        # motor lag they are a new array, and A and B are computed at each step.
         values = linear.model.jacobians.values
         before = None
         if self._discretised is not None and not values.flags.writeable:
@@ -304,7 +314,7 @@ class Controller:
                 inputs = self._decision.clip(w * best + (1.0 - w) * inputs)
         if np.isfinite(inputs).all() and np.abs(c).max(initial=0.0) <= LARGEST:
             return StepResult(U=inputs, c=c, solution=solution)
-        return self.give_up(U, law, solution)
+        return self.give_up(U, law, None if is_solved else solution)
 
     def give_up(
         self, U: Array, law: FeedbackLaw | None, solution: Solution | None = None
@@ -331,10 +341,10 @@ class Controller:
         self._gone = frozenset(uavs)
         # UAVs without agents obstruct the others: several agents correct the same distances, each
         # its share of them.
-        self._relaxation = self._relaxed(others_obstruct=bool(uavs) or self._shares_rows)
+        self._relaxation = self._relaxation_of(others_obstruct=bool(uavs) or self._shares_rows)
         self._form(since)
 
-    def _relaxed(self, *, others_obstruct: bool) -> float:
+    def _relaxation_of(self, *, others_obstruct: bool) -> float:
         """Return the relaxation: at most the share of owned UAVs where all correct the same."""
         if not others_obstruct or self.settings.prediction != "closed_loop":
             return self.settings.relaxation

@@ -29,13 +29,13 @@ frozen(_NONE)
 class Program:
     """Prediction and QP of one controller about the present state.
 
-    With compiled kernels their arrays hold until the next prediction.
+    With compiled kernels both are views of buffers that the next `predict` overwrites.
     """
 
     def __init__(self, decision: Decision, cost: Cost, user_costs: UserCosts) -> None:
         self.decision = decision
         self.stack = Stack(decision, constraints_of(decision))
-        self._others = [each for each in self.stack.constraints if not each.in_kernel]
+        self._uncompiled = [each for each in self.stack.constraints if not each.in_kernel]
         self._user_costs = user_costs
 
         system = decision.system
@@ -47,8 +47,7 @@ class Program:
         self._no_terms = np.zeros(0), np.zeros((0, self._n))
         frozen(*self._no_terms)
 
-        # State matrix with the others' feedback, and owned columns of the input matrix, of the
-        # prediction before, if along a trajectory.
+        # A + B_others K and B_own of the last prediction along a trajectory; None after another one.
         self._closed_loop: tuple[Array, Array] | None = None
         self._announced: Announced | None = None  # of the newest prediction
         self.compiled: CompiledProgram | None = None
@@ -75,13 +74,17 @@ class Program:
         law: FeedbackLaw | None,
         along: Rollout | None = None,
     ) -> Prediction:
-        """Predict the team as in `Controller.step`, exactly along a given trajectory, (35a)."""
+        """Predict the team about x0 and u0, or exactly along a given trajectory, (35a).
+
+        The others apply U, or with a control law what it says for their corrections; U is then not
+        used.
+        """
         own = self.decision.own
         if self.compiled is None:
             prediction = predict(discrete, linear.u0, own, U, law)
-            is_new = True
+            dynamics_changed = True
         else:
-            prediction, is_new = self.compiled.respond(
+            prediction, dynamics_changed = self.compiled.respond(
                 linear, discrete, U, law, only_new=along is not None
             )
 
@@ -90,7 +93,7 @@ class Program:
             self._announced = None
             return prediction
         self._announced = Announced(U=along.U, c=law.c)
-        if self._closed_loop is None or is_new:
+        if self._closed_loop is None or dynamics_changed:
             B_others = discrete.B.copy()
             B_others[:, own] = 0.0
             self._closed_loop = discrete.A + B_others @ law.K, discrete.B[:, own]
@@ -121,7 +124,7 @@ class Program:
         self.compiled.condense(objective, keeps=law is not None)
         qp = self.compiled.qp
         rows = Rows(A=qp.A, lower=qp.row_lower, upper=qp.row_upper)
-        self.stack.fill(rows, trajectory, self._others)
+        self.stack.fill(rows, trajectory, self._uncompiled)
         return qp
 
     def relaxed(

@@ -89,6 +89,8 @@ class TimeInvariant:
 
     decision: Decision
     linear: Linear
+    # dX_free, (N_p + 1, n), and effect, (n, N_p, m_own), where n counts actual inputs of known motors;
+    # U_all, (N_p, m), and feedback, (m, N_p, m_own), of the others to the state.
     prediction: Prediction
     announced: Announced | None = None  # with a law, along its trajectory
 
@@ -141,7 +143,10 @@ class TimeInvariant:
         return Signals(values=values, by_decision=effect)
 
     def of_states_and_inputs(self, expand: Expansion) -> Signals:
-        """Return functions of state and inputs; the others respond to the state by the law."""
+        """Return functions of state and inputs; the others respond to the state by the law.
+
+        Without motor lag: the constraint that asks for them, `controller.tension`, refuses it.
+        """
         linear = self.linear
         prediction = self.prediction
         own = self.decision.own

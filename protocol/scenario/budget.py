@@ -39,7 +39,8 @@ _TICK_BYTES = 120.0
 
 _OTHER_PROCESSES = 3  # plant, coordinator and recorder
 
-_ROUNDING = 1e-9  # relative: a whole number of steps must not become one more
+# Of a time in sampling periods, and relative: a whole number must not become one more.
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,6 +146,11 @@ def ticks_of(scenario: Scenario) -> int:
     duration_s = sum(phase.duration_s for phase in scenario.maneuver.phase)
     periods = duration_s / scenario.controller.sampling_period_s
     return max(1, math.ceil(periods - _ROUNDING * periods))
+
+
+def first_tick(at_s: float, period_s: float) -> int:
+    """Return the first tick not before a time of the run."""
+    return math.ceil(at_s / period_s - _ROUNDING)
 
 
 def check_budget(scenario: Scenario, source: str) -> None:

@@ -3,18 +3,16 @@
 A process ends or stops itself, and its parent restarts or continues it.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from transport.protocol.scenario.budget import first_tick
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.wire.messages import Measurement, Message, Tick
 
 OF_UAVS = ("motor_off", "release", "degrade")  # applied by the plant
 _FOR_GOOD = ("motor_off", "release")
-
-_ROUNDING = 1e-9  # of a time in sampling periods: a whole number must not become one more
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +46,7 @@ def scripted(scenario: Scenario) -> tuple[Fault, ...]:
 
     for event in sorted(scenario.faults.event, key=lambda event: event.at_s):
         target = event.target
-        tick = math.ceil(event.at_s / period_s - _ROUNDING)
+        tick = first_tick(event.at_s, period_s)
 
         if event.do == "restart" or event.do == "continue":
             if target not in down_since:

@@ -8,6 +8,7 @@ from operator import attrgetter, itemgetter
 from typing import Any
 
 from transport.model.arrays import Array
+from transport.protocol.scenario.budget import first_tick
 from transport.protocol.scenario.draws import Draw, Streams, draw_key
 from transport.protocol.scenario.keys import UNITS
 from transport.protocol.scenario.link_sections import (
@@ -66,7 +67,7 @@ class Link:
         self._was_bad: list[bool] = []  # Gilbert-Elliott state by tick, as far as it was needed
 
         for change in sorted(links.change, key=attrgetter("at_s")):
-            self.change(math.ceil(change.at_s / period_s - _SLACK), change)
+            self.change(first_tick(change.at_s, period_s), change)
 
     def change(self, tick: int, change: LinkOverrideSection) -> None:
         """Apply the given keys from a tick on, if the change covers this link.

@@ -7,6 +7,7 @@ from itertools import pairwise
 from operator import attrgetter
 
 from transport.protocol.radio.standard import STANDARDS
+from transport.protocol.scenario.budget import first_tick, ticks_of
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.fault_relations import Problems, fault_problems, processes_of
 from transport.protocol.scenario.maneuver_sections import PhaseSection
@@ -109,7 +110,9 @@ def _ownership(scenario: Scenario) -> Problems:
 
 
 def after_the_end(scenario: Scenario) -> Iterator[str]:
-    """Yield, in words, the scripted events that come after the end of the run: none happens."""
+    """Yield, in words, the scripted events that come after the last tick of the run: none happens."""
+    ticks = ticks_of(scenario)
+    period_s = scenario.controller.sampling_period_s
     end_s = math.fsum(phase.duration_s for phase in scenario.maneuver.phase)
     links = scenario.links
     times_s = {
@@ -118,8 +121,12 @@ def after_the_end(scenario: Scenario) -> Iterator[str]:
         **{f"links.partition.{i}.start_s": one.start_s for i, one in enumerate(links.partition, 1)},
     }
     for field, at_s in times_s.items():
-        if at_s >= end_s:
-            yield f"{field}: {at_s:g} s is after the end of the run at {end_s:g} s, so it does not happen"
+        # It acts from the first tick not before it on.
+        if first_tick(at_s, period_s) < ticks:
+            continue
+        last_s = (ticks - 1) * period_s
+        when = f"is after the last tick, {last_s:g} s, of the run of {end_s:g} s"
+        yield f"{field}: {at_s:g} s {when}, so it does not happen"
 
 
 def _links(scenario: Scenario) -> Problems:

@@ -1,9 +1,9 @@
 """Targets given during a run: messages of the coordinator, each of which makes a new reference."""
 
-import math
 from operator import itemgetter
 
 from transport.model.target import Target
+from transport.protocol.scenario.budget import first_tick
 from transport.protocol.scenario.errors import RequestError
 from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.planned_run import PlannedRun
@@ -14,7 +14,6 @@ from transport.protocol.wire.names import COORDINATOR
 from transport.protocol.wire.node import Outbox
 
 MOST = 1000  # targets of one run: a process that joins receives all of them
-_ROUNDING = 1e-9  # of a time in sampling periods: a whole number must not become one more
 
 
 def target_of(message: messages.Target, period_s: float) -> Target:
@@ -52,7 +51,7 @@ def scripted(setup: PlannedRun) -> list[tuple[int, TargetSection]]:
     """Return the targets of a scenario with their ticks, in the order of time."""
     period_s = setup.settings.sampling_period_s
     sections = setup.scenario.maneuver.target
-    timed = [(math.ceil(section.at_s / period_s - _ROUNDING), section) for section in sections]
+    timed = [(first_tick(section.at_s, period_s), section) for section in sections]
     return sorted(timed, key=itemgetter(0))
 
 

@@ -336,7 +336,8 @@ def test_events_after_the_end_are_told() -> None:
     scenario = read_scenario(
         find_scenario("paper"),
         [
-            "faults.event=[{at_s=8000.0,do='kill',target='agent3'}]",
+            "faults.event=[{at_s=8000.0,do='kill',target='agent3'},"
+            "{at_s=24.96,do='kill',target='agent2'},{at_s=24.95,do='kill',target='agent1'}]",
             "links.change=[{at_s=1.0,loss=1.0},{at_s=2000.0,loss=0.0}]",
             "links.partition=[{between=['agent1'],start_s=25.0,end_s=26.0}]",
         ],
@@ -344,7 +345,9 @@ def test_events_after_the_end_are_told() -> None:
     told = list(after_the_end(scenario))
     assert [text.split(":")[0] for text in told] == [
         "faults.event.1.at_s",
+        "faults.event.2.at_s",
         "links.change.2.at_s",
         "links.partition.1.start_s",
     ]
-    assert told[0].endswith("8000 s is after the end of the run at 25 s, so it does not happen")
+    when = "8000 s is after the last tick, 24.95 s, of the run of 25 s, so it does not happen"
+    assert told[0].endswith(when)

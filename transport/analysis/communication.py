@@ -87,7 +87,7 @@ def plans_between_agents(
 
     A shared one is sent to every other agent that takes a step able to use it. `replaced` were not
     put on the air, as newer ones had their slots. Plans neither delivered, lost nor replaced were in
-    transit when the run, or their receiver, ended.
+    transit when the run, or their receiver, ended. `rejected` counts refused messages of any kind.
     """
     plans = [plan for plan in log.of(messages.Plan) if not plan.negotiation]
     shared = [plan for plan in plans if plan.shared]

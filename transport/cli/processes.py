@@ -84,7 +84,7 @@ class ProcessOptions:
     def compiled_setup(self) -> Setup:
         """Return the setup with the model compiled for this processor.
 
-        The first start on a host takes seconds longer, every later step a third of the time.
+        The first start on a host takes seconds longer; each step then takes a third of the time.
         `transport run` has compiled it before its processes start.
         """
         setup = self.setup()
@@ -106,7 +106,7 @@ class ProcessOptions:
         run = self.run or scenario.name
         with blame("--run"):
             Keys(run)
-        self._check_endpoints()
+        check_endpoints(self.listen, self.connect)
 
         incarnation = self.incarnation
         if incarnation is None:
@@ -123,19 +123,21 @@ class ProcessOptions:
             join_timeout_s=join_timeout_s,
         )
 
-    def _check_endpoints(self) -> None:
-        """End the command if an endpoint has another form than protocol/address."""
-        for option, endpoints in (("--listen", self.listen), ("--connect", self.connect)):
-            for endpoint in endpoints or []:
-                if not re.fullmatch(r"[a-z0-9-]+/\S+", endpoint):
-                    expected = "an endpoint such as tcp/127.0.0.1:7447"
-                    fail(f"{option}: expected {expected}, got {endpoint!r}")
+
+def check_endpoints(listen: Sequence[str] | None, connect: Sequence[str] | None) -> None:
+    """End the command if an endpoint has another form than protocol/address."""
+    for option, endpoints in (("--listen", listen), ("--connect", connect)):
+        for endpoint in endpoints or []:
+            if not re.fullmatch(r"[a-z0-9-]+/\S+", endpoint):
+                expected = "an endpoint such as tcp/127.0.0.1:7447"
+                fail(f"{option}: expected {expected}, got {endpoint!r}")
 
 
 class Prepared:
     """Model and control law of a run, computed once: the processes forked after share their memory.
 
-    The law's results are shared as long as it is kept: `mpc.shared`.
+    The fork server (`transport.__main__`) calls `prepare` before each fork. The law's results are
+    shared as long as it is kept: `mpc.shared`.
     """
 
     def __init__(self) -> None:
@@ -149,7 +151,7 @@ class Prepared:
         scenario = arguments[arguments.index("--scenario") + 1]
         settings = [value for option, value in itertools.pairwise(arguments) if option == "--set"]
         setup = process_setup(scenario, settings, allow_large=True)
-        if setup is self.setup:
+        if setup is self.setup:  # the same object: `read_setup` keeps the last one
             return
         self.setup = setup
         self.law = Regulation(setup.model, setup.hover, setup.settings, setup.reference.sampled)
@@ -261,6 +263,7 @@ def router(
     """
     from transport.protocol.network.session import route
 
+    check_endpoints(listen, connect)
     setup = read_setup(scenario, settings, allow_large=True)
     security = security_of(setup.scenario)
     endpoints = Endpoints(listen=listen, connect=connect or [], mode="router", security=security)

@@ -82,7 +82,11 @@ def ros2(
             folder=folder,
             tail=tail,
             history=history,
-            start=_PacedStart(period_ns=messages.period_ns, speed=messages.speed),
+            start=_PacedStart(
+                period_ns=messages.period_ns,
+                speed=messages.speed,
+                waits=setup.scenario.clock.on_overrun == "hold",
+            ),
         )
         targets = _Targets(node=node, commands=commands)
         _publish(reader, _Publisher(messages=messages, node=node), targets)
@@ -114,11 +118,13 @@ class _PacedStart:
     """Start of a paced run by the wall clock, from the times at which its ticks were recorded.
 
     A tick is never recorded before its time, so the start is the earliest that any tick allows. The
-    time at which this process reads a tick would not do: it is late while the process begins.
+    time at which this process reads a tick would not do: it is late while the process begins. Where
+    the clock waits for late plans (`clock.on_overrun` hold), it goes on later by as much.
     """
 
     period_ns: int
     speed: float  # scenario time over wall time; 0 for a run that is not paced
+    waits: bool = False  # whether the clock waits for late plans
     start_ns: int | None = None
 
     def note(self, tick: int, recorded_ns: int) -> None:
@@ -126,8 +132,13 @@ class _PacedStart:
         if self.speed == 0.0:
             return
         start_ns = recorded_ns - self._since_start_ns(tick)
-        if self.start_ns is None or start_ns < self.start_ns:
+        has_waited = self.waits and self._is_a_period_later(start_ns)
+        if self.start_ns is None or start_ns < self.start_ns or has_waited:
             self.start_ns = start_ns
+
+    def _is_a_period_later(self, start_ns: int) -> bool:
+        """Return whether a tick was recorded later than by the start so far, by a period or more."""
+        return self.start_ns is not None and start_ns - self.start_ns >= self.period_ns / self.speed
 
     def stamp_ns(self, tick: int) -> int:
         """Return the stamp of a tick, ns since 1970; now in a run that is not paced."""

@@ -221,7 +221,7 @@ _FURTHER = {
 
 
 def table_of(title: str, measured: Sequence[PointStatistics]) -> Table:
-    """Return the table for the console, `WIDTH` characters wide."""
+    """Return the table for the console; its further columns are those of the first label that has some."""
     names = list(measured[0].point.labels)
     columns = next((_FURTHER[name] for name in names if name in _FURTHER), _COLUMNS)
     headings = {name: name.replace("_", "\n", 1) for name in ("scenario", *names)}

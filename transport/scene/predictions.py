@@ -44,7 +44,7 @@ class Predictions:
         return self._history.setup
 
     def paths(self, tick: int) -> tuple[PredictedPaths, ...]:
-        """Return the paths of the agents that made a plan at a tick, whose plant state is known."""
+        """Return the paths of the agents that made a plan at a tick; its plant state must be recorded."""
         setup = self._setup
         positions = 3 * setup.system.N
         predicted = []
@@ -83,7 +83,7 @@ class Predictions:
         if setup.settings.motor_lag_s > 0.0:
             z0 = np.concatenate([plant_state.x, plant_state.u])  # as if motors reached them at once
 
-        law = self._team_law(z0, announced, forces, tick)
+        law = self._team_law(z0, announced, forces, plan)
         if law is None:
             law = self._open_loop(z0, announced, plan, plant_state)
         actuation = Actuation.of(setup.settings, setup.system.N)
@@ -100,12 +100,16 @@ class Predictions:
     def _announced(self, plan: Plan, report: StepReport | None, tick: int) -> AnnouncedInputs:
         """Return the inputs of an agent's plan and of the others' plans that it used.
 
-        As the team is complete, they need no control law of those that left.
+        No fail-safe is set: of a complete team no agent has left.
         """
         setup = self._setup
         alignment = setup.scenario.controller.received_plans
         announced = AnnouncedInputs(setup.owned, setup.hover.u, alignment=alignment, own=plan.agent)
         announced.add(plan)
+        # With a plan that starts at the next tick the one before is still in force.
+        before = self._history.plans.get((plan.agent, tick - 1))
+        if before is not None:
+            announced.add(before)
         if report is None:
             return announced
 
@@ -116,7 +120,7 @@ class Predictions:
         return announced
 
     def _team_law(
-        self, z0: Array, announced: AnnouncedInputs, forces: Array, tick: int
+        self, z0: Array, announced: AnnouncedInputs, forces: Array, plan: Plan
     ) -> FeedbackLaw | None:
         """Return the shared control law with the announced corrections; None if there is none."""
         regulation = self._followed_regulation()
@@ -124,8 +128,13 @@ class Predictions:
             return None
 
         steps = self._setup.settings.horizon
+        tick = plan.tick
         x_ref = self._setup.X_ref[tick : tick + steps]
-        corrections = announced.corrections(tick, steps, tick + 1)
+        # Until the plan starts, the corrections are those of the plans before it.
+        fixed = min(max(plan.start_tick - tick, 0), steps)
+        first = announced.corrections(tick, fixed, before=tick)
+        later = announced.corrections(plan.start_tick, steps - fixed, before=tick + 1)
+        corrections = np.concatenate([first, later])
         return regulation.law(z0, x_ref, corrections, forces, tick)
 
     def _open_loop(
@@ -137,7 +146,7 @@ class Predictions:
         # Inputs before the start of the plan are already fixed.
         fixed = min(max(plan.start_tick - tick, 0), steps)
         U = np.tile(plant_state.u, (steps, 1))
-        U[fixed:] = announced.sequence(plan.start_tick, steps - fixed, tick + 1)
+        U[fixed:] = announced.sequence(plan.start_tick, steps - fixed, before=tick + 1)
 
         return FeedbackLaw(
             K=np.zeros((U.shape[1], len(z0))),
