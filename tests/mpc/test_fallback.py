@@ -10,6 +10,7 @@ import pytest
 
 from tests.support.systems import Situation, controller, paper_setup, situation, step
 from transport.mpc.controller import Controller, StepResult
+from transport.mpc.prediction import Prediction
 from transport.mpc.settings import Constraint, ControllerSettings, SolverName
 
 HORIZON = 6
@@ -107,6 +108,23 @@ def test_recovers_when_the_next_program_has_a_solution(solver: SolverName) -> No
     after, fresh = step(one, good), step(controller(setup, settings, (0, 1, 2, 3)), good)
     assert after.solution.status == "solved"
     assert np.array_equal(after.U, fresh.U)
+
+
+def test_a_plan_out_of_range_is_not_called_solved() -> None:
+    """A solution whose inputs are not numbers is discarded, and the result says so."""
+    setup = paper_setup()
+    settings = ControllerSettings(horizon=HORIZON)
+    at = situation(setup, settings, seed=1)
+    one = controller(setup, settings, (0,))
+    linear = one.linearise(at.x, at.u)
+    prediction = one.predict(linear, one.discretise(linear), at.U, None)
+    assert isinstance(prediction, Prediction)
+    solution = one.solve(one.condense(linear, prediction, at.y_ref))
+    assert solution.status == "solved"
+    broken = replace(prediction, U_free=np.full_like(prediction.U_free, np.nan))
+    result = one.conclude(solution, broken, at.U, None)
+    assert result.solution.status != "solved"
+    assert np.array_equal(result.U, at.U[:, one.own])
 
 
 @pytest.mark.parametrize("expression", [f"thrust2 <= {THRUST_LIMIT}", "thrust2 == thrust3"])

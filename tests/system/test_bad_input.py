@@ -86,6 +86,18 @@ def test_port_in_use_is_named(tmp_path: Path) -> None:
     assert "Traceback" not in whole.stderr + single.stderr
 
 
+@pytest.mark.parametrize("command", [["agent", "--id", "1"], ["router"]], ids=["agent", "router"])
+def test_the_option_with_a_wrong_endpoint_is_named(command: list[str], tmp_path: Path) -> None:
+    """Each process that takes endpoints refuses one without a protocol, by its option."""
+    endpoints = ["--listen", "tcp/127.0.0.1:0", "--connect", "127.0.0.1"]
+    result = transport(*command, *endpoints, cwd=tmp_path)
+    assert result.returncode == 2
+    assert (
+        "--connect: expected an endpoint such as tcp/127.0.0.1:7447, got '127.0.0.1'"
+        in result.stderr
+    )
+
+
 def test_connecting_to_nothing_ends_by_name(tmp_path: Path) -> None:
     """An agent without connections names the missing processes and its endpoints within the join timeout."""
     options = [

@@ -10,6 +10,7 @@ import pytest
 
 from tests.support.commands import free_base, settings, start, wait_for
 from tests.support.logs import Growing, bits, messages_until
+from transport.cli.ros2 import PacedStart
 from transport.protocol.wire.messages import Message, PlantState, Target
 
 # Definitions as published by ROS 2, without comments.
@@ -172,6 +173,21 @@ def test_a_run_is_seen_and_does_not_notice(sdk: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("waits", [False, True])
+def test_stamps_are_times_of_the_wall_clock(*, waits: bool) -> None:
+    """A tick is stamped by its time, not by when it was recorded, and later by what the clock waited."""
+    begun_ns, period_ns = 10**18, 50_000_000
+    start = PacedStart(period_ns=period_ns, speed=1.0, waits=waits)
+    late_ns = (3_000_000, 1_000_000, 40_000_000)
+    for tick, by_ns in enumerate(late_ns):
+        start.note(tick, begun_ns + tick * period_ns + by_ns)
+    assert start.stamp_ns(2) == begun_ns + 2 * period_ns + min(late_ns)
+
+    waited_ns = 5 * 10**9
+    start.note(3, begun_ns + 3 * period_ns + waited_ns)
+    assert start.stamp_ns(3) == begun_ns + 3 * period_ns + (waited_ns if waits else min(late_ns))
+
+
 def test_the_bridge_of_a_killed_run_ends(tmp_path: Path) -> None:
     """The bridge ends with exit code 0 when the run is killed, whose log then has no end."""
     endpoint = f"tcp/127.0.0.1:{free_base()}"

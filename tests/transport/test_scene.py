@@ -23,6 +23,7 @@ from transport.scene.scene import SceneBuilder
 STEP_M = 1e-7
 # Largest error of an agent's prediction over half a second, with small changes of the other plans.
 NEAR_M = 1e-2
+SOON_M = 3e-4  # the same over three periods on a perfect network
 ROUNDING = 1e-9
 DARK = "links.override=[{from='agent2',to='agent1',loss=1.0}]"
 LATE = "links.delay_s=0.2"
@@ -99,6 +100,18 @@ def test_agents_predict_half_a_second(motors: str, request: pytest.FixtureReques
         np.testing.assert_allclose(
             prediction.uavs_I[10, 0], after.uavs_I[prediction.agent - 1], atol=NEAR_M
         )
+
+
+@pytest.mark.parametrize("actuation", ["immediate", "next_tick"])
+def test_plans_are_predicted_from_their_start(actuation: str, tmp_path: Path) -> None:
+    """On a perfect network three periods ahead, also where a plan acts from the next tick on."""
+    builder = builder_of(tmp_path, *LAW, f"clock.actuation={actuation}")
+    for tick in (5, 10, 14, 20):
+        after = builder.at(tick + 3)
+        for prediction in builder.at(tick).predictions:
+            own_I = after.uavs_I[prediction.agent - 1]
+            np.testing.assert_allclose(prediction.uavs_I[3, 0], own_I, atol=SOON_M)
+            np.testing.assert_allclose(prediction.payload_I[3], after.payload_I, atol=SOON_M)
 
 
 def test_links_show_the_age(distributed: SceneBuilder) -> None:

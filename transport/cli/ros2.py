@@ -82,7 +82,7 @@ def ros2(
             folder=folder,
             tail=tail,
             history=history,
-            start=_PacedStart(
+            start=PacedStart(
                 period_ns=messages.period_ns,
                 speed=messages.speed,
                 waits=setup.scenario.clock.on_overrun == "hold",
@@ -114,7 +114,7 @@ def _publish(reader: "_Reader", publisher: "_Publisher", targets: "_Targets") ->
 
 
 @dataclass(slots=True, kw_only=True)
-class _PacedStart:
+class PacedStart:
     """Start of a paced run by the wall clock, from the times at which its ticks were recorded.
 
     A tick is never recorded before its time, so the start is the earliest that any tick allows. The
@@ -158,7 +158,7 @@ class _Reader:
     folder: Path
     tail: LogTail
     history: RunHistory
-    start: _PacedStart
+    start: PacedStart
     next_look_s: float = 0.0  # steady-clock time of the next look at the parent
     parent_is_gone: bool = False  # whether the parent, which writes the log, was killed
 
