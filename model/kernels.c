@@ -1,7 +1,7 @@
 /* The loops of a controller's step, for matrices so small that BLAS calls are mostly overhead.
 
-   Each function has an equivalent in Python, which tests it (tests/model/test_native.py) and replaces it without a C
-   compiler. Matrices are dense and row-major, sizes are numbers of entries, nothing is allocated or kept; the order of
+   Each function has an equivalent in Python, which tests it (tests/model/test_native.py, tests/mpc) and replaces it
+   without a C compiler. Matrices are dense and row-major, sizes are numbers of entries, nothing is allocated or kept; the order of
    summation depends on the sizes and the zeros alone. Numbers in brackets are equations
    of docs/equations.md, in whose letters the comments are.
 
@@ -773,6 +773,8 @@ void conclude(const problem *p, const double *z, double w, double *U, double *c)
           p->feedback, w, p->low, p->high, p->rate, U, c, p->work);
 }
 
+#define TURN 6.283185307179586476925286766559 /* 2 pi */
+
 /* The law of a UAV alone, with what it follows from; the state of the team x is that of model/state.py. */
 typedef struct {
     double rho[3], length;              /* attachment point, payload frame, and length of the rod */
@@ -812,17 +814,17 @@ static void cross(const double *a, const double *b, double *to)
     to[2] = a[0] * b[1] - a[1] * b[0];
 }
 
+static double within(double value, double largest) { return fmin(fmax(value, -largest), largest); }
+
 /* Roll and pitch whose thrust has the direction of a force, at a yaw: (31b). */
 static void attitude(const double *force, double yaw, double *roll, double *pitch)
 {
     const double strength = sqrt(force[0] * force[0] + force[1] * force[1] + force[2] * force[2]);
     const double forward = cos(yaw) * force[0] + sin(yaw) * force[1];
     const double right = cos(yaw) * force[1] - sin(yaw) * force[0];
-    *roll = strength > 0.0 ? asin(right / strength) : 0.0;
+    *roll = strength > 0.0 ? asin(within(right / strength, 1.0)) : 0.0; /* beyond 1 by rounding */
     *pitch = strength > 0.0 ? atan2(-forward, -force[2]) : 0.0;
 }
-
-static double within(double value, double largest) { return fmin(fmax(value, -largest), largest); }
 
 /* Inputs u of a UAV alone at a state of the team, before limits: (31a), (31b). `own` is its part of the state,
    `held` the force of its integral. */
@@ -864,7 +866,7 @@ void alone_inputs(const double *x, const double *own, const alone_law *law, cons
     attitude(course->force, Theta[2], &roll_ref, &pitch_ref);
     const double error[3] = {Theta[0] - (roll_ref + within(roll - roll_ref, law->steepest)),
                              Theta[1] - (pitch_ref + within(pitch - pitch_ref, law->steepest)),
-                             remainder(Theta[2] - course->Theta[2], 2.0 * M_PI)};
+                             remainder(Theta[2] - course->Theta[2], TURN)};
     double turned_faster[3], stiff[3], damped[3];
     for (int i = 0; i < 3; i++) turned_faster[i] = omega[i] - course->omega[i];
     times(law->stiffness, error, stiff);

@@ -353,7 +353,8 @@ def _attitude(force_I: Array, yaw: float) -> tuple[float, float]:
     if not strength > 0.0:
         return 0.0, 0.0
     forward, right = cosine * x + sine * y, cosine * y - sine * x
-    return math.asin(right / strength), math.atan2(-forward, -z)
+    sine_of_roll = min(max(right / strength, -1.0), 1.0)  # beyond 1 by rounding
+    return math.asin(sine_of_roll), math.atan2(-forward, -z)
 
 
 def _attitude_slopes(force_I: Array, yaw: float) -> tuple[Array, Array]:

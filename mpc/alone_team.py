@@ -7,7 +7,6 @@ Source: docs/equations.md (31f).
 """
 
 from collections.abc import Collection
-from typing import NamedTuple
 
 from transport.model import native
 from transport.model.arrays import Array
@@ -26,13 +25,6 @@ _KEPT = 512  # ticks: more than estimators look back and horizons ahead
 # Time before the first tick that is asked for, at which the motion of the present team starts from
 # the reference: its start has decayed, s.
 _LEAD_S = 10.0
-
-
-class _Known(NamedTuple):
-    """The course of a UAV at a tick."""
-
-    course: Course
-    compiled: CompiledCourse | None  # None without compiled kernels
 
 
 class AloneTeam:
@@ -66,7 +58,8 @@ class AloneTeam:
         self._off, self._released = frozenset(off), frozenset(released)
         # Those left follow the reference itself.
         self._left = self._on_reference.of_team(off, released)
-        self._courses: dict[tuple[int, int], _Known] = {}
+        self._courses: dict[tuple[int, int], Course] = {}
+        self._compiled_courses: dict[tuple[int, int], CompiledCourse] = {}
         self._compiled_laws: dict[int, CompiledAloneLaw] = {}
 
     def law(self, uav: int) -> AloneLaw:
@@ -75,27 +68,32 @@ class AloneTeam:
 
     def course(self, uav: int, tick: int) -> Course:
         """Return what a UAV, 0-based, follows at a tick."""
-        return self._known(uav, tick).course
-
-    def inputs(self, uav: int, x: Array, tick: int, held_I: Array | None = None) -> Array:
-        """Return the inputs of a UAV, 0-based, alone at a state, (n,), before limits, (4,)."""
-        known = self._known(uav, tick)
-        if known.compiled is None:
-            return self.law(uav).inputs(motion_of(self._system, uav, x), known.course, held_I)
-        if uav not in self._compiled_laws:
-            self._compiled_laws[uav] = CompiledAloneLaw(self._system, uav, self.law(uav))
-        return self._compiled_laws[uav].inputs(x, known.compiled, held_I)
-
-    def _known(self, uav: int, tick: int) -> _Known:
         key = uav, max(tick, 0)
         self._renew(key[1])
         if key not in self._courses:
             while len(self._courses) > _KEPT * self._system.N:
                 del self._courses[next(iter(self._courses))]
-            course = self._course(*key)
-            compiled = CompiledCourse(course) if native.AVAILABLE else None
-            self._courses[key] = _Known(course, compiled)
+            self._courses[key] = self._course(*key)
         return self._courses[key]
+
+    def inputs(self, uav: int, x: Array, tick: int, held_I: Array | None = None) -> Array:
+        """Return the inputs of a UAV, 0-based, alone at a state, (n,), before limits, (4,)."""
+        course = self.course(uav, tick)
+        if not native.AVAILABLE:
+            return self.law(uav).inputs(motion_of(self._system, uav, x), course, held_I)
+        if uav not in self._compiled_laws:
+            self._compiled_laws[uav] = CompiledAloneLaw(self._system, uav, self.law(uav))
+        return self._compiled_laws[uav].inputs(x, self._compiled_course(uav, tick, course), held_I)
+
+    def _compiled_course(self, uav: int, tick: int, course: Course) -> CompiledCourse:
+        """Return the course of a UAV at a tick as the kernel reads it."""
+        compiled = self._compiled_courses.get((uav, tick))
+        if compiled is None or compiled.course is not course:
+            while len(self._compiled_courses) > _KEPT * self._system.N:
+                del self._compiled_courses[next(iter(self._compiled_courses))]
+            compiled = CompiledCourse(course)
+            self._compiled_courses[uav, tick] = compiled
+        return compiled
 
     def _course(self, uav: int, tick: int) -> Course:
         if self._off or self._motion is None:

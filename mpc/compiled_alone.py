@@ -4,8 +4,6 @@
 on a late network an agent asks for the inputs of others alone at every tick that it estimates again.
 """
 
-from dataclasses import astuple
-
 import numpy as np
 
 from transport.model import native, state
@@ -18,8 +16,21 @@ class CompiledCourse:
     """A course as the kernel reads it."""
 
     def __init__(self, course: Course) -> None:
-        parts = [*astuple(course.motion), course.force_I, course.turning]
-        self._numbers = np.concatenate(parts)
+        self.course = course
+        motion = course.motion
+        # In the order of the struct `alone_course`.
+        self._numbers = np.concatenate(
+            [
+                motion.position_I,
+                motion.velocity_I,
+                motion.Theta,
+                motion.omega_B,
+                motion.rod_I,
+                motion.swing_I,
+                course.force_I,
+                course.turning,
+            ]
+        )
         self.address = native.address(self._numbers)
 
 

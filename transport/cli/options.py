@@ -123,7 +123,8 @@ def process_setup(
     """Return the setup as `read_setup` does, for a process of the run.
 
     At a set speed its time for a tick is limited: a target through way points finds its spline
-    imported, which takes 0.3 s. As fast as possible, the others wait that long.
+    imported, which takes 0.3 s. As fast as possible all processes import it at the target's tick, and
+    wait for each other: `clock.barrier_timeout_s` has to allow that.
     """
     setup = read_setup(scenario, settings, allow_large=allow_large)
     if setup.scenario.clock.speed > 0.0:
