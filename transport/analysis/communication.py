@@ -45,7 +45,7 @@ def deadline(setup: Setup, log: RunLog) -> dict[str, Any]:
     """Return how many plans missed their deadline, and how late ticks opened.
 
     With `clock.on_overrun` hold, `plans` and `missed` are ticks: those that waited for a plan. There
-    are none in lockstep.
+    are none in lockstep. `worst_ms` is None in lockstep, and where a missed plan never came.
     """
     if setup.scenario.clock.mode != "realtime":
         return {

@@ -198,7 +198,9 @@ def coordinator(
     place = options.place(COORDINATOR)
     node = CoordinatorNode(setup, place.incarnation, observer or [])
     others = [PLANT, *map(agent_name, setup.agents), *(observer or [])]
-    raise typer.Exit(run_node(node, place, setup, others, node.interrupt, others))
+    raise typer.Exit(
+        run_node(node, place, setup, others, on_interrupt=node.interrupt, linger_for=others)
+    )
 
 
 @with_options(ProcessOptions)

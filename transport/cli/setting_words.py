@@ -22,7 +22,9 @@ _KEY = "_TRANSPORT_COMPLETE_KEY"
 def rejoin_settings() -> None:
     """Join the words of settings in a completion by bash, which splits KEY=VALUE at the sign.
 
-    It replaces the part behind the sign alone: of the setting that is completed only this is a word.
+    `--set clock.mode=real` arrives as the words `--set`, `clock.mode`, `=` and `real`, of which bash
+    replaces `real` alone. It is completed as the value of the key in the environment, `_KEY`. The
+    group of commands calls this before it completes.
     """
     if os.environ.get(_KIND) != _BASH:
         return
@@ -63,8 +65,8 @@ def _rejoined(words: Sequence[str], place: int) -> tuple[list[str], int]:
 def complete_setting(ctx: typer.Context, incomplete: str) -> list[str]:
     """Return the keys of a scenario that begin like an incomplete word.
 
-    The values of the last key that is left follow it: all of a choice, else none and the one that
-    the scenario has. Shells add a space to a single word, which a key must not have.
+    If one key remains, its settings KEY=VALUE are returned: with every choice, or else with no value
+    and with that of the scenario. Shells add a space to a single word, which a key must not have.
     """
     key_before = os.environ.pop(_KEY, None)
     if key_before is not None:

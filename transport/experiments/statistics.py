@@ -195,8 +195,7 @@ _COLUMNS = [
     _AGE,
 ]
 
-# Columns of experiments whose points have a label: weather, plans that are not sent, speeds, and
-# teams, which are timed.
+# Columns in place of `_COLUMNS`, by the label of the points that selects them; the first label counts.
 _FURTHER = {
     "weather": [
         *(_DIVERGED, _ERROR, _LARGEST_ERROR),

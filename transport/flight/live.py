@@ -21,8 +21,7 @@ from transport.protocol.network.session import Reach, ask
 from transport.protocol.scenario.link_changes import PERFECT
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.keys import ROUTER
-from transport.protocol.wire.messages import agent_name
-from transport.protocol.wire.names import COORDINATOR, RECORDER
+from transport.protocol.wire.names import COORDINATOR, RECORDER, agent_name
 
 _FILE = "live.json"
 # Process ids have 31 bits in POSIX; an id of 0 or below would mean a group.
@@ -48,7 +47,10 @@ class LiveRun:
 
 
 def write(folder: Path, run: LiveRun) -> None:
-    """Mark a run as active; a folder that cannot be written is left unmarked."""
+    """Mark a run as active, and register it.
+
+    In a folder that cannot be written there is no mark: `read` ignores that run.
+    """
     new = folder / f".{_FILE}"
     with suppress(OSError):
         new.write_bytes(msgspec.json.encode(run))
@@ -144,7 +146,7 @@ class Commands:
         self._requests.put((COORDINATOR, "link", change))
 
     def cut(self, groups: Sequence[Sequence[int]]) -> None:
-        """Lose all messages between groups of agents, in both directions, from the same tick on."""
+        """Lose all messages between groups of agents, in both directions, all from one tick on."""
         names = [[agent_name(agent) for agent in group] for group in groups]
         self._requests.put((COORDINATOR, "link", {"groups": names, "settings": {"loss": 1.0}}))
 
