@@ -58,10 +58,10 @@ class TeamEstimate:
         self.restart()
 
     def restart(self) -> None:
-        """Reset for a new start in the run.
+        """Reset for a new start in the run, as an agent has that was off the roster.
 
-        The controller keeps its state, also the agents that it leaves out and the UAVs that have
-        failed; the first roster tells them again.
+        The controller, and which agents it leaves out, stay as they are. Failures are told again by
+        the first roster, for the new estimator.
         """
         setup = self._setup
         regulation = self._controller.regulation
@@ -107,10 +107,11 @@ class TeamEstimate:
         )
 
     def share_alone(self, k: int) -> float:
-        """Return how much the agent is to act alone at a tick, after `update`, by the oldest news: (32c).
+        """Return the share, 0 to 1, with which the agent is to act alone at tick k: (32c).
 
-        At least nearly as much as the one of the others that says least: where all others act alone,
-        an agent that follows the team's law works against them.
+        To be called after `announced.observe_news` of that tick. The share follows from the oldest
+        news, but is at most `LESS_THAN_OTHERS` below the smallest that the others announce: where all
+        others act alone, an agent that follows the team's law works against them.
         """
         silence = self.announced.silence
         if silence is None:
@@ -173,7 +174,9 @@ class TeamEstimate:
     def _hold_forces(self, k: int) -> None:
         """Follow the forces as the integrals of UAVs alone do: (32f).
 
-        A team holds what it estimates; alone, a UAV is first moved by a gust, and then holds it.
+        A team holds what it estimates; alone, a UAV is first moved by a gust, and then holds it. Each
+        agent does this by its own estimate: the others' share in it is only what this agent expects
+        of them, so agents need not agree.
         """
         if self.forces is None:
             return

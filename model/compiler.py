@@ -1,6 +1,6 @@
 """The cache folder, and C source compiled for this processor.
 
-PAYLOAD_TRANSPORT_NATIVE=0 switches it off.
+With PAYLOAD_TRANSPORT_NATIVE=0 callers use no compiled code (`enabled`).
 """
 
 import hashlib
@@ -95,7 +95,10 @@ def compile_library(path: Path, sources: Sequence[bytes], flags: Sequence[str]) 
     except subprocess.SubprocessError:
         return False
     except OSError as error:
-        _warn_of_plain_kernels(f"the cache {path.parent} cannot be written ({error.strerror})")
+        cannot = f"the cache {path.parent} cannot be written"
+        if error.filename == compiler:
+            cannot = f"the compiler {compiler} cannot be started"
+        _warn_of_plain_kernels(f"{cannot} ({error.strerror})")
         return False
     return True
 

@@ -18,6 +18,7 @@ Places = npt.NDArray[np.intp]
 
 _FLAGS = ("-O3", "-march=native", "-fno-math-errno")
 _ALIGNMENT = 64  # of work spaces, bytes: the widest vectors of a processor
+LANES = 8  # numbers in such a vector, as in kernels.c: rows of work arrays are a multiple of it
 
 _address = ctypes.c_void_p
 _number = ctypes.c_ssize_t

@@ -87,7 +87,8 @@ class CompiledProgram:
     ) -> tuple[Prediction, bool]:
         """Return the prediction of a step, and whether the difference equation or the gain is new.
 
-        With `only_new` the numbers stay as they are if neither is: `follow` replaces them.
+        With `only_new` nothing is computed if neither is new: the caller writes the free response
+        along a trajectory by `mpc.prediction.follow`.
         Source: docs/equations.md (22)-(24), (35).
         """
         copied = self._copies.copied
@@ -254,13 +255,18 @@ class CompiledProgram:
         problem = self._problem
         steps, m = decision.shape
         m_all = decision.system.m
-        signals = problem.outputs + self._terms + m_all
+        # Outputs, the user's terms, and the others' inputs, of which there are fewer than of all.
+        weighted = problem.outputs + self._terms + m_all
         in_rows = m * max(problem.pairs, problem.angles) + problem.pairs
-        self._set("S", np.empty((signals, steps, m)))
+        self._set("S", np.empty((weighted, steps, m)))
         self._set("free", np.empty((steps, problem.outputs)))
         self._set("signals", np.empty(steps * in_rows))
-        self._set("kept", np.empty((2 * self._n + signals) * (decision.size + 7) + 8))
+        # Effects of the decision on states, on what has a weight and on the root of the cost-to-go:
+        # L, flat and reached in `condense` of the kernels, the rows and their begin padded to vectors.
+        padded_row = decision.size + native.LANES - 1
+        rows = self._n + weighted + self._n
+        self._set("kept", np.empty(rows * padded_row + native.LANES))
 
         for_prediction = native.KERNELS.predict_work(self._n, m_all, m)
-        for_cost = native.KERNELS.condense_work(steps, self._n, m, signals, self._n)
+        for_cost = native.KERNELS.condense_work(steps, self._n, m, weighted, self._n)
         problem.work = native.work("step", max(for_prediction, for_cost))

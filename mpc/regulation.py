@@ -20,9 +20,11 @@ from transport.mpc.tracking import Recursion
 
 
 class WholeTeam:
-    """The law of the team without deaths and failures, whose motion UAVs without plans follow.
+    """The law of the team without deaths and failures.
 
-    Along a flat reference they follow that, so it has no regulator along it.
+    UAVs without plans follow the motion that this team would fly. With a flat reference they follow the
+    reference itself, so `law` has no `tracker`, the regulator along it.
+
     Raises: FeedbackError: the settings need a regulator and none stabilises the team.
     """
 
@@ -66,9 +68,16 @@ class Regulation:
         *,
         since: int | None = None,
     ) -> None:
-        """Set the `Team`: equations.md (45), (50), (51).
+        """Change to the law of a `Team`: equations.md (45), (50), (51).
 
-        Along a flat reference, if the present instant is given, `advance` completes the law.
+        With a flat reference and the present instant `since`, a provisional law holds until `advance`
+        returns true: the regulator along the reference takes several ticks to compute. Without `since`
+        the final law is computed at once.
+
+        Args:
+            gone: UAVs without an agent, 0-based.
+            off: UAVs whose motors are off.
+            released: Those of them that are cut off their rods.
         """
         team = Team(frozenset(gone), frozenset(off), frozenset(released))
         self.current = self._law_of(team, self.current, since)

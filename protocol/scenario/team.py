@@ -20,7 +20,8 @@ from transport.protocol.wire.names import MAX_UAVS
 FEWEST = 2  # one rod leaves the payload free to turn about it
 MOST = MAX_UAVS
 
-# Decimals of lengths and inertias, m and kg m^2: readable, and fine enough not to affect a run.
+# Decimals of lengths and inertias, m and kg m^2: readable, and fine enough not to affect a run with a
+# load of a gram or more.
 _DECIMALS = 6
 
 

@@ -77,9 +77,7 @@ def _takes(scenario: Scenario, setting: str) -> bool:
     "horizon",
     drawn_as="variants",
     horizon=Values([5, 10, 20, 30], "STEPS", "Steps N_p.", quick=[10]),
-    terminal=Values(
-        [1.0, 5.0, 20.0], "WEIGHT", "Terminal weight, for open-loop prediction.", [5.0]
-    ),
+    terminal=Values([1.0, 5.0, 20.0], "WEIGHT", "Terminal weight, without a cost-to-go.", [5.0]),
     delay=Values(0.2, "SECONDS", "Delay of every plan on the second network, s."),
 )
 def horizon(
@@ -133,6 +131,10 @@ def hover(scenario: Scenario, duration: Sequence[float]) -> Iterator[Point]:
 
     Example: transport experiment hover --duration 60 --scenario resilient
     """
+    if scenario.maneuver.phase[-1].speed_mps is not None:
+        expected = "a maneuver whose last phase has a duration, not a speed"
+        raise refused("--scenario", expected, scenario.name)
+
     # No run is a baseline: mean costs of different lengths are not comparable.
     last = len(scenario.maneuver.phase)
     for duration_s in duration:

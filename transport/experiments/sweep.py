@@ -101,7 +101,7 @@ def _identify(folder: Path, experiment: str) -> None:
         write_whole(identity, orjson.dumps({"experiment": experiment}) + b"\n")
 
     content = "other files"
-    if identity.exists():
+    with suppress(FileNotFoundError, orjson.JSONDecodeError, KeyError, TypeError):
         content = f"experiment {orjson.loads(identity.read_bytes())['experiment']}"
     if content != f"experiment {experiment}":
         expected = f"a new folder, or one of experiment {experiment}"

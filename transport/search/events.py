@@ -1,8 +1,10 @@
 """Events that a search draws: silences, deaths, weather, model errors and targets.
 
-Each is a value that changes the tree of a scenario, says what it is, and knows simpler versions of
-itself, from which the minimal case is made. A further kind also needs its bounds in space.py, its
-colour and mark in report.py, and a row in docs/worst.md.
+Each says what it is (`in_words`) and yields simpler versions of itself (`simpler`), from which the
+minimal case is made. Each but `Silence` changes the tree of a scenario by `apply`; silences, which may
+overlap, become changes of links together (`silent_links.py`). A further kind is added to `Event` and
+needs its bounds in space.py and a row in docs/worst.md; one with a time, its mark in report.py; one
+that names agents, its part of `Candidate.smaller_teams`.
 """
 
 from collections.abc import Iterator
@@ -18,11 +20,11 @@ _SHORTEST_SILENCE_S = 0.1
 
 
 def _rounder(value: float) -> Iterator[float]:
-    """Yield a number with fewer digits, the roundest first: 7.3172 becomes 7, 7.5, 7.3."""
-    for step in (1.0, 0.5, 0.1, 0.05):
-        rounded = round(round(value / step) * step, 6)
-        if rounded != value:
-            yield rounded
+    """Yield a number with fewer digits, the roundest first, each once: 7.3172 becomes 7, 7.5, 7.3."""
+    rounded = [round(round(value / step) * step, 6) for step in (1.0, 0.5, 0.1, 0.05)]
+    for one in dict.fromkeys(rounded):
+        if one != value:
+            yield one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,6 +35,7 @@ class Silence:
     those between agents 1, 2 and all others.
     """
 
+    # Whether one agent for all UAVs, with perfect information, does not meet such an event.
     of_network: ClassVar[bool] = True
 
     start_s: float
@@ -232,7 +235,10 @@ class ModelError:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensors:
-    """Noise of all sensors, as a multiple of the scenario's, in the draws of a seed."""
+    """White noise of all sensors, as a multiple of the scenario's, in the draws of a seed.
+
+    Biases and delays stay.
+    """
 
     of_network: ClassVar[bool] = False
 
