@@ -70,14 +70,13 @@ class Regulation:
     ) -> None:
         """Change to the law of a `Team`: equations.md (45), (50), (51).
 
-        With a flat reference and the present instant `since`, a provisional law holds until `advance`
-        returns true: the regulator along the reference takes several ticks to compute. Without `since`
-        the final law is computed at once.
-
         Args:
             gone: UAVs without an agent, 0-based.
             off: UAVs whose motors are off.
             released: Those of them that are cut off their rods.
+            since: Present instant. With a flat reference a provisional law holds from then on, until
+                `advance` returns true: the regulator along it takes several ticks to compute. None:
+                the final law is computed at once.
         """
         team = Team(frozenset(gone), frozenset(off), frozenset(released))
         self.current = self._law_of(team, self.current, since)
