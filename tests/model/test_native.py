@@ -234,3 +234,15 @@ def test_a_cache_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     with pytest.warns(RuntimeWarning, match="plain ones are used") as warned:
         assert not compiler.compile_library(no_folder / "library.so", [b"int one;"], ())
     assert str(no_folder) in str(warned[0].message)
+
+
+def test_a_compiler_that_cannot_be_started_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The warning names the compiler, not the folder, which is fine."""
+    no_program = tmp_path / "cc"
+    no_program.write_text("no program", encoding="utf-8")
+    no_program.chmod(0o700)
+    monkeypatch.setenv("CC", str(no_program))
+    with pytest.warns(RuntimeWarning, match="the compiler .*cc cannot be started"):
+        assert not compiler.compile_library(tmp_path / "cache" / "library.so", [b"int one;"], ())

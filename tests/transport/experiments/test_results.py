@@ -61,6 +61,10 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     assert refusal.value.exit_code == EXIT_USAGE
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("mine")
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "experiment.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(ExperimentError, match="which contains other files"):
+        opened(tmp_path / "broken", "latency")
     with pytest.raises(ExperimentError, match="which contains other files"):
         opened(tmp_path / "mine", "loss")
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.tex"]
