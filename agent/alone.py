@@ -85,8 +85,9 @@ class AlonePlanner:
 
     def begin(self, received: Received) -> AloneStep:
         """Take in the newest measurement and the failures of UAVs."""
-        if received.measurements:
-            self._measurement = max(received.measurements, key=lambda measurement: measurement.tick)
+        for measurement in received.measurements:
+            if self._measurement is None or measurement.tick > self._measurement.tick:
+                self._measurement = measurement
         if self._failed != (received.off, received.released):
             self._failed = received.off, received.released
             self._team.fail(*self._failed)

@@ -263,9 +263,9 @@ class AnnouncedInputs:
         return any(self._plans.newest(agent, before) is None for agent in present)
 
     def least_said(self, agents: Iterable[int], before: int) -> float:
-        """Return how much each of some agents on the roster at least says to act alone.
+        """Return the smallest share of acting alone that the newest plans of some agents announce.
 
-        0 where one has said nothing.
+        0 if one of those on the roster has no plan, or none is on it.
         """
         plans = [
             self._plans.newest(agent, before) for agent in agents if agent not in self.off_roster
@@ -294,7 +294,7 @@ class AnnouncedInputs:
         returned was on its fail-safe before, and follows the law from then on. Source: (32c).
         """
         columns = self._columns[agent]
-        hover = self._before_any_plan(columns)
+        hover = self._hover(columns)
         if instant is None:
             return hover
         if agent in self._returned:
@@ -331,7 +331,8 @@ class AnnouncedInputs:
     def sequence(self, start: int, steps: int, before: int) -> Array:
         """Return the announced inputs over the horizon: the newest plans, held at their ends.
 
-        Hover follows the last plan of an agent off the roster, as far as it is played.
+        Of an agent off the roster: its last plan as far as the actuators play it, or what is assumed in
+        its place, then hover.
 
         Returns: Inputs over N_p steps from tick `start` on, (N_p, 4 N).
         Source: docs/equations.md (32); paper, section IV-A.
@@ -342,7 +343,7 @@ class AnnouncedInputs:
             assumed = self._assumed.get(agent)
 
             #   u_a(s + j) = U_a(min(s + j - s_a, N_p - 1))    (32)
-            end = self._before_any_plan(columns)
+            end = self._hover(columns)
             if assumed is not None:
                 played = assumed.inputs[: self._steps_played(len(assumed.inputs))]
                 entries = played[max(start - assumed.start_tick, 0) :][:steps]
@@ -373,8 +374,8 @@ class AnnouncedInputs:
             c[: len(entries), columns] = entries
         return c
 
-    def _before_any_plan(self, columns: Rows) -> Array:
-        """Return the inputs of an agent's UAVs while no plan of it is known, (4 owned,): hover."""
+    def _hover(self, columns: Rows) -> Array:
+        """Return the hover inputs of an agent's UAVs, (4 owned,)."""
         hover: Array = self._u_hover[columns]
         return hover
 
@@ -499,8 +500,8 @@ class AnnouncedInputs:
 
         # Differences in the sender's knowledge, such as external forces, show at the first step.
         #   u_a(k) = U_a(0) + lambda_a(k) - lambda_a(s_a)
-        # While an agent returns from acting alone, that part of U_a(0) stays in it as well, beside
-        # the share in `_mixed`: the payload's error in such flights does not show it.
+        # Known: while an agent returns from acting alone, U_a(0) contains its share alone, which
+        # `_mixed` adds again. Left so, as the payload's error in such flights does not change.
         start_state = self._law.start_state(plan.start_tick)
         if start_state is None:
             return by_law
@@ -513,7 +514,7 @@ class AnnouncedInputs:
     def _by_fail_safe(self, agent: int, instant: StateAt | None) -> Array:
         """Return an agent's inputs by the fail-safe, (4 owned,); hover without a state."""
         if instant is None or self.fail_safe is None:
-            return self._before_any_plan(self._columns[agent])
+            return self._hover(self._columns[agent])
         # What its integral holds and what pushes it are one to every sensor: neither is assumed.
         inputs = [
             self.fail_safe.inputs(uav, instant.x, instant.tick) for uav in self._owned[agent - 1]

@@ -70,7 +70,7 @@ class OwnStep:
 
     received: Received
     start_tick: int  # first tick that the plan is for
-    negotiation: int  # exchanges of plans still to come
+    negotiation: int  # calls of `plan` still to come; after one, exchanges still to come
     plans: Sequence[Plan]  # of the others, for the next call
     iteration: int = 0  # exchanges so far
     outcome: Outcome | None = None  # of the last call
@@ -160,10 +160,10 @@ class OwnPlanner:
     def begin(self, received: Received) -> OwnStep:
         """Take in what has arrived at a tick."""
         begun_ns = self._stopwatch()
-        if received.measurements:
-            newest = max(received.measurements, key=lambda measurement: measurement.tick)
-            self._measurement = newest
         for measurement in received.measurements:
+            # A link with jitter may deliver an older one after a newer one.
+            if self._measurement is None or measurement.tick > self._measurement.tick:
+                self._measurement = measurement
             for uav, report in by_uav(measurement):
                 self._sensed.tell(measurement.tick, uav, report)
         self._sensed.forget_before(received.tick - REPORTS)

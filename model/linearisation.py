@@ -298,8 +298,9 @@ class Model:
     ) -> tuple[Array, float]:
         """Return the state after `duration_s` of constant input, (n,), and the largest local error.
 
-        Dormand-Prince steps of order 5, >= 1, are equal, or halved where their estimate exceeds the
-        tolerance; the rods are projected back after each. Source: docs/equations.md (13b), (13c).
+        `steps`, at least 1, are equal Dormand-Prince steps of order 5, each halved where its estimated
+        error exceeds the tolerance; the rods are projected back after each. Source:
+        docs/equations.md (13b), (13c).
         """
         limits = StepLimits(tolerance=tolerance)
         return integration.integrate(self.step(u, forces), x, duration_s, steps, limits)

@@ -74,7 +74,10 @@ class Sample:
 
 
 class Accepted(NamedTuple):
-    """A message that has passed all checks, and the bundle it came in, None if it came alone."""
+    """A message that has passed all checks, and the bundle it came in, None if it came alone.
+
+    Of a sample only the header has been read.
+    """
 
     message: Message | Sample
     bundle: Bundle | None = None
@@ -107,7 +110,7 @@ class Gate:
 
     Attributes:
         rejections: Refused messages.
-        tick: Newest tick of an accepted message.
+        tick: Newest tick of an accepted message, other than link changes, targets and samples.
     """
 
     def __init__(

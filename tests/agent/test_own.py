@@ -210,6 +210,19 @@ def test_it_knows_what_its_links_have_delivered(
     assert {tuple(note.values) for note in notes if note.tick >= 3} == {(2.0, 3.0, 3.0)}
 
 
+def test_its_measurement_is_the_newest_that_has_come(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A link with jitter delivers some measurements after newer ones."""
+    data = "{'measured': measurement.tick}"
+    jitter = "links.override=[{from='plant',to='agent1',jitter_s=0.3}]"
+    run = own(tmp_path, monkeypatch, f"return self.u, {data}", "pass", jitter)
+    notes = [m for m in recorded(run) if isinstance(m, Note) and m.agent == 1]
+    ticks = [note.values[0] for note in notes]
+    assert ticks == sorted(ticks)
+    assert any(note.values[0] < note.tick for note in notes)
+
+
 def test_start_and_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every agent starts and ends its object once.
 

@@ -228,7 +228,7 @@ def set_links(
         None,
         "--between",
         metavar="GROUPS",
-        help="All links from one group of agents to another instead, such as 1,2/3,4.",
+        help="All links between groups of agents, both ways, in place of --from and --to: 1,2/3,4.",
     ),
     output: FormatOption = Format.text,
 ) -> None:

@@ -163,9 +163,9 @@ def draw_maneuver(
 ) -> list[Path]:
     """Draw the runs of the paper's Fig. 3, 5 and 6 over one another, in still air.
 
-    The horizon has the same number of steps in all of them. These are the centralized controller, the paper's
-    algorithm at the same rate, and at the period of the grid nearest to the same computation of one
-    agent. They are simulated again: the runs are deterministic.
+    Three runs with a horizon of the same number of steps: the centralized controller; the paper's
+    algorithm at the same rate; and at the period of the grid nearest to the same computation of one
+    agent, if that is another one. They are simulated again: the runs are deterministic.
 
     Returns: maneuver.png and maneuver.svg.
     """
@@ -191,10 +191,14 @@ def _shown_cells(curves: Sequence[Curve], reference: Cell) -> dict[Cell, str]:
     reference_load = _median_load(centralized, reference, AGENT)
     loads = np.median(distributed.loads[AGENT], axis=1)
     nearest = int(np.argmin(np.abs(np.log(loads / reference_load))))
+    same_rate = reference._replace(controller=PAPER)
+    same_computation = distributed.cells[nearest]
+    if same_computation == same_rate:
+        return {reference: CENTRALIZED, same_rate: f"{PAPER}, same rate and computation"}
     return {
         reference: CENTRALIZED,
-        reference._replace(controller=PAPER): f"{PAPER}, same rate",
-        distributed.cells[nearest]: f"{PAPER}, same computation",
+        same_rate: f"{PAPER}, same rate",
+        same_computation: f"{PAPER}, same computation",
     }
 
 

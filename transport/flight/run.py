@@ -141,7 +141,7 @@ def simulate(
         recorder = stack.enter_context(_recorded(place, made, header, progress, harness))
 
         with _marked_active(folder, addresses):
-            ready()  # the coordinator waits for the recorder
+            ready()  # no tick passes meanwhile: the coordinator waits for the recorder, which joins now
             recorder.start(names)
             for name in external:
                 progress.say(_invitation(name, addresses, setup.scenario.digest()))
@@ -248,8 +248,8 @@ def _recorded(
 ) -> Iterator[Recorder]:
     """Open log and recorder of a run; decide in the end whether its folder is kept.
 
-    In the end the folder is kept if it has a message, or output of processes that tells why not;
-    not if the run was interrupted before its first tick.
+    Kept is one with a message; or without, if a process or the recorder has failed: the logs tell why.
+    Not kept is that of a run interrupted before its first tick.
     """
     recorder = None
     is_interrupted = False

@@ -91,8 +91,11 @@ class Evaluations:
             raise ExperimentError(f"--out: cannot write {folder} ({error.strerror})") from error
 
         self._file.seek(0)
-        for line in self._file.read().splitlines():
-            with suppress(ValueError, TypeError):  # a line that a kill has cut is flown again
+        kept = self._file.read()
+        if kept and not kept.endswith(b"\n"):
+            self._file.write(b"\n")  # the next line does not continue one that a kill has cut
+        for line in kept.splitlines():
+            with suppress(ValueError, TypeError):  # such a case is flown again
                 evaluation = Evaluation(**orjson.loads(line))
                 self._by_key[evaluation.key] = evaluation
 

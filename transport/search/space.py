@@ -44,10 +44,12 @@ def _rising(value: tuple[float, float]) -> tuple[float, float]:
 Range = Annotated[
     tuple[NotNegative, NotNegative], BeforeValidator(_as_tuple), AfterValidator(_rising)
 ]
+Share = Annotated[float, Interval(ge=0.0, le=1.0)]
+Shares = Annotated[tuple[Share, Share], BeforeValidator(_as_tuple), AfterValidator(_rising)]
 Who = Literal["all", "mute", "deaf", "cut"]
 _SEEDS = 1000  # of gusts and sensors
 _RESOLUTION = 1e-3  # of times, seconds and other numbers: finer ones change no run
-_ACTIVE = 0.5  # an event exists where its first coordinate is above
+_ACTIVE = 0.5  # an event exists where its first coordinate is at least this
 
 
 class SilenceBounds(Section):
@@ -59,7 +61,7 @@ class SilenceBounds(Section):
     """begin of a window"""
     duration_s: Range = (0.5, 10.0)
     """length of a window"""
-    loss: Range = (1.0, 1.0)
+    loss: Shares = (1.0, 1.0)
     """share of the messages that are lost in it"""
     who: Annotated[tuple[Who, ...], BeforeValidator(_as_tuple), Len(1)] = get_args(Who)
     """whose messages: of all, from one agent, to one agent, between two agents and the others"""
@@ -81,7 +83,7 @@ class LinksBounds(Section):
 
     delay_s: Range = (0.0, 0.4)
     jitter_s: Range = (0.0, 0.1)
-    loss: Range = (0.0, 0.6)
+    loss: Shares = (0.0, 0.6)
 
 
 class GustsBounds(Section):
@@ -146,7 +148,7 @@ def read_bounds(file: Path | None, duration_s: float) -> Bounds:
     fitting = {
         "silence": {"start_s": (first_s, last_s)},
         "deaths": {"at_s": (first_s, last_s)},
-        "targets": {"at_s": (first_s, 0.4 * duration_s)},
+        "targets": {"at_s": (first_s, max(first_s, 0.4 * duration_s))},
     }
     changed = {}
     for kind, ranges in fitting.items():

@@ -213,6 +213,7 @@ REFUSED = {
     "[silence]\nwho = []\n": "silence.who",
     "[silences]\n": "silences: unknown key; did you mean 'silence'?",
     "[deaths]\ncount = 0\n": "deaths.count: expected greater than or equal to 1",
+    "[links]\nloss = [0.0, 2.0]\n": "links.loss.2: expected a share, at most 1, got 2",
     "[gusts]\nspeed_mps = [-1.0, 1.0]\n": "gusts.speed_mps.1: expected greater than or equal to 0",
 }
 

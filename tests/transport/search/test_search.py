@@ -112,6 +112,13 @@ def test_a_search_that_was_killed_gives_the_result_of_one_that_was_not(tmp_path:
     assert set(flown) == set(flown_in_whole) - kept
     assert 0 < len(flown) < len(flown_in_whole)
 
+    # The line that was cut takes none of the next ones with it.
+    flown, counting = counted()
+    third = Evaluations(tmp_path / "out", {"seed": 0})
+    assert search(160).run(third, counting, Quiet()) == whole
+    third.close()
+    assert flown == []
+
 
 def counted() -> tuple[list[str], Callable[..., Iterable[Evaluation]]]:
     """Return the keys of what is flown, to be filled, and a function that flies in this process."""
