@@ -84,14 +84,21 @@ class Shrinker:
         return None
 
     def _shrink_team(self) -> None:
-        """Replace the team by the smallest one with which the case fails."""
+        """Replace the team by the smallest one with which the case fails, and fails by its events."""
         for base in self.candidate.smaller_teams(self.problem.base):
             whole = self.problem
             self.problem = replace(whole, base=base)
-            if self._first_failing([self.candidate]) is not None:
+            fails_by_events = self._holds_without_events()
+            if fails_by_events and self._first_failing([self.candidate]) is not None:
                 self._progress(self.candidate, self.evaluations)
                 return
             self.problem = whole
+
+    def _holds_without_events(self) -> bool:
+        """Return whether the team keeps the limit without any event."""
+        (evaluation,) = self._evaluate(self.problem, [Candidate(())])
+        self.evaluations += 1
+        return not evaluation.failed
 
 
 def _simpler(index: int, candidate: Candidate) -> Sequence[Candidate]:

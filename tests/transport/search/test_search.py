@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,17 @@ class Planted(Problem):
     def with_perfect_information(self, candidate: Candidate) -> Evaluation:
         """Return that the centralized controller survives."""
         return self.evaluate(Candidate(()))
+
+
+class SmallTeamsFail(Planted):
+    """The same, where teams of less than four fail without any event."""
+
+    def evaluate(self, candidate: Candidate) -> Evaluation:
+        """Return the planted robustness, or the failure of a small team."""
+        found = super().evaluate(candidate)
+        if len(self.base.scenario.owned) == 4:
+            return found
+        return replace(found, robustness=-0.1, outcome="failed")
 
 
 def planted() -> Planted:
@@ -118,6 +130,20 @@ def test_a_search_that_was_killed_gives_the_result_of_one_that_was_not(tmp_path:
     assert search(160).run(third, counting, Quiet()) == whole
     third.close()
     assert flown == []
+
+
+def test_a_minimal_case_fails_by_its_events() -> None:
+    """A smaller team that fails without them is no simpler case of theirs."""
+    whole = search(160)
+    in_weather = SmallTeamsFail(base=whole.problem.base, objective=whole.problem.objective)
+    minimal = replace(whole, problem=in_weather).run(Evaluations(None, {}), fly, Quiet()).minimal
+    assert minimal is not None
+    assert len(minimal.problem.base.scenario.owned) == 4
+    assert not in_weather.evaluate(Candidate(())).failed
+
+    held = whole.run(Evaluations(None, {}), fly, Quiet()).minimal
+    assert held is not None
+    assert len(held.problem.base.scenario.owned) < 4
 
 
 def counted() -> tuple[list[str], Callable[..., Iterable[Evaluation]]]:
