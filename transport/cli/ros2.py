@@ -57,7 +57,7 @@ def ros2(
 
     Example: transport ros2 --connect tcp/127.0.0.1:7447
     """
-    from transport.report.ros2 import TARGET, Ros2Messages, types
+    from transport.report.ros2 import Ros2Messages
 
     os.nice(_NICE)
     folder, live_run = find_active(run, "name its folder with --run")
@@ -66,17 +66,12 @@ def ros2(
     tail = LogTail(folder / _LOG, setup)
     messages = Ros2Messages(SceneBuilder(setup, history))
 
-    published = {
-        topic: (kind, types().hash_rihs01(kind)) for topic, kind in messages.topics.items()
-    }
-    target_topic, target_type = TARGET
-    heard = {target_topic: (target_type, types().hash_rihs01(target_type))}
     with blame("--connect"):
-        node = RosNode(connect, domain, published, heard)
+        node = _node(connect, domain, messages)
 
     commands = Commands(live_run, lambda text, _: typer.echo(text, err=True))
     with closing(node):
-        where = f"{len(published)} topics in domain {domain} through {connect}"
+        where = f"{len(messages.topics)} topics in domain {domain} through {connect}"
         typer.echo(f"{folder}: {where}", err=True)
         reader = _Reader(
             folder=folder,
@@ -90,6 +85,18 @@ def ros2(
         )
         targets = _Targets(node=node, commands=commands)
         _publish(reader, _Publisher(messages=messages, node=node), targets)
+
+
+def _node(connect: str, domain: int, messages: "Ros2Messages") -> RosNode:
+    """Return a node that publishes the topics of a run and hears targets."""
+    from transport.report.ros2 import TARGET, types
+
+    published = {
+        topic: (kind, types().hash_rihs01(kind)) for topic, kind in messages.topics.items()
+    }
+    target_topic, target_type = TARGET
+    heard = {target_topic: (target_type, types().hash_rihs01(target_type))}
+    return RosNode(connect, domain, published, heard)
 
 
 def _publish(reader: "_Reader", publisher: "_Publisher", targets: "_Targets") -> None:
