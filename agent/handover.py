@@ -16,9 +16,9 @@ from transport.agent.estimation.noise import OthersErrors
 from transport.model.arrays import Array
 
 # Age of news beyond the usual one at which an agent begins to act alone, and at which it does so
-# wholly, s. A filter without news errs by centimetres within a second; a measured payload leaves
-# only the others' UAVs to be predicted.
-FILTERED_S, MEASURED_S = (0.5, 1.0), (1.0, 2.0)
+# wholly, s. A filter without news errs by centimetres within a second; with a measured payload the
+# others answer to gusts that an agent has not heard of, for too long where its news were late before.
+OVERDUE_S = (0.5, 1.0)
 # The same for the mean age, with a filter, s: the others answer to errors of their own estimates,
 # of which an agent learns so late. With a measured payload there are none.
 LATE_S = (0.15, 1.0)
@@ -90,7 +90,7 @@ class Silence:
     @staticmethod
     def of(period_s: float, *, is_filtered: bool, heartbeat_s: float = 0.0) -> "Silence":
         """Return the rule for a sampling period; plans come at the latest after a heartbeat, s."""
-        overdue = Ramp.of(FILTERED_S if is_filtered else MEASURED_S, heartbeat_s, period_s)
+        overdue = Ramp.of(OVERDUE_S, heartbeat_s, period_s)
         # News of the tick before are on time, however long a period is.
         late = Ramp.of(LATE_S, heartbeat_s, period_s).not_before(1.0)
         return Silence(
