@@ -90,7 +90,8 @@ class Silence:
     @staticmethod
     def of(period_s: float, *, is_filtered: bool, heartbeat_s: float = 0.0) -> "Silence":
         """Return the rule for a sampling period; plans come at the latest after a heartbeat, s."""
-        overdue = Ramp.of(OVERDUE_S, heartbeat_s, period_s)
+        # One lost heartbeat is no silence: the next one has the news.
+        overdue = Ramp.of(OVERDUE_S, 2.0 * heartbeat_s, period_s)
         # News of the tick before are on time, however long a period is.
         late = Ramp.of(LATE_S, heartbeat_s, period_s).not_before(1.0)
         return Silence(

@@ -57,13 +57,13 @@ def test_news_of_the_tick_before_are_never_late(period_s: float) -> None:
     assert rule.alone(NewsAge(mean=1.0 + 1.0 / period_s, overdue=0.0)) == 1.0
 
 
-def test_a_heartbeat_is_no_silence() -> None:
-    """Where plans are sent on change, an agent waits for the heartbeat before it counts ages."""
+def test_a_lost_heartbeat_is_no_silence() -> None:
+    """Where plans are sent on change, an agent waits for two heartbeats before it counts ages."""
     plain, shared = (
         Silence.of(PERIOD_S, is_filtered=False, heartbeat_s=heartbeat_s)
         for heartbeat_s in (0.0, 1.0)
     )
-    assert shared.overdue.begins == pytest.approx(plain.overdue.begins + 1.0 / PERIOD_S)
+    assert shared.overdue.begins == pytest.approx(plain.overdue.begins + 2.0 / PERIOD_S)
 
 
 @given(st.lists(st.integers(1, 300), min_size=1, max_size=200))
