@@ -262,15 +262,27 @@ class AnnouncedInputs:
         present = self._columns.keys() - self.off_roster - self._returned.keys() - {self._own}
         return any(self._plans.newest(agent, before) is None for agent in present)
 
-    def least_said(self, agents: Iterable[int], before: int) -> float:
-        """Return the smallest share of acting alone that the newest plans of some agents announce.
+    def most_said(self, agents: Iterable[int], before: int) -> float:
+        """Return the largest share of acting alone that the newest plans of some agents announce.
 
-        0 if one of those on the roster has no plan, or none is on it.
+        0 without plans of agents on the roster. An agent that has just returned was alone as the team
+        flew on without it, and is on its way back: it does not count.
         """
-        plans = [
-            self._plans.newest(agent, before) for agent in agents if agent not in self.off_roster
-        ]
-        return min((0.0 if plan is None else plan.alone for plan in plans), default=0.0)
+        most = 0.0
+        for agent in agents:
+            plan = self._plans.newest(agent, before)
+            if plan is None or agent in self.off_roster or self._is_returning(agent, plan):
+                continue
+            most = max(most, plan.alone)
+        return most
+
+    def _is_returning(self, agent: int, plan: Plan) -> bool:
+        """Return whether a plan is from the time in which a returned agent hands over to the team."""
+        silence = self.silence
+        returned = self._returned.get(agent)
+        if silence is None or returned is None:
+            return False
+        return plan.tick < returned + silence.hand_over
 
     def silent(self, tick: int, before: int) -> Silent | None:
         """Return what is assumed of the others' inputs; None where all news are as usual."""

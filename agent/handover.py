@@ -28,10 +28,10 @@ _UNINFORMED_S = 0.5
 # Window of the usual age of news, as a multiple of the age at which an agent acts alone wholly; and
 # of the mean age, s.
 _WINDOW, _MEAN_S = 3.0, 1.0
-# Time from the team's law to the law alone, and back, s: the return waits for the estimate to take
-# in the news.
-_TO_ALONE_S, _TO_TEAM_S = 0.5, 2.0
-# How much less than the least of the others an agent acts alone that hears them say so: all would
+# Time from the team's law to the law alone, and back, s. On the way there others hear of it and come
+# along; on the way back the estimate takes in the news.
+_HAND_OVER_S = 2.0
+# How much less than the most of the others an agent acts alone that hears it say so: all would
 # otherwise wait for each other to return.
 LESS_THAN_OTHERS = 0.2
 # Correlation of the errors of two agents, until news are older than usual.
@@ -86,6 +86,7 @@ class Silence:
     forgets: float  # ticks in which a correlation falls after overdue news make agents act alone
     window: int  # ticks over which the usual age is the smallest: longer than any ramp
     recent: int  # ticks over which ages are averaged
+    hand_over: int  # ticks from the law alone to the team's law, and back
 
     @staticmethod
     def of(period_s: float, *, is_filtered: bool, heartbeat_s: float = 0.0) -> "Silence":
@@ -101,6 +102,7 @@ class Silence:
             forgets=_FORGETS_S / period_s,
             window=round(_WINDOW * overdue.complete),
             recent=max(1, round(_MEAN_S / period_s)),
+            hand_over=round(_HAND_OVER_S / period_s),
         )
 
     @property
@@ -180,7 +182,7 @@ class Mixture:
     """
 
     def __init__(self, period_s: float) -> None:
-        self._up, self._down = period_s / _TO_ALONE_S, period_s / _TO_TEAM_S
+        self._step = period_s / _HAND_OVER_S
         self._has_begun = False
         self.share = 0.0
 
@@ -189,7 +191,7 @@ class Mixture:
         if not self._has_begun:
             self._has_begun = True
             self.share = wanted
-        self.share += min(max(wanted - self.share, -self._down), self._up)
+        self.share += min(max(wanted - self.share, -self._step), self._step)
         return self.share
 
 

@@ -110,8 +110,8 @@ class TeamEstimate:
         """Return the share, 0 to 1, with which the agent is to act alone at tick k: (32c).
 
         To be called after `announced.observe_news` of that tick. The share follows from the oldest
-        news, but is at most `LESS_THAN_OTHERS` below the smallest that the others announce: where all
-        others act alone, an agent that follows the team's law works against them.
+        news, but is at most `LESS_THAN_OTHERS` below the largest that one of the others announces: a
+        UAV alone gives way to the payload's swing, and turns the payload where the others do not.
         """
         silence = self.announced.silence
         if silence is None:
@@ -120,7 +120,7 @@ class TeamEstimate:
         if self.announced.lacks_first_news(before=k):
             return 1.0
         by_age = silence.alone(self.announced.oldest_news)
-        by_others = self.announced.least_said(self.peers, before=k) - LESS_THAN_OTHERS
+        by_others = self.announced.most_said(self.peers, before=k) - LESS_THAN_OTHERS
         return max(by_age, by_others)
 
     def alone(self, uav: int, tick: int) -> tuple[AloneLaw, OwnCourse]:

@@ -266,6 +266,18 @@ def test_an_agent_that_is_not_heard_acts_alone_like_the_others(delay_s: float) -
     assert [share[-1] for share in shares.values()] == [0.0] * len(run.agents)
 
 
+@pytest.mark.slow
+def test_others_act_alone_with_a_deaf_agent() -> None:
+    """Its UAV gives way to the payload's swing: where the others do not, it turns the payload, (32c)."""
+    deaf = "links.change=[{at_s=16.0,to='agent2',loss=1.0}]"
+    messages = completed(runs.ready("windy", "links.delay_s=0.1", deaf))
+    assert max(plan.alone for plan in _plans(messages, 2)) == 1.0
+    for agent in (1, 3, 4):
+        shares = [plan.alone for plan in _plans(messages, agent)]
+        assert max(shares) == pytest.approx(1.0 - LESS_THAN_OTHERS)
+    assert largest_attitude(messages) < ATTITUDE_DEG
+
+
 def test_a_deaf_agent_takes_what_it_does_not_hear_for_no_force() -> None:
     """What the others do in the gusts meanwhile would count as one that pulls the payload, (41)."""
     windows = "{at_s=16.0,to='agent3',loss=1.0},{at_s=18.0,to='agent3',loss=0.0}"
