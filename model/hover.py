@@ -35,8 +35,8 @@ def hover(
 ) -> Hover:
     """Return the equilibrium with rod directions, (N, 3), payload frame, straight down by default.
 
-    Rod tensions are of least norm: (18). `thrusts` has thrusts, N, by 0-based UAV: the rods of these
-    must be vertical, and their tensions follow, T = (f - m g) (e . k), (51) for f = 0.
+    Rod tensions are of least norm: (18). `thrusts` gives the thrusts of some UAVs, N, by 0-based
+    number. Their rods must be vertical; their tensions are T = (f - m g) (e . k), (51) for f = 0.
     Raises: ParameterError: no rod tensions balance the payload, or a UAV would have to push down.
     Source: docs/equations.md (18)-(19), (51).
     """
@@ -49,7 +49,7 @@ def hover(
     x = np.zeros(system.n)
     u = np.zeros(system.m)
     for i, uav in enumerate(system.uavs):
-        # The UAV carries its weight and pulls the rod: f b3 = -(m g + t e).
+        # The thrust, along -b3, carries the UAV's weight and pulls the rod: -f b3 = -(m g k + T e).
         force_I = -(uav.mass * system.gravity * down + tensions[i] * e[i])
         thrust = float(np.linalg.norm(force_I))
         if thrust <= rounding_N:

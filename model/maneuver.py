@@ -38,11 +38,7 @@ class Maneuver:
     ) -> None:
         if not phases:
             raise ParameterError("maneuver: expected at least one phase, got none")
-        for phase, after in pairwise(phases):
-            if phase.kind == "land" and after.kind == "move" and after.displacement_I.any():
-                expected = "expected a take-off, or no way, after a landing"
-                raise ParameterError(f"phase {after.name!r}: {expected}")
-
+        _check_ground(phases)
         assign(
             self,
             start_I=checked("maneuver start", start_I, (3,)),
@@ -123,8 +119,7 @@ class Maneuver:
         Raises: ParameterError: a phase that is not smooth.
         """
         for phase in self.phases:
-            moves = phase.displacement_I.any() or phase.way is not None
-            if moves and phase.curve(self.profile) is None:
+            if phase.has_way and phase.curve(self.profile) is None:
                 expected = "expected a smooth path, that of profile 'smooth'"
                 raise ParameterError(f"phase {phase.name!r}: {expected}, got {self.profile!r}")
 
@@ -180,3 +175,19 @@ class Maneuver:
             if is_led.any():
                 r[:, is_led] = target.joined(t_s[is_led], r[:, is_led])
         return r
+
+
+def _check_ground(phases: Sequence[Phase]) -> None:
+    """Check that the payload stays where it has landed until a take-off.
+
+    Raises: ParameterError: a phase drags it along the ground.
+    """
+    has_landed = False
+    for phase in phases:
+        if phase.kind == "take_off":
+            has_landed = False
+        elif has_landed and phase.has_way:
+            expected = "expected a take-off, or no way, after a landing"
+            raise ParameterError(f"phase {phase.name!r}: {expected}")
+        elif phase.kind == "land":
+            has_landed = True

@@ -75,6 +75,11 @@ class Phase:
             formation=formation,
         )
 
+    @property
+    def has_way(self) -> bool:
+        """Return whether the payload moves."""
+        return bool(self.displacement_I.any()) or self.way is not None
+
     def curve(self, profile: Profile) -> Curve | None:
         """Return the curve of a smooth phase; None of one whose acceleration jumps."""
         if isinstance(self.way, Curve):

@@ -25,7 +25,9 @@ _DECAY = 1e-3  # slowest decay that is one, 1/s: undamped modes have zero, and r
 _COARSE = 1.4  # factor of the search until the first unstable plant
 _FINE = 0.005  # relative accuracy of the bisection after it
 FARTHEST = 10.0  # largest factor that is tried
-FARTHEST_S = 0.6  # largest lag and delay that are tried, s
+FARTHEST_S = (
+    0.6  # largest lag and delay that are tried, s; of a larger one that is known, a step more
+)
 _FIRST_S = 1e-3  # shortest lag and delay that are tried, s
 
 
@@ -34,7 +36,7 @@ class SampledLoop(ABC):
 
     period_s: float
     known_lag_s = 0.0  # time constant of the motors that controllers know
-    _headings = 0  # modes that neither grow nor decay, as no state depends on them
+    _headings = 0  # at most so many modes are headings on which no state depends
 
     @abstractmethod
     def matrix(self, plant: Mismatch) -> Array:
@@ -60,8 +62,11 @@ class SampledLoop(ABC):
         None if one does not.
         """
         eigenvalues = np.linalg.eigvals(self.matrix(plant))
-        by_distance = np.argsort(np.abs(eigenvalues - 1.0))
-        others = eigenvalues[by_distance[self._headings :]]
+        from_one = np.abs(eigenvalues - 1.0)
+        nearest = np.argsort(from_one)[: self._headings]
+        # Headings that a cost controls are no longer at 1.
+        headings = [mode for mode in nearest if from_one[mode] < _DECAY * self.period_s]
+        others = np.delete(eigenvalues, headings)
         decay = -math.log(float(np.abs(others).max())) / self.period_s
         return 1.0 / decay if decay > _DECAY else None
 
@@ -290,7 +295,8 @@ def _margin(loop: SampledLoop, nominal: Mismatch, name: str) -> Margin:
     # Lags and delays begin at zero, from which no factor leads on: below the shortest one tried
     # only the known value is looked at, which is stable.
     begin = max(value, _FIRST_S)
-    upper_s = _limit(is_stable, begin, FARTHEST_S) if is_stable(begin) else value
+    farthest_s = max(FARTHEST_S, _COARSE * begin)
+    upper_s = _limit(is_stable, begin, farthest_s) if is_stable(begin) else value
     lower_s = _limit(is_stable, value, _FIRST_S) if value > _FIRST_S else None
     return Margin(nominal=value, lower=lower_s, upper=upper_s)
 

@@ -1,8 +1,8 @@
 """Settings of a controller, and the base of all sections of a scenario.
 
-Each key of the controller has its type, range, default and meaning here; those that only a run has,
-and limits that only a message sets (`horizon`, `relaxation`), are in
-`protocol.scenario.schema.ControllerSection`.
+Each key of the controller has its type, range, default and meaning here. Those that only a run has
+are in `protocol.scenario.schema.ControllerSection`, as are the limit of `horizon` that a message
+sets, and a `relaxation` that follows from the team ("auto").
 """
 
 from dataclasses import dataclass

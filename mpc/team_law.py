@@ -130,7 +130,11 @@ class TeamLaw:
         return None if law is None else law.uncorrected[0]
 
     def gain(self, instant: int) -> Array:
-        """Return the derivative of `inputs` by the state, (m, n), with motor lag (m, n + m)."""
+        """Return the feedback gain K, (m, n), with motor lag (m, n + m), where there is a regulator.
+
+        In closed loop it is the derivative of `inputs` by the state.
+        Raises: FeedbackError: there is no regulator.
+        """
         if self.tracker is not None:
             return self.tracker.over(instant, 1)[0].K
         if self.about_hover.regulator is None:

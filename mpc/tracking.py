@@ -66,7 +66,7 @@ class Recursion:
         self._key = key
         self._since = since - track.first  # instants are rows of the reference from here on
 
-        # Cost-to-go x'Px + 2p'x of the instant after the newest one that is computed.
+        # Cost-to-go x'Px + 2p'x at the instant computed last, from which the next step goes back.
         self._P = law.regulator.T @ law.regulator.P @ law.regulator.T.T
         self._p = np.zeros(law.hovering.model.system.n)
         self._computed: list[Gains] = []  # from the end on
@@ -93,8 +93,9 @@ class Recursion:
         gains = list(self._before)
         until = min(self.ready - self._track.first + horizon, len(gains))
         for k in range(self._since, until):
-            K = gains[k].K.copy()
-            feedforward = gains[k].feedforward.copy()
+            before = gains[k]
+            K = before.K.copy()
+            feedforward = before.feedforward.copy()
             K[state.input_indices(sorted(off))] = 0.0
             for uav in off:
                 K[:, state.uav_slice(uav)] = 0.0
@@ -102,8 +103,10 @@ class Recursion:
                 own = state.input_slice(uav)
                 K[own] = self._fail_safe_gain(uav, k)
                 feedforward[own] = self._on_reference(uav, k) - self._track.U[k, own]
-            frozen(K, feedforward)
-            gains[k] = replace(gains[k], K=K, feedforward=feedforward)
+            # A + B K,   on the manifold as in (70)
+            A_closed = before.A_closed + before.B @ (K - before.K) @ _projection(self._track.X[k])
+            frozen(K, feedforward, A_closed)
+            gains[k] = replace(before, K=K, feedforward=feedforward, A_closed=A_closed)
         return Tracker(gains=gains, key=digest(self._key, "meanwhile"), first=self._track.first)
 
     def advance(self, instant: int | None = None) -> None:

@@ -34,6 +34,7 @@ _PATIENCE_S = {"lockstep": 1.0, "realtime": 0.1}
 # Why a process without its parent ends, and how long it may take to do so in an orderly way.
 _ORPHANED = "parent is gone"
 _ORPHAN_GRACE_S = 5.0
+_SIGNALS_OF_PARENT = 2
 
 
 class Journal:
@@ -99,6 +100,7 @@ def run_node(
             journal.log("finished", **ended, cpu_s=time.process_time())
             bus.leave(linger_for)
             return end.exit_code
+    # Without an interruption the node has an end, which has been returned above.
     is_orphan = interruption is None or interruption.reason == _ORPHANED
     return EXIT_UNREACHABLE if is_orphan else EXIT_INTERRUPTED
 
@@ -106,8 +108,8 @@ def run_node(
 def _collect_between_steps_only() -> None:
     """Switch off automatic garbage collections: one in mid-step is a latency spike.
 
-    Reference counting frees nearly all that the loop makes, and the rest is collected between
-    steps. Before this process joins, no other waits for it.
+    Reference counting frees nearly all that the loop makes, and young cycles are collected between
+    steps. The collection here costs no time of a tick: this process has not joined yet.
     """
     gc.collect()
     gc.freeze()
@@ -245,8 +247,9 @@ def _watch_signals(bus: Bus) -> None:
 
     def interrupt(number: int, _: FrameType | None) -> None:
         received.append(number)
-        # The parent of this process passes on the first signal, and ends it by the second.
-        if len(received) > 2:
+        # The parent passes on the first signal and ends this process by a second one: only a user
+        # who does not want to wait sends more.
+        if len(received) > _SIGNALS_OF_PARENT:
             os._exit(EXIT_INTERRUPTED)
         bus.interrupt(f"interrupted ({signal.Signals(number).name})")
 

@@ -22,6 +22,8 @@ from transport.protocol.scenario.named_files import anchored
 from transport.protocol.scenario.relations import check_relations
 from transport.protocol.scenario.schema import Scenario
 
+_MOST_DIGITS = 9  # of the number of an entry of a list, and characters of one that an error repeats
+
 __all__ = [
     "ScenarioError",
     "find_ready",
@@ -175,7 +177,9 @@ def _value(setting: str) -> Any:
 
 def _index(entries: list[Any], part: str, setting: str) -> int:
     """Return the index of an entry of a list, given from 1."""
-    if not (part.isdecimal() and 1 <= int(part) <= len(entries)):
+    # Python refuses to read numbers of thousands of digits: none of them is an entry.
+    is_short = part.isdecimal() and len(part) <= _MOST_DIGITS
+    if not (is_short and 1 <= int(part) <= len(entries)):
         expected = f"expected an entry from 1 to {len(entries)}"
-        raise ScenarioError(option(setting), "", f"{expected}, got {part!r}")
+        raise ScenarioError(option(setting), "", f"{expected}, got {part[:_MOST_DIGITS]!r}")
     return int(part) - 1

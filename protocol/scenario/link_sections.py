@@ -31,8 +31,8 @@ _PROCESS = "agent1, agent2, ..., plant"
 def _read_samples(value: Any, info: ValidationInfo) -> Any:
     """Return the delays in the file that a scenario names, else the value as it is.
 
-    The name is relative to the scenario's folder. A change during a run has none, so its value passes
-    unread.
+    The name is relative to the scenario's folder, `info.context`. Without a folder, as in a request
+    during a run, the value passes unread.
     """
     if isinstance(value, str) and info.context is not None:
         return delays_of(info.context / value)
@@ -68,8 +68,7 @@ def _checked_trace(
         if len(row) != 2:
             raise ValueError(f"row {number}: expected a time and a delay, got {row}")
         time_s, delay_s = row
-        rises = time_s >= 0.0 and time_s > before_s  # false for NaN
-        if not rises:
+        if time_s < 0.0 or time_s <= before_s:
             raise ValueError(f"row {number}: expected rising times from 0 on, got {time_s:g} s")
         if delay_s > LONGEST_SAMPLE_S:
             expected = f"expected seconds, at most {LONGEST_SAMPLE_S:g}, got {delay_s:g}"
@@ -168,7 +167,7 @@ class LinkSection(Section):
     @model_validator(mode="after")
     def _has_samples(self) -> Self:
         if self.distribution == "empirical" and not self.samples_s:
-            raise ValueError("samples_s: expected measured delays, got nothing")
+            raise ValueError("samples_s: expected measured delays beside empirical, got nothing")
         return self
 
     @model_validator(mode="after")
@@ -228,6 +227,14 @@ class LinkChangeSection(LinkOverrideSection):
     """time of the change: it applies to messages of the first tick not before it, and of later
     ticks"""
 
+    @model_validator(mode="after")
+    def _gives_values(self) -> Self:
+        """Refuse a key without value: the record of the run would lack the change."""
+        for key in sorted(LinkSection.model_fields.keys() & self.model_fields_set):
+            if getattr(self, key) is None:
+                raise ValueError(f"{key}: expected a value, got None")
+        return self
+
     @model_serializer(mode="wrap")
     def _given_keys(
         self, dump: SerializerFunctionWrapHandler, info: SerializationInfo
@@ -243,8 +250,7 @@ class LinkChangeSection(LinkOverrideSection):
         tree = {key: value for key, value in dump(self).items() if key in given}
         if info.exclude_defaults:
             impairments = LinkSection.model_fields.keys() & given
-            defaults = {name: getattr(self, name) for name in sorted(impairments - tree.keys())}
-            tree |= {name: value for name, value in defaults.items() if value is not None}
+            tree |= {name: getattr(self, name) for name in sorted(impairments - tree.keys())}
         return tree
 
 

@@ -12,7 +12,7 @@ from transport.model.hover_reference import Reference
 from transport.model.linearisation import Model
 from transport.model.maneuver import Maneuver
 from transport.model.parameters import ParameterError, table_1
-from transport.model.phase import Phase, Profile
+from transport.model.phase import Phase, PhaseKind, Profile
 from transport.model.state import StateView
 
 PROFILES: list[Profile] = ["ramp", "min_jerk", "step"]
@@ -221,11 +221,26 @@ def test_curves_carry_no_weight_to_or_from_the_ground() -> None:
         np.testing.assert_array_equal(actual, expected)
 
 
-def test_after_a_landing_comes_a_take_off() -> None:
-    """A payload on the ground is not dragged along."""
-    land = Phase(name="down", kind="land", duration_s=8.0, displacement_I=[0.0, 0.0, 2.0])
-    along = Phase(name="along", duration_s=3.0, displacement_I=[3.0, 0.0, 0.0])
+@pytest.mark.parametrize("kind", ["move", "circle", "land"])
+@pytest.mark.parametrize("rests", [False, True])
+def test_after_a_landing_comes_a_take_off(kind: PhaseKind, *, rests: bool) -> None:
+    """A payload on the ground is not dragged along, also after a rest."""
+    down = Phase(name="down", kind="land", duration_s=8.0, displacement_I=[0.0, 0.0, 2.0])
+    rest = Phase(name="rest", duration_s=1.0, displacement_I=[0.0, 0.0, 0.0])
+    turn = Curve(kind="circle", duration_s=3.0, ramp_s=1.0, size_I=(1.0, 1.0, 0.0))
+    along = Phase(
+        name="along",
+        kind=kind,
+        duration_s=3.0,
+        displacement_I=[0.0 if kind == "circle" else 3.0, 0.0, 0.0],
+        way=turn if kind == "circle" else None,
+    )
+    phases = [down, rest, along] if rests else [down, along]
     with pytest.raises(
         ParameterError, match="phase 'along': expected a take-off, or no way, after a landing"
     ):
-        Maneuver(start_I=[0.0, 0.0, -2.125], phases=[land, along])
+        Maneuver(start_I=[0.0, 0.0, -2.125], phases=phases)
+
+    up = Phase(name="up", kind="take_off", duration_s=8.0, displacement_I=[0.0, 0.0, -2.0])
+    again = Maneuver(start_I=[0.0, 0.0, -2.125], phases=[*phases[:-1], up, along])
+    assert again.phases[-1] is along

@@ -11,7 +11,7 @@ from transport.mpc.actual_plant import Mismatch
 from transport.mpc.controller import Controller
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.margins import FARTHEST, GROWTH, Loop, Margin, SampledLoop, margins
-from transport.mpc.settings import ControllerSettings, Limits, Weights
+from transport.mpc.settings import ControllerSettings, CostTerm, Limits, Weights
 
 SYSTEM = table_1()
 RATES = System(payload=SYSTEM.payload, uavs=SYSTEM.uavs, rate_gains=[25.0, 25.0, 10.0])
@@ -145,6 +145,15 @@ def test_the_team_that_is_left_is_its_regulator(gone: tuple[int, ...], follows: 
         assert settling_s is None or not follows or settling_s < SETTLING_S
 
 
+def test_a_heading_that_a_cost_controls_is_a_deviation_like_any_other() -> None:
+    """Only modes that a step leaves as they are count as headings: the slowest other one decides."""
+    terms = tuple(CostTerm(expression=f"Theta{i}[2]", weight=1.0) for i in range(1, SYSTEM.N + 1))
+    loop = _loop(SHARED.model_copy(update={"cost": terms}))
+    slowest = np.abs(np.linalg.eigvals(loop.matrix(Mismatch()))).max()
+    assert slowest < 1.0
+    assert loop.settling_s(Mismatch()) == pytest.approx(-loop.period_s / np.log(slowest))
+
+
 class _ShortDelayLoop(SampledLoop):
     """A loop that only delays and lags up to a limit leave stable."""
 
@@ -165,3 +174,10 @@ def test_ends_below_the_shortest_time_tried_are_stable() -> None:
     assert found["delay_s"] == Margin(nominal=0.0, lower=None, upper=0.0)
     assert found["lag_s"] == Margin(nominal=5e-4, lower=None, upper=5e-4)
     assert found["gain"] == Margin(nominal=1.0, lower=None, upper=None)
+
+
+def test_beyond_the_longest_lag_tried_a_known_one_is_within_its_margin() -> None:
+    """The upper end is sought upwards from a known lag of any length."""
+    known_s, limit_s = 0.7, 0.9
+    upper_s = margins(_ShortDelayLoop(limit_s=limit_s, known_lag_s=known_s))["lag_s"].upper
+    assert upper_s == pytest.approx(limit_s, rel=0.01)

@@ -325,6 +325,25 @@ def test_conflicting_obstacles_give_way_in_the_order_of_their_penalties() -> Non
     assert second[0] < first[0] - 0.01
 
 
+def test_meanwhile_the_closed_loop_is_that_of_its_gains() -> None:
+    """Until the gains of the team that is left are known, each step is A + B K of those in force, (74)."""
+    one, whole = controller().regulation, controller().regulation
+    since = 60
+    one.form({3}, (), (), since=since)
+    assert one.current.tracker is not None
+    assert whole.current.tracker is not None
+    _, track = flown()
+    rng = np.random.default_rng(3)
+    for k in range(since, since + 5):
+        (now,) = one.current.tracker.over(k, 1)
+        (before,) = whole.current.tracker.over(k, 1)
+        assert (now.K != before.K).any()
+        deviation = _on_manifold(track.X[k], rng.standard_normal(len(track.X[k])))
+        A_deviation = before.A_closed @ deviation - before.B @ before.K @ deviation
+        expected = A_deviation + now.B @ now.K @ deviation
+        np.testing.assert_allclose(now.A_closed @ deviation, expected, rtol=0.0, atol=1e-12)
+
+
 @pytest.mark.parametrize("released", [(), (3,)], ids=["death", "release"])
 def test_law_of_another_team_after_the_reference_has_come_to_rest(
     released: tuple[int, ...],

@@ -8,6 +8,7 @@ import pytest
 from tests.support.runs import setup
 from transport.protocol.scenario.errors import RequestError
 from transport.protocol.scenario.link_changes import LinkChanges, link_change
+from transport.protocol.scenario.link_sections import LinkChangeSection
 from transport.protocol.scenario.links import Link
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import LinkChange
@@ -78,6 +79,13 @@ WRONG = [
     '{"at_s": 1.0}',
     '{"distribution": "empirical"}',
 ]
+
+
+@pytest.mark.parametrize("key", ["rate_hz", "gilbert_elliott"])
+def test_a_change_of_a_scenario_has_values(key: str) -> None:
+    """A key without value, which the record of a run would leave out, is refused."""
+    with pytest.raises(ValueError, match=f"{key}: expected a value, got None"):
+        LinkChangeSection.model_validate({"at_s": 1.0, key: None})
 
 
 @pytest.mark.parametrize("settings", WRONG)

@@ -130,7 +130,10 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ("links.delay_s=-0.1", "expected greater than or equal to 0, got -0.1"),
     ("links.delay=0.1", "unknown key; did you mean 'delay_s'?"),
     ("links.distribution=gauss", "expected 'uniform', 'normal', 'exponential', 'lognormal' or"),
-    ("links.distribution=empirical", "links: samples_s: expected measured delays, got nothing"),
+    (
+        "links.distribution=empirical",
+        "links: samples_s: expected measured delays beside empirical, got nothing",
+    ),
     ("links.actuation.from=plant", "unknown key; known: delay_s"),
     (
         "links.gilbert_elliott={enter=0.1}",
@@ -455,6 +458,12 @@ def test_settings_that_contradict_the_cost_to_go() -> None:
 def test_wrong_setting(setting: str, problem: str) -> None:
     """A setting that names no place in the scenario is refused on one line that repeats it."""
     assert refusal(PAPER, setting) == f"--set {setting or EMPTY}: {problem}"
+
+
+def test_a_number_of_thousands_of_digits_is_no_entry() -> None:
+    """Python refuses to read it; it is refused like any other number of an entry."""
+    text = refusal(PAPER, f"maneuver.phase.{'9' * 5000}.duration_s=1")
+    assert text.endswith("expected an entry from 1 to 5, got '999999999'")
 
 
 @pytest.mark.parametrize(

@@ -49,14 +49,14 @@ _SHAPES = {STEPS: ("o", "-"), SECONDS: ("D", "--")}
 _PANEL_IN = 0.95
 _ABOVE_IN = 0.17
 
-# Larger cost ratios are drawn at the upper edge of the panel, diverged runs above it.
+# Larger cost ratios, and parts of intervals, are drawn at the largest one shown, diverged runs above.
 _LOWEST = 0.6
-_HIGHEST = 3.0
-_DIVERGED = _HIGHEST + 0.35
-_TICKS = (1.0, 1.5, 2.0, 2.5, _HIGHEST)
+_LARGEST = 3.0
+_DIVERGED_Y = _LARGEST + 0.35
+_TICKS = (1.0, 1.5, 2.0, 2.5, _LARGEST)
 _ABOVE_DIVERGED = 0.2
-# Height of the name of the vertical line, and its style.
-_NAME = _HIGHEST - 0.35
+# Place of the name of the vertical line, and its style.
+_NAME_Y = _LARGEST - 0.35
 _NAME_STYLE: Mapping[str, Any] = {
     "ha": "right",
     "va": "center",
@@ -67,7 +67,7 @@ _NAME_STYLE: Mapping[str, Any] = {
 
 
 def draw_costs(curves: Sequence[Curve], reference: Cell, folder: Path) -> list[Path]:
-    """Draw the cost over the computation of the team and of one agent, a panel for each weather.
+    """Draw the cost over the computation of the team and of one agent, a panel for each budget and weather.
 
     A vertical line marks the computation of the reference, the centralized cell.
 
@@ -127,13 +127,16 @@ def _draw_curve(panel: Axes, curve: Curve, budget: str) -> None:
     x = np.median(curve.loads[budget], axis=1)
     is_diverged = np.isinf(curve.ratios).any(axis=1)
 
-    # None where no run completed, and of a single run, which has no interval.
+    # None: no run completed, drawn as diverged.
     means = np.array([row[COST_RATIO] or 0.0 for row in rows])
+    # None: a single run has no interval.
     half_widths = np.array([row[f"{COST_RATIO}_ci95"] or 0.0 for row in rows])
     ratios = np.where(is_diverged, np.nan, means)
-    heights = np.minimum(ratios, _HIGHEST)
-    panel.errorbar(x, heights, yerr=half_widths, linewidth=1.0, elinewidth=0.8, **style)
-    panel.plot(x[is_diverged], np.full(is_diverged.sum(), _DIVERGED), **style | DIVERGED)
+    heights = np.minimum(ratios, _LARGEST)
+    below = heights - np.minimum(ratios - half_widths, _LARGEST)
+    above = np.minimum(ratios + half_widths, _LARGEST) - heights
+    panel.errorbar(x, heights, yerr=[below, above], linewidth=1.0, elinewidth=0.8, **style)
+    panel.plot(x[is_diverged], np.full(is_diverged.sum(), _DIVERGED_Y), **style | DIVERGED)
 
 
 def _median_load(curve: Curve, cell: Cell, budget: str) -> float:
@@ -147,15 +150,15 @@ def _mark_reference(panel: Axes, centralized: Curve, reference: Cell, budget: st
     x = _median_load(centralized, reference, budget)
     panel.axvline(x, color=REFERENCE, linewidth=0.8, zorder=0)
     name = f"centralized\nat {1e3 * reference.period_s:g} ms"
-    panel.annotate(name, (x, _NAME), (-3.0, 0.0), textcoords="offset points", **_NAME_STYLE)
+    panel.annotate(name, (x, _NAME_Y), (-3.0, 0.0), textcoords="offset points", **_NAME_STYLE)
 
 
 def _scale(panel: Axes) -> None:
     """Set the axes of a panel: a logarithmic time, and cost ratios up to diverged runs."""
     panel.set_xscale("log")
     label_decades(panel.xaxis)
-    panel.set_yticks([*_TICKS, _DIVERGED], [*(f"{tick:g}" for tick in _TICKS), "diverged"])
-    panel.set_ylim(_LOWEST, _DIVERGED + _ABOVE_DIVERGED)
+    panel.set_yticks([*_TICKS, _DIVERGED_Y], [*(f"{tick:g}" for tick in _TICKS), "diverged"])
+    panel.set_ylim(_LOWEST, _DIVERGED_Y + _ABOVE_DIVERGED)
 
 
 def draw_maneuver(

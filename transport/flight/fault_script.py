@@ -119,6 +119,8 @@ class FaultScript:
         if fault.do == "continue" and fault.target not in self._recorder.members:
             self._continued.add(fault.target)
         self._do(fault.target, "restart" if fault.do == "start" else "continue", "script")
+        # A kill that has not ended the process by now never will: a later end is not of the script.
+        self._kills = [kill for kill in self._kills if not _is_before(kill, fault)]
 
     def _restart_disconnected(self) -> None:
         """Start continued agents anew that have ended because their connections were closed.
@@ -206,3 +208,8 @@ class FaultScript:
         child.is_noted |= action == "kill"
         self._recorder.note(target, _NOTES[action], origin)
         return True
+
+
+def _is_before(kill: Fault, back: Fault) -> bool:
+    """Return whether a kill is one that a return of its process ends."""
+    return kill.target == back.target and kill.tick < back.tick
