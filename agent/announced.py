@@ -1,6 +1,6 @@
 """Inputs announced by all agents: received plans, shifted to any tick and held at their end."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from transport.agent.handover import NO_WAIT, SHARED, News, NewsAge, Silence
-from transport.agent.plans import ReceivedPlans
+from transport.agent.handover import SHARED, Silence
+from transport.agent.heard import HeardOthers
 from transport.model.arrays import Array, Rows
 from transport.model.state import input_places, input_slice
 from transport.mpc.fail_safe import FailSafe
@@ -19,8 +19,6 @@ from transport.protocol.wire.messages import Plan
 # Alignment of a plan with the horizon: shifted by its true age; by one tick whatever its age, as in
 # the paper; or its input for the present tick, held.
 Alignment = Literal["by_age", "by_one", "held"]
-# Tick of an event that has not occurred: before the first.
-NEVER = -1
 
 
 def _none(*_: object) -> None:
@@ -92,7 +90,7 @@ class StateAt:
 
 
 class AnnouncedInputs:
-    """Plans of all agents as one agent knows them.
+    """Inputs of all agents as one agent knows them, by their plans.
 
     Where a method takes a tick `before`, only plans made before it count, even if later ones have
     been received.
@@ -105,18 +103,15 @@ class AnnouncedInputs:
         law: Shared control law, followed after the first step of a plan; without inputs for none.
         settings: Bounds of the actuators, applied to inputs in force.
 
-    The first four attributes describe the team; who owns this object changes them with the team, at
-    the tick of the change and before `observe_news`.
+    The attributes describe the team; who owns this object changes them with the team, at the tick
+    of the change and before `heard.observe`.
 
     Attributes:
-        off_roster: Agents that make no more plans.
-        fail_safe: Control law after the last plan of one of them.
+        heard: Plans of all agents, who is off the roster, and how old news are. From its tick of the
+            newest failure of a UAV on, every agent follows the control law of the UAVs that are left;
+            earlier plans apply until then.
+        fail_safe: Control law after the last plan of an agent off the roster.
         law_since: Tick from which on the shared control law is that of the present team, (46).
-        failed_since: Tick of the newest failure of a UAV, or `NEVER`. From then on every agent
-            follows the control law of the UAVs that are left; earlier plans apply until then.
-        news: How old the newest plans of the others usually are.
-        oldest_news: Largest mean and largest overdue age at the tick last observed, not necessarily
-            of one agent.
     """
 
     def __init__(
@@ -128,51 +123,40 @@ class AnnouncedInputs:
         law: SharedLaw | None = None,
         settings: ControllerSettings | None = None,
     ) -> None:
-        self.off_roster: set[int] = set()
-        self.fail_safe: FailSafe | None = None
-        self.law_since = 0
-        self.failed_since = NEVER
         self._owned = owned
         self._u_hover = u_hover
         self._alignment = alignment
         self._own = own
         self._law = SharedLaw() if law is None else law
-        peers = [agent for agent in range(1, len(owned) + 1) if agent != own]
-        self.news = News(peers, self._law.silence)
-        self.oldest_news = NO_WAIT
 
-        uavs = sum(map(len, owned))
+        # Columns of u by agent.
+        self._columns = {agent: input_places(uavs) for agent, uavs in enumerate(owned, start=1)}
+        self.heard = HeardOthers(
+            self._columns, own, self._law.silence, self._law.silence_after_failures
+        )
+        self.fail_safe: FailSafe | None = None
+        self.law_since = 0
+        # Where the last plan of an agent that left has not been received: inputs in its place.
+        self._assumed: dict[int, Assumed] = {}
+
         self._bounds: tuple[Array, Array] | None = None
         self._period_s: float | None = None
         if settings is not None:
+            count = sum(map(len, owned))
             self._period_s = settings.sampling_period_s
-            self._bounds = settings.lower(uavs), settings.upper(uavs)
-
-        # By agent: its columns of u; its plans; and where the last plan of an agent that left has not
-        # been received, the inputs assumed for it.
-        self._columns = {agent: input_places(uavs) for agent, uavs in enumerate(owned, start=1)}
-        self._plans = ReceivedPlans(self._columns)
-        self._assumed: dict[int, Assumed] = {}
-
-        # The first tick at which news were observed, and that at which an agent returned: from these
-        # on its plans are expected.
-        self._began: int | None = None
-        self._returned: dict[int, int] = {}
+            self._bounds = settings.lower(count), settings.upper(count)
 
     def add(self, plan: Plan) -> None:
         """Keep a plan, in any order of arrival; a second plan of the same tick is ignored."""
-        self._plans.add(plan)
+        self.heard.plans.add(plan)
 
     def begin_anew(self, agent: int, tick: int) -> None:
         """Discard the plans of an agent that starts anew at a tick, and how old they were.
 
         Until then it was off the roster, and its UAVs on their fail-safe.
         """
-        self._plans.forget(agent)
+        self.heard.begin_anew(agent, tick)
         self._assumed.pop(agent, None)
-        self._returned[agent] = tick
-        if agent != self._own:
-            self.news.forget(agent)
 
     def assume(self, agent: int, start: int, inputs: Array) -> None:
         """Assume inputs of all UAVs, (N_p, 4 N), from a tick on for an agent that left.
@@ -184,159 +168,7 @@ class AnnouncedInputs:
 
     def newest(self, agent: int, before: int, started: int | None = None) -> Plan | None:
         """Return an agent's newest plan made before a tick and, if given, started by `started`."""
-        return self._plans.newest(agent, before, started)
-
-    # As news of the others are overdue, (32c).
-
-    @property
-    def silence(self) -> Silence | None:
-        """Rule by which agents act alone; None: they never do."""
-        has_failures = self.failed_since != NEVER
-        return self._law.silence_after_failures if has_failures else self._law.silence
-
-    def observe_news(self, k: int) -> None:
-        """Take in how old the newest plans of the others are: `news` and `oldest_news`.
-
-        To be called once a tick, after its plans are added. Without a rule by which agents act alone
-        nothing depends on ages, and none are taken.
-        """
-        if self.silence is None:
-            return
-        if self._began is None:
-            self._began = k
-        mean = 0.0
-        overdue = 0.0
-        for agent in self._columns:
-            plan = self._plans.newest(agent, before=k)
-            if plan is not None and agent != self._own:
-                self.news.observe(agent, k - plan.tick)
-            age = self._age(agent, plan, k)
-            mean = max(mean, age.mean)
-            overdue = max(overdue, age.overdue)
-        self.oldest_news = NewsAge(mean=mean, overdue=overdue)
-
-    def age(self, agent: int, tick: int, before: int) -> NewsAge:
-        """Return how old another agent's news are at a tick, also for past ticks by those of now."""
-        return self._age(agent, self._plans.newest(agent, before, started=tick), tick)
-
-    def _age(self, agent: int, plan: Plan | None, tick: int) -> NewsAge:
-        """Return how old an agent's news are at a tick, of which a plan, if any, is the newest."""
-        if agent == self._own or agent in self.off_roster:
-            return NO_WAIT
-        # Without any plan, as if one had been made just before the first that can be expected.
-        newest = self._expected_since(agent) - 1 if plan is None else plan.tick
-        overdue = max(0.0, float(tick - newest - self.news.usual(agent)))
-        return NewsAge(mean=self.news.mean(agent), overdue=overdue)
-
-    def _expected_since(self, agent: int) -> int:
-        """Return the tick from which on plans of an agent are expected."""
-        return self._returned.get(agent, self._began or 0)
-
-    def is_informed(self, tick: int, before: int) -> bool:
-        """Return whether the inputs of all others at a tick are as well known as usual: (41)."""
-        silence = self.silence
-        if silence is None:
-            return True
-        ages = (self.age(agent, tick, before) for agent in self._columns)
-        return max(age.overdue for age in ages) <= silence.uninformed
-
-    def share_alone(self, agent: int, tick: int, before: int) -> float:
-        """Return how much another agent is assumed to act alone: as its plan says, by the rule."""
-        return self._share_alone(agent, self._plans.newest(agent, before, started=tick), tick)
-
-    def _share_alone(self, agent: int, plan: Plan | None, tick: int) -> float:
-        """Return how much an agent is assumed to act alone at a tick after a plan, if there is one."""
-        silence = self.silence
-        if silence is None:
-            return 0.0
-        said = 0.0 if plan is None else plan.alone
-        return max(said, silence.alone(self._age(agent, plan, tick)))
-
-    def lacks_first_news(self, before: int) -> bool:
-        """Return whether the agent began in mid-run, and has not heard one of the others since.
-
-        Of those that have returned later it has to hear nothing: they hear the team first.
-        """
-        if not self._began:
-            return False
-        present = self._columns.keys() - self.off_roster - self._returned.keys() - {self._own}
-        return any(self._plans.newest(agent, before) is None for agent in present)
-
-    def most_said(self, agents: Iterable[int], before: int) -> float:
-        """Return the largest share of acting alone that the newest plans of some agents announce.
-
-        0 without plans of agents on the roster. An agent that has just returned was alone as the team
-        flew on without it, and is on its way back: it does not count.
-        """
-        most = 0.0
-        for agent in agents:
-            plan = self._plans.newest(agent, before)
-            if plan is None or agent in self.off_roster or self._is_returning(agent, plan):
-                continue
-            most = max(most, plan.alone)
-        return most
-
-    def _is_returning(self, agent: int, plan: Plan) -> bool:
-        """Return whether a plan is from the time in which a returned agent hands over to the team."""
-        silence = self.silence
-        returned = self._returned.get(agent)
-        if silence is None or returned is None:
-            return False
-        return plan.tick < returned + silence.hand_over
-
-    def silent(self, tick: int, before: int) -> Silent | None:
-        """Return what is assumed of the others' inputs; None where all news are as usual."""
-        if self.silence is None:
-            return None
-        share = np.zeros(len(self._u_hover))
-        correlation = np.full(len(self._u_hover), SHARED)
-        for agent, columns in self._columns.items():
-            if agent != self._own:
-                plan = self._plans.newest(agent, before, started=tick)
-                share[columns] = self._share_alone(agent, plan, tick)
-                correlation[columns] = self.silence.correlation(self._age(agent, plan, tick))
-        if not share.any() and (correlation == SHARED).all():
-            return None
-        return Silent(alone=share, correlation=correlation)
-
-    def _without_plan(self, agent: int, instant: StateAt | None) -> Array:
-        """Return the inputs of an agent without any plan, (4 owned,).
-
-        Hover; once its first plan is overdue, by the shared law, and alone. An agent that has
-        returned was on its fail-safe before, and follows the law from then on. Source: (32c).
-        """
-        columns = self._columns[agent]
-        hover = self._hover(columns)
-        if instant is None:
-            return hover
-        if agent in self._returned:
-            if self._is_before_return(agent, instant.tick):
-                return self._by_fail_safe(agent, instant)
-        elif not self._acts_without_plan(agent, instant.tick):
-            return hover
-        by_law = hover if instant.by_law is None else instant.by_law[columns]
-        return self._mixed(by_law, agent, None, instant)
-
-    def _acts_without_plan(self, agent: int, tick: int) -> bool:
-        """Return whether an agent is assumed to act at a tick although it has sent no plan yet."""
-        silence = self.silence
-        if silence is None:
-            return False
-        return self._age(agent, None, tick).overdue > silence.overdue.begins
-
-    def _is_before_return(self, agent: int, tick: int) -> bool:
-        """Return whether an agent was off the roster at a tick, and has returned since."""
-        return tick < self._returned.get(agent, 0)
-
-    def _mixed(self, by_law: Array, agent: int, plan: Plan | None, instant: StateAt) -> Array:
-        """Return inputs between those by the law and those alone, as the agent is assumed to act."""
-        share = self._share_alone(agent, plan, instant.tick)
-        if share == 0.0 or self._law.inputs_alone is None:
-            return by_law
-        alone = [
-            self._law.inputs_alone(uav, instant.tick, instant.x) for uav in self._owned[agent - 1]
-        ]
-        return (1.0 - share) * by_law + share * np.concatenate(alone)
+        return self.heard.plans.newest(agent, before, started)
 
     # Over the horizon, (32).
 
@@ -351,7 +183,7 @@ class AnnouncedInputs:
         """
         U = np.empty((steps, len(self._u_hover)))
         for agent, columns in self._columns.items():
-            plan = self._plans.newest(agent, before)
+            plan = self.newest(agent, before)
             assumed = self._assumed.get(agent)
 
             #   u_a(s + j) = U_a(min(s + j - s_a, N_p - 1))    (32)
@@ -359,7 +191,7 @@ class AnnouncedInputs:
             if assumed is not None:
                 played = assumed.inputs[: self._steps_played(len(assumed.inputs))]
                 entries = played[max(start - assumed.start_tick, 0) :][:steps]
-            elif plan is not None and agent in self.off_roster:
+            elif plan is not None and agent in self.heard.off_roster:
                 played = plan.inputs[: self._steps_played(len(plan.inputs))]
                 entries = self._aligned(played, plan, start, steps)
             elif plan is not None:
@@ -379,8 +211,10 @@ class AnnouncedInputs:
         """
         c = np.zeros((steps, len(self._u_hover)))
         for agent, columns in self._columns.items():
-            plan = self._plans.newest(agent, before)
-            if plan is None or agent in self.off_roster or plan.tick < self.failed_since:
+            plan = self.newest(agent, before)
+            if plan is None or agent in self.heard.off_roster:
+                continue
+            if plan.tick < self.heard.failed_since:
                 continue
             entries = self._aligned(plan.corrections, plan, start, steps)
             c[: len(entries), columns] = entries
@@ -393,23 +227,27 @@ class AnnouncedInputs:
 
     def _aligned(self, sequence: Array, plan: Plan, start: int, steps: int) -> Array:
         """Return a plan's inputs or corrections aligned with the horizon, as far as they reach."""
-        skipped = max(start - plan.start_tick, 0)
-        is_by_age = self._alignment == "by_age" or plan.agent == self._own
-        if is_by_age or plan.agent in self.off_roster:
-            return sequence[skipped:][:steps]
+        passed = max(start - plan.start_tick, 0)  # steps of the plan before the horizon
+        is_known_age = plan.agent == self._own or plan.agent in self.heard.off_roster
+        if is_known_age or self._alignment == "by_age":
+            return sequence[passed:][:steps]
         if self._alignment == "held":
-            return np.repeat(sequence[skipped:][:1], steps, axis=0)
-        return sequence[min(skipped, 1) :][:steps]
+            present = sequence[passed:][:1]
+            return np.repeat(present, steps, axis=0)
+        return sequence[min(passed, 1) :][:steps]  # "by_one"
 
     # Over a past or present period, (32a).
 
     def in_force(self, tick: int, before: int, x: Array | None = None) -> Array:
         """Return the inputs assumed over [t_k, t_{k+1}), from each agent's newest started plan.
 
-        That plan's first input was applied as announced. Later ones have been replaced by plans
-        that were not received: with a shared control law the agent followed that.
+        - The first input of a plan, and all of an own plan: as announced.
+        - Later ones have been replaced by plans that were not received: the shared control law, where
+          there is one, and in part the law of a UAV alone, by the age of the plan.
+        - An agent off the roster: its last plan as far as the actuators play it, then its fail-safe.
+        - An agent without any plan: hover; once its first plan is overdue, as after a plan.
 
-        The state x at t_k, (n,), serves to evaluate control law and fail-safe; None leaves both
+        The state x at t_k, (n,), serves to evaluate control laws and fail-safe; None leaves them
         out.
 
         Returns: (4 N,).
@@ -418,7 +256,7 @@ class AnnouncedInputs:
         u = np.empty_like(self._u_hover)
         instant = None if x is None else StateAt(tick=tick, x=x, law=self._law)
         for agent, columns in self._columns.items():
-            plan = self._plans.newest(agent, before, started=tick)
+            plan = self.newest(agent, before, started=tick)
             if plan is None:
                 u[columns] = self._without_plan(agent, instant)
             else:
@@ -439,20 +277,36 @@ class AnnouncedInputs:
         m = len(self._u_hover)
         untold = Untold(by_law=np.zeros(m, dtype=bool), by_fail_safe=np.zeros(m, dtype=bool))
         for agent, columns in self._columns.items():
-            plan = self._plans.newest(agent, before, started=tick)
-            if agent in self.off_roster:
+            plan = self.newest(agent, before, started=tick)
+            if agent in self.heard.off_roster:
                 untold.by_fail_safe[columns] = plan is not None and self._is_over(plan, tick)
-            elif plan is None and self._is_before_return(agent, tick):
+            elif plan is None and self.heard.is_before_return(agent, tick):
                 untold.by_fail_safe[columns] = True
             elif agent != self._own:
                 untold.by_law[columns] = plan is None or plan.start_tick < tick
         return untold
 
+    def silent(self, tick: int, before: int) -> Silent | None:
+        """Return what is assumed of the others' inputs; None where all news are as usual."""
+        silence = self.heard.silence
+        if silence is None:
+            return None
+        share = np.zeros(len(self._u_hover))
+        correlation = np.full(len(self._u_hover), SHARED)
+        for agent, columns in self._columns.items():
+            if agent != self._own:
+                plan = self.newest(agent, before, started=tick)
+                share[columns] = self.heard.share_alone(agent, plan, tick)
+                correlation[columns] = silence.correlation(self.heard.age(agent, plan, tick))
+        if not share.any() and (correlation == SHARED).all():
+            return None
+        return Silent(alone=share, correlation=correlation)
+
     def _applied(self, plan: Plan, tick: int, instant: StateAt | None) -> Array:
         """Return the inputs that an agent applied after its newest started plan, (4 owned,)."""
         played = self._played(plan, tick)
         step = tick - played.start_tick
-        is_off = plan.agent in self.off_roster
+        is_off = plan.agent in self.heard.off_roster
         if is_off and self._is_over(plan, tick):
             return self._by_fail_safe(plan.agent, instant)
 
@@ -466,11 +320,39 @@ class AnnouncedInputs:
 
         # The agent has replaced the later ones by plans not received: by the shared law, (32a). Which
         # law that was before the present one is not known any more: they count as announced.
-        is_under_law = tick >= max(self.law_since, self.failed_since)
+        is_under_law = tick >= max(self.law_since, self.heard.failed_since)
         by_law = self._by_law(plan, instant) if is_under_law else announced
         if by_law is None:
             return announced
         return self._mixed(by_law, plan.agent, plan, instant)
+
+    def _without_plan(self, agent: int, instant: StateAt | None) -> Array:
+        """Return the inputs of an agent without any plan, (4 owned,).
+
+        Hover; once its first plan is overdue, by the shared law, and alone. An agent that has
+        returned was on its fail-safe before, and follows the law from then on. Source: (32c).
+        """
+        columns = self._columns[agent]
+        hover = self._hover(columns)
+        if instant is None:
+            return hover
+        if self.heard.has_returned(agent):
+            if self.heard.is_before_return(agent, instant.tick):
+                return self._by_fail_safe(agent, instant)
+        elif not self.heard.acts_without_plan(agent, instant.tick):
+            return hover
+        by_law = hover if instant.by_law is None else instant.by_law[columns]
+        return self._mixed(by_law, agent, None, instant)
+
+    def _mixed(self, by_law: Array, agent: int, plan: Plan | None, instant: StateAt) -> Array:
+        """Return inputs between those by the law and those alone, as the agent is assumed to act."""
+        share = self.heard.share_alone(agent, plan, instant.tick)
+        if share == 0.0 or self._law.inputs_alone is None:
+            return by_law
+        alone = [
+            self._law.inputs_alone(uav, instant.tick, instant.x) for uav in self._owned[agent - 1]
+        ]
+        return (1.0 - share) * by_law + share * np.concatenate(alone)
 
     def _played(self, plan: Plan, tick: int) -> Plan | Assumed:
         """Return the plan that the actuators play, or the inputs assumed in its place, (32b)."""
@@ -499,7 +381,7 @@ class AnnouncedInputs:
         u = instant.by_law
         if u is None:
             return None
-        if plan.tick < self.failed_since or not len(plan.corrections):
+        if plan.tick < self.heard.failed_since or not len(plan.corrections):
             return np.asarray(u[columns])
 
         #   lambda_a(k) = K_a (x(k) - x_ref(k)) + c_ff(k) + C_a(k - s_a),    C_a zero after its end

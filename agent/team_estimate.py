@@ -109,18 +109,19 @@ class TeamEstimate:
     def share_alone(self, k: int) -> float:
         """Return the share, 0 to 1, with which the agent is to act alone at tick k: (32c).
 
-        To be called after `announced.observe_news` of that tick. The share follows from the oldest
+        To be called after `announced.heard.observe` of that tick. The share follows from the oldest
         news, but is at most `LESS_THAN_OTHERS` below the largest that one of the others announces: a
         UAV alone gives way to the payload's swing, and turns the payload where the others do not.
         """
-        silence = self.announced.silence
+        heard = self.announced.heard
+        silence = heard.silence
         if silence is None:
             return 0.0
         # Its UAVs have been alone before a start in mid-run, and go on until the agent has news.
-        if self.announced.lacks_first_news(before=k):
+        if heard.lacks_first_news(before=k):
             return 1.0
-        by_age = silence.alone(self.announced.oldest_news)
-        by_others = self.announced.most_said(self.peers, before=k) - LESS_THAN_OTHERS
+        by_age = silence.alone(heard.oldest_news)
+        by_others = heard.most_said(before=k) - LESS_THAN_OTHERS
         return max(by_age, by_others)
 
     def alone(self, uav: int, tick: int) -> tuple[AloneLaw, OwnCourse]:
@@ -161,7 +162,7 @@ class TeamEstimate:
         for plan in received.plans:
             self.announced.add(plan)
             self.estimator.take(plan)
-        self.announced.observe_news(k)
+        self.announced.heard.observe(k)
         for measurement in received.measurements:
             self.estimator.measure(measurement)
 
@@ -200,6 +201,11 @@ class TeamEstimate:
                 x[state.uav_slice(uav - 1)] = block
         return x
 
+    def _is_alone(self, agent: int, tick: int) -> bool:
+        """Return whether another agent is assumed to act wholly alone at a tick."""
+        plan = self.announced.newest(agent, before=tick, started=tick)
+        return self.announced.heard.share_alone(agent, plan, tick) == 1.0
+
     def _update_roster(self, received: Received) -> None:
         """Take in the roster of a tick; all agents do that at the same tick."""
         tick = received.tick
@@ -207,8 +213,8 @@ class TeamEstimate:
         off_roster = set(self._setup.agents) - received.agents
         left = off_roster - self._off_roster
         # Asked before they are off the roster: an agent that is off counts as informed.
-        were_alone = {a for a in left if announced.share_alone(a, tick, before=tick) == 1.0}
-        announced.off_roster = off_roster
+        were_alone = {agent for agent in left if self._is_alone(agent, tick)}
+        announced.heard.off_roster = off_roster
         if self._controller.regulation.advance(tick):
             announced.law_since = tick
 
@@ -255,7 +261,7 @@ class TeamEstimate:
         tick = min(received.tick, received.failed_since)
         owned = self._setup.owned[self._agent - 1]
         self.announced.fail_safe = controller.regulation.fail_safe
-        self.announced.failed_since = tick
+        self.announced.heard.failed_since = tick
         self.estimator.change(
             Failure(
                 tick=tick,

@@ -93,7 +93,7 @@ class StateEstimator:
         def following(x: Array, tick: int) -> Array:
             u = announced.in_force(tick, before=k, x=x)
             is_learning = self._disturbance is not None and tick >= self._learned
-            is_informed = is_learning and announced.is_informed(tick + 1, before=k)
+            is_informed = is_learning and announced.heard.is_informed(tick + 1, before=k)
             return self._following(x, tick, u, is_informed=is_informed)
 
         recursion = Recursion(

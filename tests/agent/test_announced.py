@@ -73,7 +73,7 @@ def test_hover_before_any_plan() -> None:
 def test_fail_safe_begins_where_the_inputs_in_force_end() -> None:
     """Inputs assumed in place of the last plan put off the fail-safe, for the filter as well."""
     inputs = announced(labelled(2, 0))
-    inputs.off_roster = {2}
+    inputs.heard.off_roster = {2}
     start = 2
     assumed = np.tile(np.arange(STEPS, dtype=float)[:, None], (1, len(U_HOVER)))
     inputs.assume(2, start, assumed)
@@ -227,14 +227,16 @@ def test_oldest_news_tell_how_much_to_act_alone(heard: list[set[int]], is_filter
     rule = Silence.of(0.05, is_filtered=is_filtered)
     owned = ((0,), (1,), (2,), (3,))
     inputs = AnnouncedInputs(owned, np.zeros(16), own=1, law=SharedLaw(silence=rule))
-    inputs.off_roster = {4}
+    inputs.heard.off_roster = {4}
     for k, agents in enumerate(heard, start=1):
         for agent in agents:
             plan = replace(labelled(2, k - 1), agent=agent)
             inputs.add(plan)
-        inputs.observe_news(k)
-        shares = [rule.alone(inputs.age(agent, k, before=k)) for agent in (2, 3)]
-        assert rule.alone(inputs.oldest_news) == max(shares)
+        inputs.heard.observe(k)
+        newest = {agent: inputs.newest(agent, before=k) for agent in (2, 3)}
+        ages = [inputs.heard.age(agent, plan, k) for agent, plan in newest.items()]
+        shares = [rule.alone(age) for age in ages]
+        assert rule.alone(inputs.heard.oldest_news) == max(shares)
 
 
 def test_inputs_taken_to_be_in_force_are_within_limits() -> None:

@@ -359,9 +359,9 @@ def test_after_a_failure_news_are_not_late(tick: int) -> None:
     rule = Silence.of(0.05, is_filtered=True)
     law = SharedLaw(silence=rule, silence_after_failures=rule.after_failures)
     announced = AnnouncedInputs(((0,), (1,)), np.zeros(8), own=1, law=law)
-    assert announced.silence == rule
-    announced.failed_since = tick
-    assert announced.silence == rule.after_failures
+    assert announced.heard.silence == rule
+    announced.heard.failed_since = tick
+    assert announced.heard.silence == rule.after_failures
 
 
 def test_late_news_leave_the_formation_steady() -> None:
