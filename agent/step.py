@@ -385,7 +385,7 @@ class Planner:
         newest = [team.announced.newest(agent, before=k) for agent in team.peers]
         force = np.zeros(3)
         if team.forces is not None:
-            force = self._controller.model.at_rest(team.forces)[:3]
+            force = self._controller.model.with_weight_of_mass_error(team.forces)[:3]
         return step_report(
             step.received,
             self._agent,

@@ -181,7 +181,7 @@ class TeamEstimate:
         """
         if self.forces is None:
             return
-        forces = self._controller.model.at_rest(self.forces)
+        forces = self._controller.model.with_weight_of_mass_error(self.forces)
         held = self._held_forces
         if held is None or self.share_alone(k) == 0.0:
             self._held_forces = forces

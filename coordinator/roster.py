@@ -11,7 +11,7 @@ from transport.protocol.scenario.faults import failures
 from transport.protocol.scenario.link_changes import changed_in_words, link_change, words_of
 from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.target_planning import planned
+from transport.protocol.scenario.target_planning import target_fields
 from transport.protocol.scenario.targets import MOST, scripted, target_in_words
 from transport.protocol.wire.messages import (
     MAX_TEXT,
@@ -236,7 +236,7 @@ class TeamRoster:
         if len(self._targets) == MOST:
             raise RequestError(f"expected at most {MOST} targets in a run")
         number = len(self._targets) + 1
-        target = self._out.stamp(Target, number=number, **planned(self._setup, section, tick))
+        target = self._out.stamp(Target, number=number, **target_fields(self._setup, section, tick))
         self._setup = self._setup.after([target])
         self._targets.append(target)
         words = f"{target_in_words(target)}, from {self.time(tick)} on"

@@ -29,7 +29,8 @@ class Track:
     X: Array  # states, (K, n)
     U: Array  # inputs for the period after each instant: those of its middle, (K, m)
     X_middle: Array  # states there, (K, n)
-    # Jets of the payload's path at the instants and in the middle after each, (K, 2, 7, 3).
+    # Jets of the payload's path at the instants and in the middle after each, (K, 2, 7, 3); with a
+    # formation (K, 2, 7, 5).
     paths: Array
     first: int = 0  # number of the first instant
     # The motion of the team along such a path under forces, as `flight`.
@@ -41,7 +42,7 @@ class Track:
         return digest(self.X, self.U, self.X_middle, self.paths, self.first)
 
     def by_forces(self, rows: Rows) -> tuple[Array, Array]:
-        """Return the change of X and U at k rows per external force and mass.
+        """Return the derivatives of X and U at k rows by each external force and the mass error.
 
         (k, n, 4 + 3 N), and (k, m, 4 + 3 N), SI.
         """
@@ -66,7 +67,7 @@ class Track:
         rows = len(paths)
         forces = 4 + 3 * (self.U.shape[1] // state.INPUTS)
         by_order = np.ascontiguousarray(np.moveaxis(paths, 0, 2))
-        path, middle = np.repeat(by_order, forces, axis=2)
+        path, middle = np.repeat(by_order, forces, axis=2)  # (orders, rows forces, 3) each
         steps = np.tile(1j * _STEP_N * np.eye(forces), (rows, 1))
 
         x = self.flown(path, steps).x
@@ -77,7 +78,10 @@ class Track:
 
     @cached_property
     def _blocks(self) -> dict[int, "_ByForces"]:
-        """Derivatives by block of rows: they cost more than the reference, and few are needed."""
+        """Derivatives by block of rows: they cost more than the reference, and few are needed.
+
+        No field, so that `replace` and `continued`, which move rows, begin with none.
+        """
         return {}
 
 

@@ -16,7 +16,7 @@ from transport.model.compiled import Compiled, functions
 from transport.model.compiled_step import CompiledStep, Feedback
 from transport.model.hover import with_released
 from transport.model.integration import Step, StepLimits
-from transport.model.parameters import System
+from transport.model.parameters import PAYLOAD_INERTIA, PAYLOAD_MASS, System
 from transport.model.pattern import NAMES, Pattern
 from transport.model.state import input_indices
 
@@ -145,6 +145,7 @@ class Model:
     def _entries_of_inputs_off(self) -> npt.NDArray[np.intp]:
         """Return the entries of U and V_u in the columns of motor-off UAVs."""
         columns = [self._pattern.numbered(name)[:, self._off] for name in ("U", "V_u")]
+        # Entries are numbered from 1; 0 is none.
         numbers = np.hstack([column.reshape(-1) for column in columns])
         return numbers[numbers > 0.0].astype(np.intp) - 1
 
@@ -161,15 +162,15 @@ class Model:
         if len(forces) > count:
             further_kg = forces[count]
             p = p.copy()
-            p[2:8] *= 1.0 + further_kg / p[1]
-            p[1] += further_kg
+            p[PAYLOAD_INERTIA] *= 1.0 + further_kg / p[PAYLOAD_MASS]
+            p[PAYLOAD_MASS] += further_kg
         return p, _zeroed(forces[:count], self._unforced)
 
     def _arguments(self, x: Array, u: Array, forces: Array | None) -> tuple[Array, ...]:
         """Return x, u, p, F of the compiled functions; inputs of motor-off UAVs are zero."""
         return x, _zeroed(u, self._off), *self._acting(forces)
 
-    def at_rest(self, forces: Array) -> Array:
+    def with_weight_of_mass_error(self, forces: Array) -> Array:
         """Return constant forces, (3 + 3 N,), with the weight of a further mass of the payload.
 
         They act on a hovering team as the given forces and that mass.

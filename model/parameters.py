@@ -10,6 +10,10 @@ from transport.model.arrays import Array, ArrayLike, ShapeError, assign, checked
 
 GRAVITY = 9.81  # m/s^2; the paper gives none
 
+# Places of the payload in `System.vector`.
+PAYLOAD_MASS = 1
+PAYLOAD_INERTIA = slice(2, 8)  # upper triangle, by row
+
 # Of the triangle inequality of the principal moments: exact flat bodies are allowed.
 _INERTIA_SLACK = 1e-9
 # Largest asymmetry of an inertia, relative to its largest entry: rounding.
@@ -110,7 +114,8 @@ class System:
     def vector(self) -> Array:
         """Return all parameters in the order of `model.dynamics.Symbols`, SI.
 
-        (8 + 11 N,), with commanded body rates (11 + 11 N,).
+        (8 + 11 N,), with commanded body rates (11 + 11 N,). Those of the payload are at `PAYLOAD_MASS`
+        and `PAYLOAD_INERTIA`.
         """
         upper = np.triu_indices(3)
         parts = [np.array([self.gravity, self.payload.mass]), self.payload.inertia[upper]]

@@ -181,7 +181,7 @@ class Controller:
         # u_target = u_hover + M_u F
         u_target = law.cost.u_target
         if forces is not None and settings.weights.penalised_input == "deviation":
-            u_target = u_target + law.target.M_u @ self.model.at_rest(forces)
+            u_target = u_target + law.target.M_u @ self.model.with_weight_of_mass_error(forces)
 
         if settings.linearisation == "present" or settings.prediction == "open_loop":
             expansion = self.model.linearise(x, actual, forces=forces)

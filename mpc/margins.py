@@ -151,16 +151,23 @@ class Loop(SampledLoop):
         now = np.vstack([whole.motion[: self._motions], whole.expected])
         issued, unmeasured = self._new_commands(whole, now)
 
-        # Commands in force, now and before; the fail-safe needs no time for computing.
         commands = [issued, *whole.commands]  # newest first
-        acting = []
-        in_time = commands[: len(commands) - self._delay]
-        for newest, delayed in zip(in_time, commands[self._delay :], strict=True):
-            acting.append(np.where(self._gone, newest, delayed))
+        in_force = self._in_force(commands)
 
-        moved = plant_step.moved(whole.motion, acting)
-        expected = self._A[self._motions :] @ now + self._B[self._motions :] @ acting[0]
+        moved = plant_step.moved(whole.motion, in_force)
+        expected = self._A[self._motions :] @ now + self._B[self._motions :] @ in_force[0]
         return np.vstack([moved, expected, now, *whole.past[:-1], *commands[:-1], *unmeasured])
+
+    def _in_force(self, commands: Sequence[Array]) -> list[Array]:
+        """Return the inputs in force of each period, newest first, from the commands, newest first.
+
+        Commands of agents act `delay` periods after they are issued; a fail-safe needs no time for
+        computing.
+        """
+        in_time = commands[: len(commands) - self._delay]
+        delayed = commands[self._delay :]
+        pairs = zip(in_time, delayed, strict=True)
+        return [np.where(self._gone, at_once, late) for at_once, late in pairs]
 
     def _new_commands(self, whole: "_Blocks", now: Array) -> tuple[Array, list[Array]]:
         """Return the new commands, (m, size), and the agents' estimates of unmeasured coordinates."""
@@ -209,6 +216,10 @@ class Loop(SampledLoop):
         unmeasured: Array,
     ) -> tuple[Array, Array]:
         """Return an agent's estimate of the state of its plan, and its next unmeasured coordinates.
+
+        The newest state known of all UAVs is x(k - age). From there to k the agent measures its own
+        part, and the others follow plans that it has, up to k - age + delay, and then the shared law;
+        to the state of its plan, x(k + delay), it predicts.
 
         Args:
             agent: Index of its controller.

@@ -47,9 +47,10 @@ class Program:
         self._no_terms = np.zeros(0), np.zeros((0, self._n))
         frozen(*self._no_terms)
 
-        # A + B_others K and B_own of the last prediction along a trajectory; None after another one.
+        # A + B_others K and B_own of the last prediction along a trajectory; None after one about x0.
         self._closed_loop: tuple[Array, Array] | None = None
-        self._announced: Announced | None = None  # of the newest prediction
+        # What all agents have announced, for the newest prediction along a trajectory.
+        self._announced: tuple[Prediction, Announced] | None = None
         self.compiled: CompiledProgram | None = None
         if native.AVAILABLE:
             self.compiled = CompiledProgram(
@@ -79,28 +80,39 @@ class Program:
         The others apply U, or with a control law what it says for their corrections; U is then not
         used.
         """
-        own = self.decision.own
         if self.compiled is None:
-            prediction = predict(discrete, linear.u0, own, U, law)
+            prediction = predict(discrete, linear.u0, self.decision.own, U, law)
             dynamics_changed = True
         else:
             prediction, dynamics_changed = self.compiled.respond(
                 linear, discrete, U, law, only_new=along is not None
             )
 
-        if law is None or along is None:
+        if dynamics_changed or law is None or along is None:
             self._closed_loop = None
-            self._announced = None
-            return prediction
-        self._announced = Announced(U=along.U, c=law.c)
-        if self._closed_loop is None or dynamics_changed:
+        self._announced = None
+        if law is not None and along is not None:
+            self._follow(prediction, along, law, discrete, linear.u0)
+            self._announced = prediction, Announced(U=along.U, c=law.c)
+        return prediction
+
+    def _follow(
+        self,
+        prediction: Prediction,
+        along: Rollout,
+        law: FeedbackLaw,
+        discrete: Discrete,
+        u0: Array,
+    ) -> None:
+        """Make the free response of a prediction exact along a trajectory, (35a)."""
+        own = self.decision.own
+        if self._closed_loop is None:
             B_others = discrete.B.copy()
             B_others[:, own] = 0.0
             self._closed_loop = discrete.A + B_others @ law.K, discrete.B[:, own]
-        V = along.U[:, own] - linear.u0[own]
+        V = along.U[:, own] - u0[own]
         by_own = own_response(*self._closed_loop, V)
-        follow(prediction, along, by_own, law, linear.u0, own)
-        return prediction
+        follow(prediction, along, by_own, law, u0, own)
 
     def condense(
         self,
@@ -112,14 +124,14 @@ class Program:
     ) -> QP:
         """Return the QP of a prediction: equations.md (26)-(30), (36e), (48); paper (25)-(27)."""
         objective = self._objective(linear, y_ref, law, end)
+        announced = None
+        if self._announced is not None and self._announced[0] is prediction:
+            announced = self._announced[1]
         trajectory = TimeInvariant(
-            decision=self.decision,
-            linear=linear,
-            prediction=prediction,
-            announced=self._announced,
+            decision=self.decision, linear=linear, prediction=prediction, announced=announced
         )
         if self.compiled is None or not self.compiled.is_newest(prediction):
-            return self._by_products(objective, trajectory)
+            return self._without_kernels(objective, trajectory)
 
         self.compiled.condense(objective, keeps=law is not None)
         qp = self.compiled.qp
@@ -162,7 +174,7 @@ class Program:
             end=end,
         )
 
-    def _by_products(self, objective: Objective, trajectory: TimeInvariant) -> QP:
+    def _without_kernels(self, objective: Objective, trajectory: TimeInvariant) -> QP:
         """Return the QP by products of matrices."""
         H, g = condense(self.decision, trajectory.prediction, objective)
         penalties = self.stack.penalties

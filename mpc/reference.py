@@ -66,7 +66,8 @@ class Reference:
         self._period_s = period_s
         self._instants = instants
         self._key = digest(path.key, period_s, instants)
-        # Either the samples, or the reference before the newest target, from which they follow.
+        # At most one of them: the samples, or the reference before the newest target, from which they
+        # follow. Neither: a reference without targets that has not been sampled yet.
         self._sampled: Sampled | None = None
         self._before: Reference | None = None
 
@@ -108,20 +109,25 @@ class Reference:
     def sampled(self) -> Sampled:
         """The reference of controllers at the sampling instants."""
         # Go back to the newest reference with samples, then add one target after the other.
+        newest, pending = self._newest_sampled()
+        if newest._sampled is None:
+            newest._sampled = newest._whole()
+
+        samples = newest._sampled
+        for later in reversed(pending):
+            samples = later._after_target(samples)
+            later._sampled = samples
+            later._before = None  # not needed any more
+        return samples
+
+    def _newest_sampled(self) -> tuple["Reference", list["Reference"]]:
+        """Return the newest reference with samples, or the first, and those after it, newest first."""
         pending: list[Reference] = []
         reference = self
         while reference._sampled is None and reference._before is not None:
             pending.append(reference)
             reference = reference._before
-        if reference._sampled is None:
-            reference._sampled = reference._whole()
-
-        samples = reference._sampled
-        for later in reversed(pending):
-            samples = later._changed(samples)
-            later._sampled = samples
-            later._before = None  # not needed any more
-        return samples
+        return reference, pending
 
     def _whole(self) -> Sampled:
         """Return samples at all instants."""
@@ -132,19 +138,19 @@ class Reference:
         frozen(Y, X)
         return Sampled(X=X, Y=Y, track=track)
 
-    def _changed(self, before: Sampled) -> Sampled:
+    def _after_target(self, before: Sampled) -> Sampled:
         """Return the samples after the newest target, from those before it."""
         target = self.maneuver.targets[-1]
         first = round(target.since_s / self._period_s)
-        # The last row is held: at rest, also where the division by the period has been rounded down.
+        # The last row is held: at rest, with an instant to spare for a division that is rounded down.
         last = math.ceil(target.ends_s / self._period_s) + 1
-        behind = min(last + 1, self._instants)
-        Y_part, X_part = self._path.followed(self.times_s[first:behind])
+        end = min(last + 1, self._instants)
+        Y_part, X_part = self._path.followed(self.times_s[first:end])
         frozen(X_part)
 
         part = None
         if isinstance(self._path, FlatReference):
-            part = self._path.track(behind - first, self._period_s, first)
+            part = self._path.track(end - first, self._period_s, first)
         track = part
         if part is not None and before.track is not None:
             track = continued(before.track, part, KEPT)

@@ -90,7 +90,7 @@ class TeamLaw:
         error = self._error(x0, x_ref)
         feedforward = self.feedforward(start, len(x_ref))
         if forces is not None:
-            forces = law.hovering.model.at_rest(forces)
+            forces = law.hovering.model.with_weight_of_mass_error(forces)
             u_rest = u_rest + law.target.M_u @ forces
             error = error - self._shift(forces)
             feedforward = feedforward + law.forced[0] @ forces
@@ -159,7 +159,7 @@ class TeamLaw:
             known = len(self.preview.slope)
             slope = self.preview.slope[rows(instant - self.preview.first, 1, known)][0]
         if forces is not None:
-            forces = law.hovering.model.at_rest(forces)
+            forces = law.hovering.model.with_weight_of_mass_error(forces)
             error = error - self._shift(forces)
             slope = slope + law.forced[1] @ forces
         return CostToGo(root=law.regulator.root, error=error, slope=slope)

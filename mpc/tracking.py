@@ -16,7 +16,7 @@ from transport.mpc.feedback import FeedbackError, Gains
 from transport.mpc.hover_law import HoverLaw
 
 # Gains computed in a sampling period while the team flies: 8 ms of processor time for four UAVs.
-INSTANTS = 16
+GAINS_PER_PERIOD = 16
 _STEPS = 2  # integration steps per sampling period of the difference of reference and model
 
 
@@ -41,7 +41,7 @@ class Tracker:
 
 
 class Recursion:
-    """Backward Riccati recursion along a reference, `INSTANTS` instants per sampling period.
+    """Backward Riccati recursion along a reference, `GAINS_PER_PERIOD` instants per sampling period.
 
     The user's terms count as deviations from the reference. UAVs without an agent have the
     fail-safe. Until the instant `since` the regulator `before` of another team holds, if any.
@@ -64,7 +64,7 @@ class Recursion:
         self._track = track
         self._period_s = law.crew.settings.sampling_period_s
         self._key = key
-        self._since = since - track.first  # instants are rows of the reference from here on
+        self._since_row = since - track.first  # rows of the reference from here on
 
         # Cost-to-go x'Px + 2p'x at the instant computed last, from which the next step goes back.
         self._P = law.regulator.T @ law.regulator.P @ law.regulator.T.T
@@ -77,11 +77,11 @@ class Recursion:
             self._last = _first_at_rest(track)
         else:
             # At rest, where the last gains are held, the regulator of the new team holds at once.
-            held = max(self._since + 1 - len(before.gains), 0)
+            held = max(self._since_row + 1 - len(before.gains), 0)
             self._before = [*before.gains, *[before.gains[-1]] * held]
             self._last = len(self._before) - 1
-            missing = self._last + 1 - self._since
-            self.ready += -(-missing // INSTANTS)
+            missing = self._last + 1 - self._since_row
+            self.ready += -(-missing // GAINS_PER_PERIOD)
 
     @property
     def computed(self) -> int:
@@ -92,7 +92,7 @@ class Recursion:
         """Return the regulator until this one is ready: the gains before, without UAVs off."""
         gains = list(self._before)
         until = min(self.ready - self._track.first + horizon, len(gains))
-        for k in range(self._since, until):
+        for k in range(self._since_row, until):
             before = gains[k]
             K = before.K.copy()
             feedforward = before.feedforward.copy()
@@ -113,17 +113,17 @@ class Recursion:
         """Compute the share of an instant after the first; without instant, all that is missing."""
         count = self._last + 1
         if instant is not None:
-            count = INSTANTS * (instant - self._track.first - self._since)
+            count = GAINS_PER_PERIOD * (instant - self._track.first - self._since_row)
 
-        newest = self._last - len(self._computed)
-        down_to = max(self._last - count, self._since - 1)
-        for k in range(newest, down_to, -1):
+        next_row = self._last - len(self._computed)
+        down_to = max(self._last - count, self._since_row - 1)
+        for k in range(next_row, down_to, -1):
             self._computed.append(self._step(k))
 
     def result(self) -> Tracker:
         """Return the regulator; compute what is missing of it."""
         self.advance()
-        gains = [*self._before[: self._since], *reversed(self._computed)]
+        gains = [*self._before[: self._since_row], *reversed(self._computed)]
         return Tracker(gains=gains, key=self._key, first=self._track.first)
 
     def _fail_safe_gain(self, uav: int, k: int) -> Array:
@@ -158,7 +158,7 @@ class Recursion:
             K = self._regulator.K
             feedforward = np.zeros(len(K))
         else:
-            K = step.K_fixed
+            K = step.K_fixed.copy()
             K[controlled] -= K_controlled
             feedforward = step.u_fixed - self._track.U[k]
             feedforward[controlled] = -solved[:, -1]

@@ -66,7 +66,7 @@ class Trajectory(Protocol):
         """
 
     def of_inputs(self, expand: Expansion) -> Signals:
-        """Return functions of the inputs, expanded in u, (m,); only owned inputs count."""
+        """Return functions of the inputs, expanded in u, (m,); the decision acts through owned ones."""
 
     def of_states_and_inputs(self, expand: Expansion) -> Signals:
         """Return functions of state and inputs, expanded in [x, u], (n + m,)."""
@@ -74,7 +74,7 @@ class Trajectory(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Announced:
-    """Inputs by the law with the corrections that all agents have announced, and these."""
+    """Inputs by the law with the corrections that all agents have announced, and those corrections."""
 
     U: Array  # (N_p, m)
     c: Array  # (N_p, m)

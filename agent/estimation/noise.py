@@ -1,6 +1,7 @@
 """Noise that the Kalman filter assumes: first errors, sensors, the model's errors, unknown forces.
 
-Standard deviations, SI; docs/equations.md after (63), (64) has their reasons.
+Standard deviations, SI, where no other quantity or unit is said; docs/equations.md after (63), (64)
+has their reasons.
 """
 
 from dataclasses import dataclass
@@ -71,9 +72,9 @@ class ModelNoise:
     """Errors of the equations of motion."""
 
     # White accelerations, m/s^2 and rad/s^2, in each sampling period. Without estimated forces they
-    # are all that errs: this much at most, and the level scales it (level.py).
+    # are all that errs: this is the largest, which the level scales (level.py).
     acceleration: float = 0.01
-    # Beside estimated forces, whatever the level.
+    # With estimated forces, which err too: this always.
     beside_forces: float = 1e-3
     # Lag of motors that agents do not know: what it does after a change of the inputs must not
     # count as a force.
@@ -103,7 +104,7 @@ class RandomWalk:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceNoise:
-    """Unknown forces on the team as random walks; gusts of 1 m/s are slow ones.
+    """Unknown forces on the team as random walks, at the level 1 (level.py), which scales their variances.
 
     Scales: forces, on payload and UAVs, by the weight of the payload and of the lightest UAV; the
     payload's mass error by its mass; drag, per speed, by the mass of the body, 1/s.

@@ -57,11 +57,11 @@ class Window:
             raise RequestError(f"{expected}, got {ends_s:.2f} s")
 
 
-def planned(setup: PlannedRun, section: TargetSection, tick: int) -> dict[str, Any]:
+def target_fields(setup: PlannedRun, section: TargetSection, tick: int) -> dict[str, Any]:
     """Return the fields of the message for a target from a tick on.
 
     The least duration is compared with the rest of the run before anything is sampled, and the work
-    depends on the number of way points alone, whatever the distances, speeds and times.
+    depends on the numbers of way points and phases alone, whatever the distances, speeds and times.
 
     Raises: RequestError: it cannot be flown.
     """
@@ -158,8 +158,9 @@ def _least_way_s(section: TargetSection) -> float:
 
 def _approach_m(setup: PlannedRun, point_I: Array, window: Window) -> float:
     """Return the larger distance of a target from the path now and from its end, m."""
-    # r' = r + s (p - r), (75), adds the speed s' |p - r|. On a straight rest of the path |p - r| is
-    # largest at one of its ends; on a curve the larger one stands for it.
+    # r + s (p - r), (75), adds the speed s' |p - r|. On a straight rest of the path |p - r| is largest
+    # at one of its ends. On a curve the larger of both is an estimate: the limits are checked along
+    # the approach itself.
     now_and_end_s = np.array([window.since_s, setup.maneuver.duration_s])
     r_I = setup.maneuver.path(now_and_end_s)[0]
     return max(float(np.linalg.norm(point_I - one_I)) for one_I in r_I)
@@ -175,7 +176,7 @@ def _approach(setup: PlannedRun, section: TargetSection, window: Window) -> Curv
     problem: str | None = None
     while ramp_s <= _LONGEST_RAMP_S:
         approach = straight(_ramped_s(distance_m, _speed_of(section), ramp_s), ramp_s)
-        # The first one has been checked in `planned`; each later one is longer.
+        # The first one has been checked in `target_fields`; each later one is longer.
         if problem is not None:
             window.check(approach.duration_s)
 
@@ -191,7 +192,7 @@ def _approach_path(setup: PlannedRun, approach: Curve, point_I: Array, window: W
     """Return the jets of the path during an approach, (7, k, 3), or (7, k, 5) with a formation."""
     instants_s = curve_instants(approach)
     if setup.scenario.maneuver.reference == "hover":
-        # The controllers' reference has no accelerations: those from rest are the target's own.
+        # A hover reference carries no accelerations: the target's motion is judged as from rest, here.
         here_I = setup.maneuver.path(np.array([window.since_s]))[0][0]
         return np.asarray(approach.covered(instants_s, ORDERS)[..., None] * (point_I - here_I))
 
@@ -223,7 +224,8 @@ def _way(setup: PlannedRun, section: TargetSection, window: Window) -> Curve:
 def _teams_flying(setup: PlannedRun, window: Window) -> list[TeamLeft]:
     """Return the team that flies when a target is given, and those after later releases.
 
-    When they come within the motion depends on its duration: their limits hold for all of it.
+    Whether a release falls within the motion depends on its duration, which is still sought, so the
+    limits of each team that is left count for all of the motion.
 
     Raises: RequestError: UAVs that are left cannot hover.
     """

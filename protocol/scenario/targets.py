@@ -7,7 +7,7 @@ from transport.protocol.scenario.budget import first_tick
 from transport.protocol.scenario.errors import RequestError
 from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.planned_run import PlannedRun
-from transport.protocol.scenario.target_planning import planned, spline, straight
+from transport.protocol.scenario.target_planning import spline, straight, target_fields
 from transport.protocol.wire import messages
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.names import COORDINATOR
@@ -66,6 +66,6 @@ def check_scripted(setup: PlannedRun) -> None:
 
     out = Outbox(COORDINATOR, 0)
     for number, (tick, section) in enumerate(timed, start=1):
-        numbers = planned(setup, section, tick)
+        numbers = target_fields(setup, section, tick)
         message = out.stamp(messages.Target, number=number, **numbers)
         setup = setup.after([message])

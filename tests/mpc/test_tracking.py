@@ -23,7 +23,7 @@ from transport.mpc.forming import recursion_of
 from transport.mpc.reference import Sampled
 from transport.mpc.rollout import Actuation, rollout
 from transport.mpc.settings import ControllerSettings, Limits, Separation, Tension, Tilt, Weights
-from transport.mpc.tracking import INSTANTS
+from transport.mpc.tracking import GAINS_PER_PERIOD
 
 PERIOD_S = 0.05
 SETTINGS = ControllerSettings(
@@ -152,7 +152,7 @@ def test_law_of_another_team_is_the_same_by_parts_and_at_once() -> None:
         ready += not done
     assert ready > since + 2
     assert shares[0] == 0
-    assert max(shares) == INSTANTS
+    assert max(shares) == GAINS_PER_PERIOD
 
     model, track = flown()
     other = Controller(

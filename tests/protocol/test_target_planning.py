@@ -10,7 +10,7 @@ from tests.support.coordinator_clock import ready
 from tests.support.nodes import CoordinatorNode
 from transport.protocol.scenario.errors import RequestError, ScenarioError, requested
 from transport.protocol.scenario.maneuver_sections import TargetSection
-from transport.protocol.scenario.target_planning import planned
+from transport.protocol.scenario.target_planning import target_fields
 from transport.protocol.scenario.targets import MOST
 from transport.protocol.wire.messages import Request
 
@@ -32,7 +32,7 @@ TOO_LONG = [
 
 def plan(setup: Any, tick: int = 10, **given: Any) -> dict[str, Any]:
     """Return the numbers of the message for a target."""
-    return planned(setup, requested(TargetSection, given), tick)
+    return target_fields(setup, requested(TargetSection, given), tick)
 
 
 @pytest.mark.parametrize("given", TOO_LONG)

@@ -12,7 +12,7 @@ from transport.mpc.settings import Tension
 from transport.protocol.scenario.errors import RequestError, ScenarioError
 from transport.protocol.scenario.feasibility import exceeded, teams_left
 from transport.protocol.scenario.maneuver_sections import TargetSection
-from transport.protocol.scenario.target_planning import planned
+from transport.protocol.scenario.target_planning import target_fields
 
 QUICK = [
     {"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]},
@@ -147,8 +147,8 @@ def test_targets_are_checked_for_the_uavs_left() -> None:
 
     ticks_per_s = round(1.0 / setup.settings.sampling_period_s)
     with pytest.raises(RequestError, match="expected a commanded rate about axis 2 of at most"):
-        planned(setup, section, 3 * ticks_per_s)
-    assert planned(setup, section, 5 * ticks_per_s)["way_s"] == 2.5
+        target_fields(setup, section, 3 * ticks_per_s)
+    assert target_fields(setup, section, 5 * ticks_per_s)["way_s"] == 2.5
 
 
 @pytest.mark.slow

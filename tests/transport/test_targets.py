@@ -21,7 +21,7 @@ from transport.mpc.controller import Controller
 from transport.protocol.scenario.errors import RequestError, ScenarioError, requested
 from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.target_planning import planned
+from transport.protocol.scenario.target_planning import target_fields
 from transport.protocol.wire.messages import Measurement, Message, Request, Roster, Target
 from transport.protocol.wire.node import Outbox
 
@@ -47,7 +47,7 @@ def flown(name: str, *settings: str) -> RunLog:
 def message(run: Any, tick: int, number: int = 1, **given: Any) -> Target:
     """Return the coordinator's message for a target."""
     return Outbox("coordinator", 0).stamp(
-        Target, number=number, **planned(run, requested(TargetSection, given), tick)
+        Target, number=number, **target_fields(run, requested(TargetSection, given), tick)
     )
 
 
@@ -160,7 +160,7 @@ def test_a_target_on_the_ground_or_below_it_is_refused() -> None:
         (160, [0.0, 0.0, 5.0], r"z \(down\) of at most"),
     ):
         with pytest.raises(RequestError, match=problem):
-            planned(run, requested(TargetSection, {"points_m": [point]}), tick)
+            target_fields(run, requested(TargetSection, {"points_m": [point]}), tick)
     with pytest.raises(ScenarioError, match=r"maneuver\.target.*before the end of the run"):
         runs.ready("resilient", "maneuver.target=[{at_s=24.0,points_m=[[0,0,-9]]}]")
 
