@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from tests.model.test_flat import unequal
+from tests.support import naive
+from tests.support.systems import INTEGRATION_STEPS
 from transport.model.arrays import Array
 from transport.model.curves import Curve
 from transport.model.flat import FlatReference, Track
@@ -16,13 +18,21 @@ from transport.model.linearisation import Model
 from transport.model.maneuver import Maneuver
 from transport.model.obstacles import Obstacle, Solid, clearances
 from transport.model.phase import Phase
-from transport.model.state import R0, StateView, input_slice
+from transport.model.state import R0, V0, StateView, input_slice
 from transport.mpc.controller import Controller, StepResult
 from transport.mpc.course import Course
 from transport.mpc.forming import recursion_of
 from transport.mpc.reference import Sampled
 from transport.mpc.rollout import Actuation, rollout
-from transport.mpc.settings import ControllerSettings, Limits, Separation, Tension, Tilt, Weights
+from transport.mpc.settings import (
+    ControllerSettings,
+    CostTerm,
+    Limits,
+    Separation,
+    Tension,
+    Tilt,
+    Weights,
+)
 from transport.mpc.tracking import GAINS_PER_PERIOD
 
 PERIOD_S = 0.05
@@ -33,6 +43,10 @@ SETTINGS = ControllerSettings(
 )  # fmt: skip
 # Sums over the horizon of squares up to 10, through products of matrices.
 SAME_COST = 1e-9
+# Two recursions over thirty instants with entries of P up to 1e3.
+SAME_GAIN = 1e-11
+# Relative to the largest: two integration steps of each period against five.
+SAME_FEEDFORWARD = 1e-4
 
 
 @lru_cache
@@ -46,6 +60,16 @@ def flown(instants: int = 80) -> tuple[Model, Track]:
     return Model(system), FlatReference(system, hover(system), maneuver).track(
         instants + 80, PERIOD_S
     )
+
+
+@lru_cache
+def flown_straight() -> tuple[Model, Track]:
+    """A short way from rest to rest."""
+    system = unequal()
+    way = Curve(kind=None, duration_s=1.5, ramp_s=0.7, size_I=(0.3, 0.1, 0.0))
+    phase = Phase(name="way", duration_s=1.5, displacement_I=way.size_I, way=way)
+    maneuver = Maneuver(start_I=[0, 0, -9.0], phases=[phase], profile="smooth")
+    return Model(system), FlatReference(system, hover(system), maneuver).track(32, PERIOD_S)
 
 
 def controller(
@@ -91,12 +115,52 @@ def test_cost_is_the_sum_of_squares_of_corrections() -> None:
     assert total(c) - total(0.0 * c) == pytest.approx(added, rel=SAME_COST)
 
 
+def test_gains_are_those_of_a_recursion_in_homogeneous_coordinates() -> None:
+    """Gains and feedforward equal those of the regulator of [xi, 1], (70), (71).
+
+    Its only matrix is [A Pi, d; 0, 1], so the affine terms d and p follow from P alone.
+    """
+    term = CostTerm(expression="v0[1] * r0[0]", weight=0.7)
+    model, track = flown_straight()
+    settings = SETTINGS.model_copy(update={"cost": (term,)})
+    one = Controller(model, hover(model.system), settings, (0,), Sampled(X=track.X, track=track))
+    regulator, tracker = one.regulation.current.regulator, one.regulation.current.tracker
+    assert regulator is not None
+    assert tracker is not None
+
+    largest = max(np.abs(at.feedforward).max() for at in tracker.gains)
+    n, R = model.system.n, np.diag(one.cost.R)
+    S = np.zeros((n + 1, n + 1))
+    S[:n, :n] = regulator.T @ regulator.P @ regulator.T.T
+    for k in reversed(range(len(tracker.gains) - 1)):  # at the last one the team rests
+        x, x_ahead, u = track.X[k], track.X[k + 1], track.U[k]
+        Pi = _on_manifold(x, np.eye(n))
+        A, B, _ = naive.exact_hold(model.linearise(track.X_middle[k], u), PERIOD_S)
+        moved, _ = model.integrate(x, u, PERIOD_S, INTEGRATION_STEPS)
+        slope = np.zeros(n)
+        slope[[R0.start, V0.start + 1]] = x[V0.start + 1], x[R0.start]
+        C = model.linearise(x, u).C
+        stage = C.T @ (one.cost.Q[:, None] * C) + term.weight * np.outer(slope, slope)
+
+        A_whole, B_whole, Q_whole = np.eye(n + 1), np.zeros((n + 1, len(u))), np.zeros_like(S)
+        A_whole[:n] = np.column_stack([A @ Pi, _on_manifold(x_ahead, moved - x_ahead)])
+        B_whole[:n] = B
+        Q_whole[:n, :n] = Pi @ stage @ Pi
+        K = -np.linalg.solve(R + B_whole.T @ S @ B_whole, B_whole.T @ S @ A_whole)
+        closed = A_whole + B_whole @ K
+        S = Q_whole + K.T @ R @ K + closed.T @ S @ closed
+
+        found = tracker.gains[k]
+        assert np.abs(found.K - K[:, :n]).max() < SAME_GAIN * np.abs(K).max()
+        assert np.abs(found.feedforward - K[:, n]).max() < SAME_FEEDFORWARD * largest
+
+
 def _on_manifold(x: Array, xi: Array) -> Array:
-    """Return a deviation without its parts along the rods."""
+    """Return deviations, (n,) or (n, ..), without their parts along the rods."""
     xi = xi.copy()
     for i, e in enumerate(StateView(x).e_P):
         for begin in (12 + 12 * i, 15 + 12 * i):
-            xi[begin : begin + 3] -= e * (e @ xi[begin : begin + 3])
+            xi[begin : begin + 3] -= np.outer(e, e) @ xi[begin : begin + 3]
     return xi
 
 
@@ -163,6 +227,29 @@ def test_law_of_another_team_is_the_same_by_parts_and_at_once() -> None:
     for k in (since, ready, 120):
         np.testing.assert_array_equal(by_parts.gain(k), other.gain(k))
         assert (by_parts.gain(k)[: own.start] != at_once.gain(k)[: own.start]).any()
+
+
+def test_lost_uav_has_its_fail_safe_over_the_whole_horizon() -> None:
+    """Until the gains are known its inputs at all steps are those of the final law, (45)."""
+    model, track = flown()
+    gone, since, steps = {3}, 60, SETTINGS.horizon
+    changed, at_once = controller().regulation, controller().regulation
+    changed.form(gone, (), (), since=since)
+    at_once.form(gone, (), ())
+    own, no_corrections = input_slice(3), np.zeros((steps, model.system.m))
+
+    k = since
+    while not changed.advance(k):
+        found, final = (
+            each.law(track.X[k], track.X[k : k + steps], no_corrections, None, k)
+            for each in (changed, at_once)
+        )
+        assert found is not None
+        assert final is not None
+        np.testing.assert_array_equal(found.K[:, own], final.K[:, own])
+        np.testing.assert_array_equal(found.uncorrected[:, own], final.uncorrected[:, own])
+        k += 1
+    assert k > since, "the law holds at once: nothing was compared"
 
 
 @pytest.mark.parametrize(
