@@ -229,18 +229,37 @@ def test_reference_of_the_uavs_left_after_a_release(gains: list[float] | None) -
 
 
 def test_track_shifts_with_forces() -> None:
-    """Its derivatives with respect to forces and mass, by an imaginary step, equal differences."""
+    """Its derivatives with respect to forces and mass, by an imaginary step, equal differences.
+
+    Those of states belong to the instants, those of inputs to the middle after each, (73).
+    """
     system = unequal()
     reference, small = FlatReference(system, hover(system), along(CURVES["circle"])), 1e-4
-    track, path = (
-        reference.track(30, 0.1),
-        reference.maneuver.jets(0.1 * np.arange(30, dtype=np.float64)),
-    )
+    track, times_s = reference.track(30, 0.1), 0.1 * np.arange(30, dtype=np.float64)
+    path, middle = (reference.maneuver.jets(at_s) for at_s in (times_s, times_s + 0.05))
+    X_forces, U_forces = track.by_forces(slice(None))
     for i, unit in enumerate(small * np.eye(16)):
         ends = [flight(system, hover(system), path, sign * unit).x for sign in (1.0, -1.0)]
-        np.testing.assert_allclose(
-            track.by_forces(slice(None))[0][..., i], (ends[0] - ends[1]) / (2.0 * small), atol=1e-7
-        )
+        np.testing.assert_allclose(X_forces[..., i], (ends[0] - ends[1]) / (2.0 * small), atol=1e-7)
+        ends = [flight(system, hover(system), middle, sign * unit).u for sign in (1.0, -1.0)]
+        np.testing.assert_allclose(U_forces[..., i], (ends[0] - ends[1]) / (2.0 * small), atol=1e-7)
+
+
+def test_track_has_the_inputs_of_the_middle_of_each_period() -> None:
+    """Held over a period T they lead the model to the next state with an error of order T^3, (70).
+
+    Those of any other instant of the period leave an error of order T^2.
+    """
+    system = unequal()
+    reference, model = FlatReference(system, hover(system), along(CURVES["circle"])), Model(system)
+
+    def error(period_s: float) -> float:
+        per_second = round(1.0 / period_s)
+        track = reference.track(2 * per_second, period_s, first=per_second)
+        ends = [model.advance(x, u, period_s, 4) for x, u in zip(track.X, track.U, strict=True)]
+        return float(np.abs(np.array(ends)[:-1] - track.X[1:]).max())
+
+    assert error(0.04) / error(0.02) == pytest.approx(2.0**3, rel=0.05)
 
 
 def test_path_with_corners_is_refused() -> None:
