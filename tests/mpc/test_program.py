@@ -29,6 +29,9 @@ ROUNDING = 1e-12
 # The same of sums over the horizon whose terms cancel.
 CANCELLED = 1e-10
 
+# Of random deviations: the team has a trajectory along the law; it tilts too far for one.
+SMALL, STEEP = 0.05, 1.0
+
 # (states, owned inputs, others' inputs, outputs, horizon): scalars, horizon 1 and 2, wide, tall,
 # many steps.
 SIZES = [
@@ -122,12 +125,15 @@ CASES: list[tuple[int, tuple[int, ...], dict[str, Any]]] = [
 
 
 def problem(
-    case: tuple[int, tuple[int, ...], dict[str, Any]], seed: int = 1, one: Controller | None = None
+    case: tuple[int, tuple[int, ...], dict[str, Any]],
+    seed: int = 1,
+    one: Controller | None = None,
+    size: float = SMALL,
 ) -> tuple[Controller, Prediction, QP, FeedbackLaw | None, QP]:
     """Return controller, prediction and QP by the kernels, control law, and the QP by the matrix products."""
     N, owned, options = case
     setup, settings = paper_setup() if N == 4 else ring_setup(N), ControllerSettings(**options)
-    at, rng = situation(setup, settings, seed), np.random.default_rng(seed)
+    at, rng = situation(setup, settings, seed, size), np.random.default_rng(seed)
     one = one or Controller(setup.model, setup.hover, settings, owned)
     x = np.concatenate([at.x, 1.01 * at.u]) if settings.motor_lag_s else at.x
     X_ref = setup.x + 0.1 * rng.standard_normal((settings.horizon + 1, len(setup.x)))
@@ -182,6 +188,32 @@ def test_what_is_known_of_the_step_before_changes_no_bit(rows: dict[str, Any]) -
         compiled = one._program.compiled
         assert compiled is not None
         assert compiled._problem.known == (not rows)
+
+
+@pytest.mark.parametrize(
+    ("gone", "sizes"),
+    [((3,), (SMALL,)), ((), (STEEP,)), ((3,), (STEEP, SMALL))],
+    ids=["another gain", "no trajectory", "a trajectory again"],
+)
+def test_nothing_is_left_of_a_step_with_another_law(
+    gone: tuple[int, ...], sizes: tuple[float, ...]
+) -> None:
+    """After a death, or where (35a) has no trajectory, a step equals that of a new controller."""
+    case = 4, (0, 2), {"horizon": 7, "linearisation": "along", **LQ, **ALL_ROWS}
+    setup = paper_setup()
+    used = problem(case)[0]
+    new = Controller(setup.model, setup.hover, used.settings, used.owned)
+    for one in (used, new):
+        one.without(gone)
+    for size in sizes[:-1]:
+        problem(case, 2, used, size)
+    found, expected = (problem(case, 3, one, sizes[-1]) for one in (used, new))
+    for field in fields(Prediction):
+        name = field.name
+        assert np.array_equal(getattr(found[1], name), getattr(expected[1], name)), name
+    for field in fields(QP):
+        name = field.name
+        assert np.array_equal(getattr(found[2], name), getattr(expected[2], name)), name
 
 
 @needs_kernels

@@ -177,6 +177,16 @@ def test_no_agent_leaves_the_law_of_motors(name: str, lag_s: float, horizon: int
     )
 
 
+@pytest.mark.parametrize("name", ["single, all, gone", "uneven, gone"])
+def test_no_agent_leaves_the_law_beside_uavs_that_follow_alone(name: str) -> None:
+    """With UAVs that respond to the others without an agent, c = 0 is the optimum as well, (45).
+
+    Their effort is given, so that no program may weigh it among that of the others, (36e).
+    """
+    follow = changed(LQ, horizon=5, fail_safe="follow")
+    assert max(corrections(CASES[name], follow)) < NO_CORRECTION
+
+
 @pytest.mark.parametrize("change", [{"terminal": "multiple"}, {"preview": False}])
 def test_another_cost_has_corrections(change: dict[str, object]) -> None:
     """Without the cost-to-go or the preview the same program leaves the control law.
