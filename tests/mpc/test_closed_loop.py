@@ -9,6 +9,7 @@ from transport.model.linearisation import Model
 from transport.model.parameters import table_1
 from transport.mpc.controller import Controller
 from transport.mpc.prediction import Prediction
+from transport.mpc.rollout import Actuation, rollout
 from transport.mpc.settings import ControllerSettings
 
 ON_THE_TRAJECTORY = 1e-9  # rounding over 40 steps
@@ -49,3 +50,33 @@ def test_prediction_along_the_control_law_is_exact_on_it(lag_s: float) -> None:
     assert np.abs(z - z0).max() > 0.1, (
         "far enough from the start to tell it from a linearisation there"
     )
+
+
+def test_outputs_along_the_control_law_are_exact_on_its_trajectory() -> None:
+    """If the outputs of the nonlinear motion are the reference, only effort has a gradient, (35a).
+
+    A linearisation of the outputs at the first state is off by the curvature of their path.
+    """
+    system = table_1()
+    model, at_rest = Model(system), hover(system)
+    settings = ControllerSettings(prediction="closed_loop", linearisation="along", horizon=30)
+    one = Controller(model, at_rest, settings, (1,))
+    x0 = at_rest.x.copy()
+    x0[[0, 1, 3, 7]] += [0.3, -0.2, 0.2, 0.1]
+    steps = settings.horizon
+    law = one.law(x0, np.tile(at_rest.x, (steps, 1)), np.zeros((steps, system.m)))
+    assert law is not None
+    Z, U = rollout(model, Actuation.of(settings, system.N), x0, law)
+    Y = np.array([model.outputs(x) for x in Z])
+
+    linear = one.linearise(x0, at_rest.u)
+    prediction = one.predict(linear, one.discretise(linear), U, law)
+    qp = one.condense(linear, prediction, Y, law)
+    scale = (settings.upper(1) - settings.lower(1)) / 2.0
+    deviation = U[:, one.own] - at_rest.u[one.own]
+    effort = 2.0 * scale * one.cost.R[one.own] * deviation
+    gradient = qp.H @ (deviation / scale).reshape(-1) + qp.g
+    assert np.abs(gradient - effort.reshape(-1)).max() < ON_THE_TRAJECTORY
+
+    expanded = linear.model.y + (Z - x0) @ linear.model.C.T
+    assert np.abs(Y - expanded).max() > 0.01, "an expansion at the first state is as good"

@@ -176,3 +176,17 @@ def test_relaxation_mixes_with_the_shifted_plan(owned: tuple[int, ...]) -> None:
     assert np.allclose(
         step(mixed, at).U, w * best.U + (1.0 - w) * shifted, rtol=0.0, atol=MIX_AGREEMENT
     )
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0], ids=["below", "above"])
+def test_mixed_plan_is_clipped(side: float) -> None:
+    """With a shifted plan far outside its bounds the announced mean is clipped to them, (30a)."""
+    setup, w = paper_setup(), 0.3
+    full, relaxed = ControllerSettings(horizon=9), ControllerSettings(horizon=9, relaxation=w)
+    at, mixed = situation(setup, full, seed=4), controller(setup, relaxed, (1,))
+    at.U[:, mixed.own] += 10.0 * side * half_range(full, 1)
+    best = step(controller(setup, full, (1,)), at)
+    mean = w * best.U + (1.0 - w) * at.U[:, mixed.own]
+    expected = np.clip(mean, full.lower(1), full.upper(1))
+    assert (expected != mean).all(), "the mean is within the bounds"
+    np.testing.assert_allclose(step(mixed, at).U, expected, rtol=0.0, atol=MIX_AGREEMENT)

@@ -168,6 +168,28 @@ def test_a_start_is_not_relaxed_towards_nothing() -> None:
         assert np.abs(c - (share * best + (1.0 - share) * before)).max() < ROLLOUT_TOLERANCE
 
 
+@pytest.mark.parametrize("owned", [(1,), (0, 2)])
+def test_while_agents_are_lost_each_changes_its_corrections_by_its_share(
+    owned: tuple[int, ...],
+) -> None:
+    """Of the way to their optimum agents go the share N_o / N: all together the whole, (30a)."""
+    setup = paper_setup()
+    at = situation(setup, CLOSED, seed=9)
+    one = Controller(setup.model, setup.hover, CLOSED, owned)
+    one.without((3,))
+    law = law_at(one, at)
+    assert law is not None
+    linear = one.linearise(at.x, at.u)
+    prediction = one.predict(linear, one.discretise(linear), at.U, law)
+    solution = one.solve(one.condense(linear, prediction, at.y_ref))
+    best = one.conclude(solution, prediction, at.U, law, ticks_since_start=0).c
+    before = law.c[:, one.own]
+    assert np.abs(best - before).max() > 0.01, "nothing to relax: the comparison shows nothing"
+    way = one.conclude(solution, prediction, at.U, law).c - before
+    whole = setup.system.N / len(owned) * way
+    assert np.abs(whole - (best - before)).max() < ROLLOUT_TOLERANCE
+
+
 def test_an_equation_that_overflows_is_refused_in_words() -> None:
     """A term of the cost with a slope of 1e150 leaves no numbers of a Riccati equation, (34)."""
     setup = paper_setup()
