@@ -4,6 +4,7 @@ Jacobians against finite differences, outputs by hand.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,8 +13,9 @@ from tests.support.paper_form import attitude
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
 from transport.model import state
 from transport.model.arrays import Array
+from transport.model.hover import hover
 from transport.model.linearisation import Model
-from transport.model.parameters import System
+from transport.model.parameters import Payload, System, table_1
 from transport.model.state import StateView
 
 # Sixth-order central differences: truncation ~ h^6 = 6e-17, rounding ~ eps / h = 1e-13 of the
@@ -26,6 +28,9 @@ JACOBIAN_TOLERANCE = 1e-10
 ACROSS_TOLERANCE = 1e-9
 # A handful of products and sums per position.
 OUTPUT_TOLERANCE = 1e-13
+# Accelerations left by the rounding of forces of up to 100 N, rad/s^2 and m/s^2.
+AT_REST = 1e-10
+FURTHER_KG = 0.7
 
 
 def vehicle_motion(system: System, x: Array) -> tuple[Array, Array]:
@@ -131,6 +136,48 @@ def test_jacobians_under_external_forces(N: int) -> None:
     )
     effect = jacobian(lambda z: model.derivative(x, u, forces=z), F)
     assert deviation(model.force_effect(x, u), effect) < JACOBIAN_TOLERANCE
+
+
+def heavier(system: System, further_kg: float) -> System:
+    """The system with a payload of the same shape and more mass."""
+    payload = system.payload
+    ratio = 1.0 + further_kg / payload.mass
+    return replace(
+        system, payload=Payload(mass=ratio * payload.mass, inertia=ratio * payload.inertia)
+    )
+
+
+@pytest.mark.parametrize("N", [1, 4])
+def test_further_mass_is_that_of_a_heavier_payload(N: int) -> None:
+    """With a mass behind the forces f, T and A_c equal those of the system with that payload, (37)."""
+    system, model, x, u = drawn(N)
+    F = random_forces(np.random.default_rng(1460 + N), N)
+    with_mass = np.append(F, FURTHER_KG)
+    other = Model(heavier(system, FURTHER_KG))
+    expected = other.derivative(x, u, forces=F)
+    several = model.derivatives(x, u, [with_mass, np.append(0.0 * F, FURTHER_KG)])
+    assert deviation(model.derivative(x, u, forces=with_mass), expected) < OUTPUT_TOLERANCE
+    assert deviation(several[0], expected) < OUTPUT_TOLERANCE
+    assert deviation(several[1], other.derivative(x, u)) < OUTPUT_TOLERANCE
+    tensions = other.tensions(x, u, forces=F)
+    assert deviation(model.tensions(x, u, forces=with_mass), tensions) < OUTPUT_TOLERANCE
+    A_c = other.linearise(x, u, forces=F).A_c
+    assert deviation(model.linearise(x, u, forces=with_mass).A_c, A_c) < OUTPUT_TOLERANCE
+
+
+def test_force_in_place_of_a_mass_keeps_its_hover() -> None:
+    """The inputs with which a heavier team hovers balance its further weight as a force, (37)."""
+    system = table_1()
+    at = hover(heavier(system, FURTHER_KG))
+    model = Model(system)
+    forces = np.append(np.zeros(3 + 3 * system.N), FURTHER_KG)
+    f = model.derivative(at.x, at.u, forces=model.at_rest(forces))
+    assert np.abs(f).max() < AT_REST
+
+    # Without the force its thrusts lift the lighter team.
+    total_kg = system.payload.mass + sum(uav.mass for uav in system.uavs)
+    climb = model.derivative(at.x, at.u)[state.V0][2]
+    assert climb == pytest.approx(-FURTHER_KG * system.gravity / total_kg)
 
 
 @pytest.mark.parametrize("N", [1, 4, 8])
