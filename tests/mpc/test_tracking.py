@@ -176,6 +176,27 @@ def step(one: Controller, x0: Array, c: Array, start: int = 60) -> tuple[Course,
     return course, one.conclude(one.solve(qp), course, track.U[start : start + 12], law)
 
 
+def test_decision_changes_functions_of_the_inputs_by_the_difference_equation() -> None:
+    """A random decision changes them by their slopes times the owned inputs of (74)."""
+    model, track = flown()
+    one, rng = controller((0, 2)), np.random.default_rng(6)
+    trajectory = step(one, track.X[60], np.zeros((12, model.system.m)))[0].trajectory
+    weights = rng.standard_normal((3, model.system.m))
+    found = trajectory.of_inputs(lambda u: (weights @ u**2 / 2.0, weights * u))
+    np.testing.assert_array_equal(found.values, [weights @ u**2 / 2.0 for u in trajectory.U])
+
+    z = rng.standard_normal(trajectory.decision.size)
+    dc = np.zeros_like(trajectory.U)
+    dc[:, one.own] = trajectory.decision.inputs(z)
+    xi, expected = np.zeros(model.system.n), []
+    for k, at in enumerate(trajectory.along):
+        du = at.K @ xi + dc[k]
+        expected.append((weights * trajectory.U[k])[:, one.own] @ du[one.own])
+        xi = at.A_closed @ xi + at.B @ dc[k]
+    changes = (found.effect @ z).reshape(-1, len(weights))
+    np.testing.assert_allclose(changes, expected, atol=SAME_COST * np.abs(expected).max())
+
+
 def test_no_corrections_on_and_near_the_reference() -> None:
     """Without others' corrections and within limits an agent has none, and follows the reference to its next state."""
     model, track = flown()
