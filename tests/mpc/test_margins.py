@@ -3,13 +3,16 @@
 import numpy as np
 import pytest
 
+from tests.support.linear_model import difference
 from transport.model.arrays import Array
 from transport.model.hover import hover
 from transport.model.linearisation import Model
 from transport.model.parameters import System, table_1
+from transport.model.state import PAYLOAD, input_slice, uav_slice
 from transport.mpc.actual_plant import Mismatch
 from transport.mpc.controller import Controller
 from transport.mpc.fail_safe import FailSafe
+from transport.mpc.manifold import tangent
 from transport.mpc.margins import FARTHEST, GROWTH, Loop, Margin, SampledLoop, margins
 from transport.mpc.settings import ControllerSettings, CostTerm, Limits, Weights
 
@@ -21,6 +24,10 @@ ROUNDING = 1e-6
 # With a fail-safe that follows, deviations decay by e within some periods of the rods' pendulum, 5
 # s.
 SETTLING_S = 10.0
+
+TICKS = 20  # of a simulation
+# Sums of that many steps with deviations of some units.
+SAME_STEPS = 1e-9
 
 
 def _loop(
@@ -56,6 +63,56 @@ def test_with_the_plant_as_known_the_loop_is_the_regulator(
     expected = np.linalg.eigvals(regulator.A_closed)
     assert np.abs(found[:, None] - expected[None]).min(axis=0).max() < ROUNDING
     assert np.abs(found).max() == pytest.approx(np.abs(expected).max(), abs=ROUNDING)
+
+
+def simulated(plant: System, x: Array, *, next_tick: bool, age: int) -> Array:
+    """Return deviations of a plant from hover, (TICKS + 1, n), by the estimates of (60a).
+
+    Agents of one UAV each estimate one after the other, in vectors of the state.
+    """
+    known, actual = difference(SYSTEM, hover(SYSTEM)), difference(plant, hover(plant))
+    K = Controller(Model(SYSTEM), hover(SYSTEM), SHARED, (0,)).regulation.gain(0)
+    before, delay = age + 1, int(next_tick)
+    X, U = [np.zeros_like(x)] * before + [x], [np.zeros(SYSTEM.m)] * before
+    for k in range(before, before + TICKS):
+        issued = np.zeros(SYSTEM.m)
+        for uav in range(SYSTEM.N):
+            own, guess = input_slice(uav), X[k - age]
+            for step in range(age + delay):
+                u = U[k - age - delay + step].copy()
+                if step == delay:
+                    held = u - K @ guess
+                if step > delay:
+                    received = u
+                    u = K @ guess + held
+                    u[own] = received[own]
+                guess = known.A @ guess + known.B @ u
+                if step < age:
+                    for measured in (slice(0, PAYLOAD), uav_slice(uav)):
+                        guess[measured] = X[k - age + step + 1][measured]
+            issued[own] = K[own] @ guess
+        U.append(issued)
+        X.append(actual.A @ X[k] + actual.B @ U[k - delay])
+    return np.array(X[before:])
+
+
+@pytest.mark.parametrize("next_tick", [False, True])
+def test_loop_is_a_simulation_of_its_agents(next_tick: bool) -> None:
+    """On a plant with other inertias its steps are those of estimates by (60a) in plain vectors.
+
+    As known the plant would not tell the estimates apart: all are exact.
+    """
+    age, mismatch = 3, Mismatch(uav_inertia=1.5, payload_inertia=0.7)
+    matrix = _loop(next_tick=next_tick, age=age).matrix(mismatch)
+    T = tangent(hover(SYSTEM).x)
+    motion = T.shape[1]
+    whole = np.zeros(len(matrix))
+    whole[:motion] = np.random.default_rng(3).standard_normal(motion)
+
+    expected = simulated(mismatch.system(SYSTEM), T @ whole[:motion], next_tick=next_tick, age=age)
+    for x in expected:
+        np.testing.assert_allclose(T @ whole[:motion], x, atol=SAME_STEPS)
+        whole = matrix @ whole
 
 
 @pytest.mark.parametrize("age", [1, 4])
