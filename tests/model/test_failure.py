@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.support.paper_form import K, attitude
 from tests.support.runs import SCENARIOS
 from transport.model import state
 from transport.model.arrays import Array
@@ -34,6 +35,7 @@ BOB_TOLERANCE_N = 2.0 * RELEASED_MASS_KG * 9.81
 # That weight moves a payload of 3 kg by 3e-6 m/s^2; within 1 s, with rods that fall over at 2
 # rad/s, below 1e-5.
 BOB_DEVIATION = 1e-5
+ROLLED = (1.2, -0.5, 0.8)  # attitude of a payload, rad
 
 
 def larger(uavs: int) -> System:
@@ -125,6 +127,23 @@ def test_the_rest_moves_as_a_system_without_the_released_uav() -> None:
         without, _ = reference.integrate(without, u[state.input_indices(live)], 0.05, 5)
         assert np.abs(with_bob[columns] - without).max() < BOB_DEVIATION
     assert np.abs(without[:12] - x[:12]).max() > 0.1  # it has moved
+
+
+def test_a_released_uav_is_a_bob_straight_below_its_attachment_point() -> None:
+    """Also from a payload that has turned far about all axes its rod hangs down, at rest, (14)."""
+    system, (x, _) = table_1(), moving(table_1())
+    x[state.THETA0] = ROLLED
+    hung = released_state(x, DEAD)
+    place_I = Model(system).outputs(hung)[3 * DEAD : 3 * DEAD + 3]
+    uav = system.uavs[DEAD]
+    attachment_I = x[state.R0] + attitude(x[state.THETA0]) @ uav.rho
+    np.testing.assert_allclose(place_I - attachment_I, uav.rod_length * K, atol=AT_REST)
+
+    bob = StateView(hung)
+    for motion in (bob.Omega_P, bob.Theta, bob.omega_B):
+        assert not motion[DEAD].any()
+    others = np.delete(np.arange(system.n), np.arange(system.n)[state.uav_slice(DEAD)])
+    np.testing.assert_array_equal(hung[others], x[others])
 
 
 def test_a_motor_off_uav_acts_by_its_mass_alone() -> None:
