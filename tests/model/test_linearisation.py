@@ -149,7 +149,7 @@ def heavier(system: System, further_kg: float) -> System:
 
 @pytest.mark.parametrize("N", [1, 4])
 def test_further_mass_is_that_of_a_heavier_payload(N: int) -> None:
-    """With a mass behind the forces f, T and A_c equal those of the system with that payload, (37)."""
+    """With a mass behind the forces f, T and A_c are those of the heavier system, (37)."""
     system, model, x, u = drawn(N)
     F = random_forces(np.random.default_rng(1460 + N), N)
     with_mass = np.append(F, FURTHER_KG)
