@@ -66,8 +66,8 @@ class Solid:
 
         Given their centres, (k, 3), rotations, (k, 3, 3), and half sizes, (3,).
         """
-        # Boxes that do not touch are nearest at an edge of one of them, and an edge of one is in the
-        # other where they overlap: (69a).
+        # Two boxes apart: a pair of nearest points has one on an edge. Overlapping: an edge of one
+        # enters the other. So the edges of each against the other box suffice, (69a).
         their_edges = np.einsum("kij,epj->kepi", R, _edges(half)) + r_I[:, None, None]
         from_theirs = self.from_segments(their_edges[:, :, 0], their_edges[:, :, 1])
 

@@ -99,11 +99,12 @@ class Controller:
         self._gone = frozenset[int]()  # UAVs without an agent
         self._off = frozenset[int]()  # UAVs without motors
         self._released = frozenset[int]()
-        # Whether several agents keep the same of the user's constraints: all of those on states.
+        # Whether several agents keep the same constraint of the user: every one on states, and of those
+        # on inputs the ones on UAVs of several agents.
         on_states = bool(settings.constraint) and bool(OwnStates(self._decision).texts)
         on_inputs = bool(settings.constraint) and OwnInputs(self._decision).is_shared
         self._shares_rows = on_states or on_inputs
-        self._relaxation = self._relaxation_of(others_obstruct=self._shares_rows)
+        self._relaxation = self._relaxation_of(several_correct_the_same=self._shares_rows)
 
         self._at_hover: Jacobians | None = None
         # Derivatives of the newest step and their difference equation, used again while the derivatives
@@ -341,12 +342,14 @@ class Controller:
         self._gone = frozenset(uavs)
         # UAVs without agents obstruct the others: several agents correct the same distances, each
         # its share of them.
-        self._relaxation = self._relaxation_of(others_obstruct=bool(uavs) or self._shares_rows)
+        self._relaxation = self._relaxation_of(
+            several_correct_the_same=bool(uavs) or self._shares_rows
+        )
         self._form(since)
 
-    def _relaxation_of(self, *, others_obstruct: bool) -> float:
+    def _relaxation_of(self, *, several_correct_the_same: bool) -> float:
         """Return the relaxation: at most the share of owned UAVs where all correct the same."""
-        if not others_obstruct or self.settings.prediction != "closed_loop":
+        if not several_correct_the_same or self.settings.prediction != "closed_loop":
             return self.settings.relaxation
         return min(self.settings.relaxation, len(self.owned) / self._whole.system.N)
 

@@ -157,9 +157,9 @@ class Weights(Section):
     def R(self, system: System) -> Array:
         """Return the diagonal of R, (4 N,).
 
-        `acceleration` replaces `thrust`; with commanded body rates `rates` replaces both `moments`
-        and `angular_acceleration`, which otherwise replaces `moments`. Source: docs/equations.md
-        (21), (21a).
+        Thrust has the weight `acceleration`, if given, else `thrust`. Turning has `rates` with
+        commanded body rates, else `angular_acceleration`, if given, else `moments`.
+        Source: docs/equations.md (21), (21a).
         """
         rows = []
         for uav in system.uavs:
@@ -295,9 +295,9 @@ class ControllerSettings(Section):
     ([equations.md](equations.md#prediction-along-the-control-law)). along is valid for long
     horizons and large deviations; no effect with open_loop"""
     fail_safe: Literal["level", "follow"] = "level"
-    """a UAV without a newer plan plays its last one to the end and then keeps level; or it plays at most
-    0.4 s of it and then follows its part of the motion of the team alone, by its own position and velocity
-    ([equations.md](equations.md#fail-safe))"""
+    """what a UAV does without a newer plan. level: it plays its last one to the end and then keeps level.
+    follow: it plays at most 0.4 s of it and then follows its part of the motion of the team alone, by its
+    own position and velocity ([equations.md](equations.md#fail-safe))"""
     terminal: Literal["multiple", "riccati"] = "multiple"
     """cost at the end of the horizon: Q_f, or the cost-to-go of the team's linear-quadratic
     regulator, [equations.md](equations.md) (36d). riccati needs

@@ -56,11 +56,11 @@ class ScenarioError(TransportError, ValueError):
 
     def blaming(self, settings: Sequence[str]) -> "ScenarioError":
         """Return the same error with settings as source if they gave the field or part of it."""
-        given = [setting for setting in settings if _overlap(key_of(setting), self.field)]
+        given = [setting for setting in settings if _overlap(dotted_key(setting), self.field)]
         if not given:
             return self
 
-        is_named = [key_of(setting) for setting in given] == [self.field]
+        is_named = [dotted_key(setting) for setting in given] == [self.field]
         source = " ".join(option(setting) for setting in given)
         return type(self)(source, "" if is_named else self.field, self.problem)
 
@@ -71,7 +71,7 @@ class HoverError(ScenarioError):
     def blaming(self, settings: Sequence[str]) -> "ScenarioError":
         """Return the same error with the settings of the limit, else with those of the bodies."""
         blamed = super().blaming(settings)
-        of_bodies = [setting for setting in settings if key_of(setting).startswith("system.")]
+        of_bodies = [setting for setting in settings if dotted_key(setting).startswith("system.")]
         if blamed is not self or not of_bodies:
             return blamed
         given = " ".join(option(setting) for setting in of_bodies)
@@ -107,7 +107,7 @@ def building(
         raise error_class(source, field, str(error)) from error
 
 
-def key_of(setting: str) -> str:
+def dotted_key(setting: str) -> str:
     """Return the dotted key of a setting "key=value"."""
     return setting.partition("=")[0].strip()
 

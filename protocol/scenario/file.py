@@ -13,8 +13,8 @@ from transport.protocol.scenario.budget import check_budget
 from transport.protocol.scenario.errors import (
     PythonSetting,
     ScenarioError,
+    dotted_key,
     hint,
-    key_of,
     option,
     validated,
 )
@@ -98,7 +98,7 @@ def with_settings(
     """
     for setting in settings:
         _apply(tree, setting)
-    _run_realtime_at_speed_1(tree, [key_of(setting) for setting in settings])
+    _run_realtime_at_speed_1(tree, [dotted_key(setting) for setting in settings])
 
     try:
         scenario = validate(tree, source)
@@ -130,7 +130,7 @@ def _run_realtime_at_speed_1(tree: dict[str, Any], changed: Collection[str]) -> 
 
 def _apply(tree: dict[str, Any], setting: str) -> None:
     """Set one value in a tree of plain data."""
-    *parents, last = key_of(setting).split(".")
+    *parents, last = dotted_key(setting).split(".")
 
     section: Any = tree
     for part, below in pairwise([*parents, last]):

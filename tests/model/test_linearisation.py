@@ -171,7 +171,7 @@ def test_force_in_place_of_a_mass_keeps_its_hover() -> None:
     at = hover(heavier(system, FURTHER_KG))
     model = Model(system)
     forces = np.append(np.zeros(3 + 3 * system.N), FURTHER_KG)
-    f = model.derivative(at.x, at.u, forces=model.at_rest(forces))
+    f = model.derivative(at.x, at.u, forces=model.with_weight_of_mass_error(forces))
     assert np.abs(f).max() < AT_REST
 
     # Without the force its thrusts lift the lighter team.

@@ -6,7 +6,7 @@ from typing import Any
 
 from transport.experiments.cases import ExperimentError
 from transport.mpc.settings import Section
-from transport.protocol.scenario.errors import ScenarioError, key_of, validated
+from transport.protocol.scenario.errors import ScenarioError, dotted_key, validated
 from transport.protocol.scenario.own_class import OwnClassError, own_class, version_of
 from transport.protocol.wire.exit_codes import EXIT_SCENARIO
 
@@ -117,7 +117,7 @@ def _entry_of(name: str, given: Any) -> Entry:
         raise ExperimentError(str(error), EXIT_SCENARIO) from error
 
     for setting in entry.settings:
-        key = key_of(setting)
+        key = dotted_key(setting)
         part = key.removeprefix(_CONTROLLER).partition(".")[0]
         if not key.startswith(_CONTROLLER) or part in _OF_TASK:
             expected = "expected keys of [controller] that are not the task's"
