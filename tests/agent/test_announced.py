@@ -113,6 +113,37 @@ def test_corrections_end(age: int, delay: int) -> None:
     np.testing.assert_array_equal(rows(1, c), np.vstack([left, np.zeros((STEPS - len(left), 8))]))
 
 
+@pytest.mark.parametrize("age", range(1, STEPS + 3))
+@pytest.mark.parametrize("delay", [0, 1])
+def test_plans_of_others_count_as_one_tick_old_as_published(age: int, delay: int) -> None:
+    """With `by_one` a plan of another agent of any age is that of the age of one tick, (32)."""
+    plan = labelled(1, 7, delay=delay)
+    by_one, by_age = announced(plan, alignment="by_one"), announced(plan)
+    one_old = plan.start_tick + 1
+    start = plan.start_tick + age
+    np.testing.assert_array_equal(
+        rows(1, by_one.sequence(start, STEPS, before=start)),
+        rows(1, by_age.sequence(one_old, STEPS, before=start)),
+    )
+    np.testing.assert_array_equal(
+        rows(1, by_one.corrections(start, STEPS, before=start)),
+        rows(1, by_age.corrections(one_old, STEPS, before=start)),
+    )
+
+
+@pytest.mark.parametrize("age", range(STEPS + 3))
+def test_plans_of_others_are_held_at_their_input_of_the_present_tick(age: int) -> None:
+    """With `held` the others keep U_a(s - s_a), and its correction, over the whole horizon, (32)."""
+    plan = labelled(1, 7)
+    start = plan.start_tick + age
+    held = announced(plan, alignment="held")
+    U = rows(1, held.sequence(start, STEPS, before=start + 1))
+    np.testing.assert_array_equal(U, np.tile(plan.inputs[min(age, STEPS - 1)], (STEPS, 1)))
+    c = plan.corrections[age] if age < STEPS else np.zeros(8)  # none after the end of the plan
+    c_held = rows(1, held.corrections(start, STEPS, before=start + 1))
+    np.testing.assert_array_equal(c_held, np.tile(c, (STEPS, 1)))
+
+
 def test_early_plans_wait() -> None:
     """A plan of tick k that is here before tick k + 1 is not used before.
 
@@ -176,6 +207,57 @@ def test_later_inputs_follow_the_law(age: int, delay: int) -> None:
     else:
         c = plan.corrections[age] if age < STEPS else np.zeros(8)  # none after the end of the plan
         np.testing.assert_array_equal(u, by_law(k, X)[COLUMNS[1]] + c)
+
+
+# State at the tick at which a plan starts, another one than later, and what the inputs of an agent
+# differ from the shared law by, as its estimate has a force that others do not know.
+X_START = np.linspace(2.0, -1.0, 48)
+DIFFERENCE = np.linspace(0.5, 4.0, 8)
+ROUNDING = 1e-12  # sums of a few numbers, relative
+
+
+def differing(k: int, *, delay: int = 0) -> Plan:
+    """Return a plan of agent 1 whose first inputs are the corrected law's and the difference."""
+    plan = labelled(1, k, delay=delay)
+    inputs = plan.inputs.copy()
+    law = by_law(plan.start_tick, X_START)[COLUMNS[1]]
+    inputs[0] = law + plan.corrections[0] + DIFFERENCE
+    return replace(plan, inputs=inputs)
+
+
+def knowing_starts(plan: Plan) -> AnnouncedInputs:
+    """Return announced inputs under the shared law, with the state at which the plan starts."""
+    law = SharedLaw(inputs=by_law, start_state=lambda _: X_START)
+    inputs = AnnouncedInputs(OWNED, U_HOVER, law=law)
+    inputs.add(plan)
+    return inputs
+
+
+@pytest.mark.parametrize("age", range(1, STEPS + 3))
+@pytest.mark.parametrize("delay", [0, 1])
+def test_the_difference_of_the_first_step_from_the_law_stays(age: int, delay: int) -> None:
+    """Inputs that differ from the corrected law at a plan's start differ as much later, (32a)."""
+    plan = differing(7, delay=delay)
+    k = plan.start_tick + age
+    u = rows(1, knowing_starts(plan).in_force(k, before=k + 1, x=X))
+    c = plan.corrections[age] if age < STEPS else np.zeros(8)  # none after the end of the plan
+    law = by_law(k, X)[COLUMNS[1]]
+    np.testing.assert_allclose(u, law + c + DIFFERENCE, rtol=ROUNDING)
+
+
+@pytest.mark.parametrize("made", [6, 7, 8])
+def test_the_difference_from_the_law_ends_with_the_law(made: int) -> None:
+    """A difference stays from plans of the tick of the change on, not from older ones, (46)."""
+    change = 7
+    plan = differing(made)
+    inputs = knowing_starts(plan)
+    inputs.law_since = change
+    k = 9
+    u = rows(1, inputs.in_force(k, before=k + 1, x=X))
+    expected = by_law(k, X)[COLUMNS[1]] + plan.corrections[k - made]
+    if made >= change:
+        expected = expected + DIFFERENCE
+    np.testing.assert_allclose(u, expected, rtol=ROUNDING)
 
 
 def test_own_inputs_are_known() -> None:
