@@ -1,16 +1,20 @@
 """Targets are timed by their least duration first and by the motion between the instants, whatever the request."""
 
+import math
 import tracemalloc
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.support import runs
 from tests.support.coordinator_clock import ready
 from tests.support.nodes import CoordinatorNode
+from transport.model.curves import ORDERS
 from transport.protocol.scenario.errors import RequestError, ScenarioError, requested
+from transport.protocol.scenario.feasibility import exceeded, teams_left
 from transport.protocol.scenario.maneuver_sections import TargetSection
-from transport.protocol.scenario.target_planning import target_fields
+from transport.protocol.scenario.target_planning import target_fields, straight
 from transport.protocol.scenario.targets import MOST
 from transport.protocol.wire.messages import Request
 
@@ -132,3 +136,97 @@ def test_a_flat_maneuver_keeps_the_limits_between_the_instants() -> None:
     for duration_s in (0.04, 0.4):
         with pytest.raises(ScenarioError, match=r"maneuver\.phase.*feasible if|expected"):
             runs.ready("eight", phase % (duration_s, duration_s / 2.0))
+
+
+# At this tick the payload of `resilient` hovers at its start, and its maneuver ends elsewhere.
+HOVERS = 10
+START_M = np.array([0.0, 0.0, -10.0])
+END_M = np.array([2.5, 0.0, -10.0])
+
+# Ramps of an approach that are tried: the first, and the factor to the next.
+FIRST_RAMP_S = 2.0
+LONGER = 1.25
+INSTANTS = 500
+
+
+@pytest.mark.parametrize(("way_m", "speed_mps"), [(3.0, 1.0), (5.0, 1.0), (20.0, 2.0), (20.0, 4.0)])
+def test_the_shortest_ramp_that_keeps_the_limits_is_taken(way_m: float, speed_mps: float) -> None:
+    """The accepted ramp keeps the limits of (69), and the one tried before it does not, (75)."""
+    setup = runs.ready("resilient")
+    way_I = np.array([way_m, 0.0, 0.0])
+    given = {"points_m": [(START_M + way_I).tolist()], "speed_mps": speed_mps}
+    ramp_s = plan(setup, HOVERS, **given)["approach_ramp_s"]
+    team = next(teams_left(setup.system, setup.hover, setup.faults))
+
+    def keeps_limits(ramp_s: float) -> bool:
+        duration_s = max(way_m / speed_mps + ramp_s, 2.0 * ramp_s)
+        times_s = np.linspace(0.0, duration_s, INSTANTS)
+        covered = straight(duration_s, ramp_s).covered(times_s, ORDERS)
+        return exceeded(covered[..., None] * way_I, team, setup.settings) is None
+
+    tried = round(math.log(ramp_s / FIRST_RAMP_S, LONGER))
+    assert ramp_s == pytest.approx(FIRST_RAMP_S * LONGER**tried)
+    assert keeps_limits(ramp_s)
+    assert tried == 0 or not keeps_limits(ramp_s / LONGER)
+
+
+@pytest.mark.parametrize("x_m", [-3.0, 6.0])
+def test_an_approach_is_timed_by_the_larger_distance_from_path_and_end(x_m: float) -> None:
+    """Its cruise takes the larger distance over the speed, as the old motion goes on in it, (75)."""
+    target_m = np.array([x_m, 0.0, -10.0])
+    speed_mps = 0.8
+    given = {"points_m": [target_m.tolist()], "speed_mps": speed_mps}
+    numbers = plan(runs.ready("resilient"), HOVERS, **given)
+    distances_m = [np.linalg.norm(target_m - place_m) for place_m in (START_M, END_M)]
+    cruise_s = numbers["approach_s"] - numbers["approach_ramp_s"]
+    assert cruise_s == pytest.approx(max(distances_m) / speed_mps)
+
+
+HOVER = "maneuver.phase=[{name='hover',duration_s=25.0,displacement_m=[0,0,0]}]"
+SINKS = (
+    "maneuver.phase=[{name='sink',duration_s=0.4,displacement_m=[0,0,0.1]},"
+    "{name='hover',duration_s=25.0,displacement_m=[0,0,0]}]"
+)
+ON_GROUND = ("plant.engine=mujoco", "plant.ground_m=-1.0")
+ONE_MM = 1e-3
+
+
+@pytest.mark.parametrize(
+    ("settings", "lowest_m"),
+    [
+        ((HOVER, "maneuver.start_m=[0.0,0.0,-1.0]"), 0.0),
+        ((HOVER, "maneuver.start_m=[0.0,0.0,0.5]"), 0.5),
+        ((SINKS, "maneuver.start_m=[0.0,0.0,0.0]"), 0.1),
+        ((HOVER, *ON_GROUND), -1.0 - 0.25 / 2.0),
+    ],
+    ids=["origin", "start", "here", "ground"],
+)
+def test_a_target_is_at_most_as_low_as_the_payload_may_be(
+    settings: tuple[str, ...], lowest_m: float
+) -> None:
+    """On the ground is half a box of 0.25 m above it; else the lowest of origin, start and path."""
+    setup = runs.ready("resilient", *settings)
+    assert plan(setup, HOVERS, points_m=[[1.0, 0.0, lowest_m]])["approach_s"] > 0.0
+    with pytest.raises(RequestError, match=rf"at most {lowest_m:g} m"):
+        plan(setup, HOVERS, points_m=[[1.0, 0.0, lowest_m + ONE_MM]])
+
+
+# The parabola through three points at equal distances, the first one higher by h than the others,
+# is lower than them by h / 8 between the second and the third.
+HIGHER_M = 0.3
+DEEPER_M = HIGHER_M / 8.0
+DISTANCE_M = 0.5
+
+
+def test_a_curve_is_above_the_ground_between_its_points() -> None:
+    """Points are refused for the depth of the curve through them, until they are raised by it."""
+    setup = runs.ready("resilient", HOVER, "maneuver.start_m=[0.0,0.0,-1.0]")
+    x_m = math.sqrt(DISTANCE_M**2 - HIGHER_M**2)
+    points_m = np.array([[0.0, 0.0, -HIGHER_M], [x_m, 0.0, 0.0], [x_m + DISTANCE_M, 0.0, 0.0]])
+    with pytest.raises(RequestError, match="at most 0 m") as refusal:
+        plan(setup, HOVERS, points_m=points_m.tolist())
+    got_m = float(str(refusal.value).rpartition("got ")[2])
+    assert got_m == pytest.approx(DEEPER_M, rel=1e-3)  # at the instants checked
+
+    raised_m = points_m - [0.0, 0.0, DEEPER_M]
+    assert plan(setup, HOVERS, points_m=raised_m.tolist())["way_s"] > 0.0
