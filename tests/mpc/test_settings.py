@@ -1,11 +1,15 @@
 """Settings: each one out of its range is refused."""
 
 from math import nan
-from typing import Any
+from typing import Any, Literal
 
+import numpy as np
 import pytest
 
+from tests.support.systems import changed
 from transport.model.parameters import table_1
+from transport.model.state import StateView
+from transport.mpc.expressions import UserCosts
 from transport.mpc.settings import ControllerSettings, Limits, Section, Weights
 
 BAD: list[tuple[type[Section], dict[str, Any]]] = [
@@ -17,6 +21,8 @@ BAD: list[tuple[type[Section], dict[str, Any]]] = [
     (Limits, {"moments_Nm": (1.0, 0.0, 1.0)}),
     (Limits, {"moments_Nm": (1.0, 1.0, nan)}),
     (Limits, {"moment_rates_Nm_s": (1.0, 1.0, 0.0)}),
+    (Limits, {"rates_rads": (1.0, 0.0, 1.0)}),
+    (Limits, {"rate_slopes_rads2": (1.0, 1.0, 0.0)}),
     (Limits, {"thrust_rate_N_s": nan}),
     (ControllerSettings, {"horizon": 0}),
     (ControllerSettings, {"sampling_period_s": -0.05}),
@@ -49,18 +55,32 @@ def test_order_of_the_weights() -> None:
     )
 
 
-def test_limits_per_uav() -> None:
-    """Bounds and rates repeat per UAV in the order of u.
+def test_tilt_rate_weighs_the_first_two_body_rates_of_each_uav() -> None:
+    """The terms (48) of a state sum up to the weight on the squares of all tilt rates."""
+    system = table_1()
+    weight = 2.5
+    x = np.random.default_rng(0).standard_normal(system.n)
+    terms = Weights(tilt_rate=weight).terms(system.N)
+    values, _ = UserCosts(terms, system).at(x)
+    cost = sum(term.weight * value**2 for term, value in zip(terms, values, strict=True))
+    tilt_rates = StateView(x).omega_B[:, :2]
+    assert cost == pytest.approx(weight * (tilt_rates**2).sum())
+    assert Weights(tilt_rate=0.0).terms(system.N) == ()
 
-    Moments are bounded either way, rates per period.
+
+@pytest.mark.parametrize("inputs", ["moments", "rates"])
+def test_limits_per_uav(inputs: Literal["moments", "rates"]) -> None:
+    """Bounds and rates repeat per UAV in the order of u, for moments or commanded body rates.
+
+    Both are bounded either way, their changes per period.
     """
-    limits = Limits(
-        thrust_N=(2.0, 30.0),
-        moments_Nm=(1.0, 2.0, 3.0),
-        thrust_rate_N_s=80.0,
-        moment_rates_Nm_s=(4.0, 8.0, 16.0),
-    )
-    settings = ControllerSettings(limits=limits, sampling_period_s=0.25)
+    turning, slopes = (1.0, 2.0, 3.0), (4.0, 8.0, 16.0)
+    thrust = Limits(thrust_N=(2.0, 30.0), thrust_rate_N_s=80.0)
+    if inputs == "rates":
+        limits = changed(thrust, rates_rads=turning, rate_slopes_rads2=slopes)
+    else:
+        limits = changed(thrust, moments_Nm=turning, moment_rates_Nm_s=slopes)
+    settings = ControllerSettings(limits=limits, sampling_period_s=0.25, inputs=inputs)
     assert settings.lower(2).tolist() == [2.0, -1.0, -2.0, -3.0] * 2
     assert settings.upper(2).tolist() == [30.0, 1.0, 2.0, 3.0] * 2
     assert settings.largest_step(2).tolist() == [20.0, 1.0, 2.0, 4.0] * 2
