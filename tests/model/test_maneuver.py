@@ -14,6 +14,7 @@ from transport.model.maneuver import Maneuver
 from transport.model.parameters import ParameterError, table_1
 from transport.model.phase import Phase, PhaseKind, Profile
 from transport.model.state import StateView
+from transport.model.target import Target
 
 PROFILES: list[Profile] = ["ramp", "min_jerk", "step"]
 # Sums of a few displacements of metres.
@@ -219,6 +220,20 @@ def test_curves_carry_no_weight_to_or_from_the_ground() -> None:
     times_s = np.linspace(0.0, 17.0, 341)
     for expected, actual in zip(straight.press(times_s), turning.press(times_s), strict=True):
         np.testing.assert_array_equal(actual, expected)
+
+
+def test_a_landing_after_a_target_does_not_press() -> None:
+    """Before the target the reference is pressed as without it, then it stays on the path, (59)."""
+    given_s = 6.0  # in flight
+    approach = Curve(kind=None, duration_s=4.0, ramp_s=2.0, size_I=(1.0, 0.0, 0.0))
+    aside = Target(since_s=given_s, point_I=np.array([1.0, 1.0, -2.0]), approach=approach)
+    times_s = np.linspace(0.0, 17.0, 341)
+    before = times_s <= given_s
+    landing, led = delivery(), delivery().with_target(aside)
+    for expected, actual in zip(landing.press(times_s), led.press(times_s), strict=True):
+        np.testing.assert_array_equal(actual[before], expected[before])
+        assert np.abs(actual[~before]).max() < PATH_TOLERANCE_M
+        assert np.abs(expected[~before]).max() > PATH_TOLERANCE_M
 
 
 @pytest.mark.parametrize("kind", ["move", "circle", "land"])

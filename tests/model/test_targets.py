@@ -1,5 +1,7 @@
 """Targets given during the flight: the path leads to them smoothly, and stays as it was before."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -76,3 +78,31 @@ def test_a_target_changes_nothing_before_it_and_stays_between(maneuver: Maneuver
     assert np.abs(path[0] + moved - path[1:]).max() < 0.05  # ramps have corners
     assert ("target", 6.0, 10.0) in led.stages()
     assert led.phase_at(7.0).name == "target"
+
+
+END_S = 10.0  # of the phases of `RAMPS`
+
+
+@pytest.mark.parametrize(
+    "targets",
+    [
+        [],
+        [target(2.0, [1.0, 0.0, -10.0])],  # ends in the second phase
+        [target(5.0, [1.0, 0.0, -10.0])],  # begins with it
+        [target(8.0, [1.0, 0.0, -10.0])],  # ends after it
+        [target(2.0, [1.0, 0.0, -10.0]), target(4.0, [2.0, 0.0, -10.0], 3.0)],  # on the way
+        [target(1.0, [1.0, 0.0, -10.0], 3.0), target(6.0, [2.0, 0.0, -10.0], 3.0)],  # at rest
+    ],
+    ids=["none", "within", "boundary", "beyond", "replaced", "two"],
+)
+def test_the_stages_of_a_flight_follow_each_other(targets: list[Target]) -> None:
+    """Each begins where the one before it ends, and is the phase at its first and last instant."""
+    maneuver = Maneuver(start_I=RAMPS.start_I, phases=RAMPS.phases, targets=targets)
+    stages = maneuver.stages()
+    assert stages[0][1] == 0.0
+    assert stages[-1][2] == max([END_S, *(one.ends_s for one in targets)])
+    assert all(before[2] == after[1] for before, after in pairwise(stages))
+    for name, begin_s, end_s in stages:
+        assert begin_s < end_s
+        last_s = float(np.nextafter(end_s, 0.0))
+        assert [maneuver.phase_at(t_s).name for t_s in (begin_s, last_s)] == [name, name]

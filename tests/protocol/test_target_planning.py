@@ -14,7 +14,7 @@ from transport.model.curves import ORDERS
 from transport.protocol.scenario.errors import RequestError, ScenarioError, requested
 from transport.protocol.scenario.feasibility import exceeded, teams_left
 from transport.protocol.scenario.maneuver_sections import TargetSection
-from transport.protocol.scenario.target_planning import target_fields, straight
+from transport.protocol.scenario.target_planning import straight, target_fields
 from transport.protocol.scenario.targets import MOST
 from transport.protocol.wire.messages import Request
 
