@@ -1,0 +1,223 @@
+"""Ends of a node's process, with a bus in place of the network: exit code and last messages."""
+
+import gc
+import os
+import signal
+from collections.abc import Callable, Collection, Iterator, Sequence
+from queue import SimpleQueue
+from types import FrameType
+from typing import Any, NoReturn
+
+import pytest
+
+from tests.support import runs
+from transport.protocol.admission.gate import Gate
+from transport.protocol.network.bus import Arrival, BusEvent, BusOptions, Interrupted, Place
+from transport.protocol.network.parent import PARENT_PIPE, ending_signals
+from transport.protocol.network.process import run_node
+from transport.protocol.wire.codec import decode
+from transport.protocol.wire.exit_codes import (
+    EXIT_DIVERGED,
+    EXIT_INTERRUPTED,
+    EXIT_UNREACHABLE,
+)
+from transport.protocol.wire.messages import Control, Event, Message
+from transport.protocol.wire.names import COORDINATOR
+from transport.protocol.wire.node import Outbox
+
+# Timeout on a busy machine for actions of milliseconds, s.
+PATIENCE_S = 20.0
+OTHERS = ("plant", "agent1")
+WHERE = "transport.protocol.network.process"
+
+
+class StubNode:
+    """A node without messages of its own that ends with the run."""
+
+    name = COORDINATOR
+    incarnation = 0
+    publish_ns = 0
+    wake_ns = None
+    finished: Control | None = None
+
+    def check_moment(self, message: Message) -> None:
+        """Accept all messages."""
+
+    def receive(self, event: Event, _now_ns: int) -> Sequence[Message]:
+        """End at the end of the run."""
+        if isinstance(event, Control):
+            self.finished = event
+        return ()
+
+    def poll(self, _now_ns: int) -> Sequence[Message]:
+        """Send nothing."""
+        return ()
+
+
+class StubBus:
+    """A bus on which only that happens what a test does while the node joins or waits."""
+
+    incarnation = 0
+
+    def __init__(self) -> None:
+        self.while_joining: Callable[[], object] = lambda: None
+        self.while_waiting: Callable[[], object] = lambda: None
+        self.before_wait: Callable[[], None] = lambda: None
+        self.inbox: SimpleQueue[BusEvent] = SimpleQueue()
+        self.sent: list[Message] = []
+        self.left_after: tuple[str, ...] | None = None
+        self.is_closed = False
+
+    def open(self, _name: str, _place: Place, _digest: str, gate: Gate, _: BusOptions) -> "StubBus":
+        """Return this bus as the one of a process."""
+        self.gate = gate
+        return self
+
+    def join(self, _expected: Collection[str], _on_wait: object) -> Interrupted | None:
+        """Find all processes, unless interrupted."""
+        self.while_joining()
+        event = None if self.inbox.empty() else self.inbox.get()
+        assert event is None or isinstance(event, Interrupted)
+        return event
+
+    def next(self, _timeout_s: float | None) -> Arrival:
+        """Return what arrives."""
+        self.while_waiting()
+        return Arrival(self.inbox.get(timeout=PATIENCE_S), 0)
+
+    def put(self, _key: str, data: bytes) -> None:
+        """Take a message."""
+        assert self.left_after is None
+        self.sent.append(decode(data))
+
+    def interrupt(self, reason: str) -> None:
+        """Interrupt the node."""
+        self.inbox.put(Interrupted(reason))
+
+    def leave(self, after: Collection[str]) -> None:
+        """Leave after others."""
+        self.left_after = tuple(after)
+
+    def close(self) -> None:
+        """Close."""
+        self.is_closed = True
+
+
+def unhandled(number: int, _: FrameType | None) -> NoReturn:
+    """Fail at a signal for which the process has no handler."""
+    raise AssertionError(signal.Signals(number).name)
+
+
+def at_once(code: int) -> NoReturn:
+    """Let the end of a process at once be seen."""
+    raise SystemExit(code)
+
+
+@pytest.fixture
+def bus(monkeypatch: pytest.MonkeyPatch) -> Iterator[StubBus]:
+    """The bus of the process of this test, which outlives the ends of that process."""
+    handlers = {number: signal.signal(number, unhandled) for number in ending_signals()}
+    monkeypatch.setattr(os, "_exit", at_once)
+    one = StubBus()
+    monkeypatch.setattr(f"{WHERE}.Bus", one.open)
+    monkeypatch.delenv(PARENT_PIPE, raising=False)
+    yield one
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+    gc.unfreeze()
+    gc.enable()
+    assert one.is_closed
+
+
+def end_of_run(exit_code: int) -> Control:
+    """Return the coordinator's message that the run has ended."""
+    return Outbox(COORDINATOR, 0).stamp(
+        Control, tick=0, outcome="aborted", reason="of the test", exit_code=exit_code
+    )
+
+
+def run(node: StubNode, **options: Any) -> int:
+    """Run a node as its process does; return the exit code."""
+    return run_node(node, runs.place("here"), runs.setup(), OTHERS, **options)
+
+
+@pytest.mark.parametrize("exit_code", [0, EXIT_DIVERGED])
+def test_a_finished_process_has_the_exit_code_of_the_run(bus: StubBus, exit_code: int) -> None:
+    """It leaves after the processes for which it lingers."""
+    bus.while_waiting = lambda: bus.inbox.put(end_of_run(exit_code))
+    assert run(StubNode(), linger_for=OTHERS) == exit_code
+    assert bus.left_after == OTHERS
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("joins", [True, False])
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_signal_ends_a_process_with_its_last_messages(
+    bus: StubBus, number: signal.Signals, joins: bool, times: int
+) -> None:
+    """While it joins or runs, one or two signals end it in order, with their own exit code."""
+
+    def interrupt() -> None:
+        for _ in range(times):
+            signal.raise_signal(number)
+
+    if joins:
+        bus.while_joining = interrupt
+    else:
+        bus.while_waiting = interrupt
+
+    reasons: list[str] = []
+    last = end_of_run(EXIT_INTERRUPTED)
+
+    def on_interrupt(reason: str) -> Sequence[Message]:
+        reasons.append(reason)
+        return [last]
+
+    assert run(StubNode(), on_interrupt=on_interrupt) == EXIT_INTERRUPTED
+    assert reasons == [f"interrupted ({number.name})"]
+    assert bus.sent == [last]
+
+
+def test_a_process_whose_signal_ends_the_run_leaves_in_order(bus: StubBus) -> None:
+    """The end that a node makes of an interruption gives the exit code, and others are awaited."""
+    bus.while_waiting = lambda: signal.raise_signal(signal.SIGTERM)
+    node = StubNode()
+
+    def on_interrupt(_: str) -> Sequence[Message]:
+        node.finished = end_of_run(EXIT_DIVERGED)
+        return [node.finished]
+
+    assert run(node, on_interrupt=on_interrupt, linger_for=OTHERS) == EXIT_DIVERGED
+    assert bus.sent == [node.finished]
+    assert bus.left_after == OTHERS
+
+
+def test_the_third_signal_ends_a_process_at_once(bus: StubBus) -> None:
+    """One that does not end in order has the exit code of a signal, and sends nothing more."""
+
+    def interrupt() -> None:
+        for _ in range(3):
+            signal.raise_signal(signal.SIGTERM)
+
+    bus.while_waiting = interrupt
+    with pytest.raises(SystemExit) as ended:
+        run(StubNode(), on_interrupt=lambda _: [end_of_run(0)])
+    assert ended.value.code == EXIT_INTERRUPTED
+    assert bus.sent == []
+
+
+def test_a_process_without_its_parent_cannot_reach_the_run(
+    bus: StubBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The end of its input ends it with that exit code, in order or, some time later, at once."""
+    reads, writes = os.pipe()
+    codes: SimpleQueue[int] = SimpleQueue()
+    monkeypatch.setenv(PARENT_PIPE, "1")
+    with os.fdopen(reads) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        monkeypatch.setattr(f"{WHERE}.time.sleep", lambda _: None)
+        monkeypatch.setattr(os, "_exit", codes.put)
+        bus.while_waiting = lambda: os.close(writes)
+        assert run(StubNode()) == EXIT_UNREACHABLE
+        assert codes.get(timeout=PATIENCE_S) == EXIT_UNREACHABLE
+    assert bus.left_after is None
