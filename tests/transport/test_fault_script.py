@@ -16,13 +16,16 @@ from transport.protocol.wire.messages import Request
 STOP = "{at_s=0.3,target='coordinator',do='stop'},{at_s=1.2,target='coordinator',do='continue'}"
 STOPPED_S = 0.9
 AGENT_STOP = "{at_s=0.3,target='agent2',do='stop'},{at_s=0.5,target='agent2',do='continue'}"
+AGENT_KILL = "{at_s=0.3,target='agent2',do='kill'},{at_s=0.5,target='agent2',do='restart'}"
 RETURN_TICK = 10
+PATIENCE_S = 10.0  # longer than a process that is due to leave is waited for
 
 
 class Child:
     """A process that can be stopped and continued."""
 
-    code = None
+    name = "agent2"
+    code: int | None = None
     incarnation = 0
     is_noted = False
 
@@ -33,6 +36,10 @@ class Child:
         """Stop at SIGSTOP; take any other signal as one that continues."""
         self.is_stopped = number == signal.SIGSTOP
         return True
+
+    def wait(self, _timeout_s: float) -> None:
+        """End by the signal before."""
+        self.code = -signal.SIGKILL
 
 
 class Run:
@@ -49,8 +56,12 @@ class Run:
             requests=SimpleQueue[Request](),
             note=self._note,
         )
+        self.ended: list[Child] = []
         harness = SimpleNamespace(
-            ended=list, child=lambda _: self.child, mesh=("coordinator", "agent2")
+            ended=lambda: self.ended,
+            child=lambda _: self.child,
+            mesh=("coordinator", "agent2"),
+            start=self._start,
         )
         run = runs.ready(
             "resilient", "clock.on_agent_loss=continue", f"faults.event=[{script}]", *settings
@@ -58,6 +69,10 @@ class Run:
         self._script = FaultScript(
             run, cast("Harness", harness), cast("Recorder", self.recorder), lambda: self.now_s
         )
+
+    def _start(self, _target: str, incarnation: int) -> None:
+        self.child = Child(is_stopped=False)
+        self.child.incarnation = incarnation
 
     def _note(self, _target: str, what: str, origin: str, *_: Any) -> None:
         self.notes.append((what, origin))
@@ -122,3 +137,17 @@ def test_in_lockstep_a_stopped_agent_returns_once_off_the_roster(
     run.work()
     assert not run.child.is_stopped
     assert run.notes == [("stopped", "script"), ("continued", "script")]
+
+
+def test_a_kill_is_over_once_its_process_has_been_restarted() -> None:
+    """A process that did not reach its scripted kill in time is ended for its restart, and only that."""
+    run = Run(AGENT_KILL, seen=RETURN_TICK)
+    run.work()
+    run.now_s += PATIENCE_S
+    run.work()
+    assert run.notes == [("restarted", "script")]
+
+    run.child.code = -signal.SIGKILL
+    run.ended.append(run.child)
+    run.work()
+    assert run.notes[1:] == [("ended by SIGKILL", "unknown")]

@@ -182,6 +182,23 @@ def test_a_larger_cost_is_at_the_highest_number_of_the_axis(
         assert max(heights.values()) < diverged < panel.get_ylim()[1]
 
 
+def test_an_interval_ends_at_the_highest_number_of_the_axis(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The part of an interval beyond the axis is cut, and the part below stays where it is."""
+    costs = (2.0, 3.0, 5.0)
+    lower, upper = stats.t.interval(
+        CONFIDENCE, len(costs) - 1, loc=np.mean(costs), scale=stats.sem(costs)
+    )
+    for panel in panels_of(compared({STILL: {PERIOD_S: costs}}, {PERIOD_S: (0.1,)}), monkeypatch):
+        highest = max(value for name, value in heights_of(panel).items() if name != "diverged")
+        assert lower < highest < upper
+        _, paper = drawn(panel)
+        (bars,) = paper.lines[2]
+        (bar,) = bars.get_segments()
+        assert bar[:, 1] == pytest.approx([lower, highest])
+
+
 # Times of an agent at these periods: the second is nearest to the reference's as a ratio, the first
 # by their difference; and such that the reference's own period is nearest.
 NEAREST_AS_RATIO = {0.1: (0.02,), PERIOD_S: (0.1,), 0.025: (0.35,)}
