@@ -1,5 +1,6 @@
 """The maneuver: the payload's reference path, phase by phase, with the targets given in flight."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -7,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from transport.model.arrays import Array, ArrayLike, assign, checked
-from transport.model.curves import ORDERS, Curve
+from transport.model.curves import ORDERS
 from transport.model.parameters import ParameterError
 from transport.model.phase import Phase, Profile
 from transport.model.target import Target
@@ -68,6 +69,7 @@ class Maneuver:
             stages.append((phase.name, begin_s, end_s))
 
         for target in self.targets:
+            # A target replaces what is left of the ways before it.
             since_s = target.since_s
             stages = [
                 (name, begin_s, min(end_s, since_s))
@@ -131,19 +133,19 @@ class Maneuver:
     def formation(self, t_s: Array) -> Array:
         """Return the jets of length and width of the team, (`ORDERS`, k, 2): (66a).
 
-        As multiples of those at hover, at times t_s, (k,), s.
+        As multiples of those at hover, at times t_s, (k,), s. Changes take place at their times also
+        after a target.
         """
         sizes = np.zeros((ORDERS, len(t_s), 2))
         sizes[0] = 1.0
 
-        before = np.ones(2)
+        sizes_before = np.ones(2)
         for phase, begin_s in self._timed_phases():
             for step in phase.formation_steps(begin_s):
-                # lambda += s (lambda_after - lambda_before), s as in (65) with t_r = T / 2.
-                timing = Curve(kind=None, duration_s=step.span_s, ramp_s=step.span_s / 2.0)
-                s = timing.covered(t_s - step.begin_s, ORDERS)
-                sizes += s[..., None] * (step.sizes - before)
-                before = step.sizes
+                # lambda += s (lambda_after - lambda_before)
+                s = step.covered(t_s)
+                sizes += s[..., None] * (step.sizes - sizes_before)
+                sizes_before = step.sizes
         return sizes
 
     def press(self, t_s: Array) -> tuple[Array, Array]:
@@ -153,8 +155,9 @@ class Maneuver:
         """
         level = np.full(len(t_s), float(self.phases[0].kind == "take_off"))
         rate = np.zeros(len(t_s))
-        if self.targets:  # landings after the first target do not take place
-            t_s = np.minimum(t_s, self.targets[0].since_s)
+        # Landings after the first target do not take place: the level of then stays.
+        until_s = self.targets[0].since_s if self.targets else math.inf
+        t_s = np.minimum(t_s, until_s)
 
         for phase, begin_s in self._timed_phases():
             level_change, rate_change = phase.ground_load(t_s - begin_s)

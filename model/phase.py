@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from transport.model.arrays import Array, ArrayLike, assign, checked
-from transport.model.curves import Curve
+from transport.model.curves import ORDERS, Curve
 from transport.model.parameters import ParameterError
 
 Profile = Literal["ramp", "min_jerk", "step", "smooth"]
@@ -28,6 +28,14 @@ class FormationStep:
     begin_s: float  # time of the maneuver, s
     span_s: float
     sizes: Array  # length and width after it, as multiples of those at hover, (2,)
+
+    def covered(self, t_s: Array) -> Array:
+        """Return the jets of the share of the change at times t_s, (k,), s: (`ORDERS`, k).
+
+        s as in (65) with t_r = T / 2.
+        """
+        timing = Curve(kind=None, duration_s=self.span_s, ramp_s=self.span_s / 2.0)
+        return timing.covered(t_s - self.begin_s, ORDERS)
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)

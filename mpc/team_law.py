@@ -72,20 +72,25 @@ class TeamLaw:
         Source: docs/equations.md (35), (40), (73).
         """
         crew = self.about_hover.crew
-        if self.about_hover.regulator is None or crew.settings.prediction != "closed_loop":
+        regulator = self.about_hover.regulator
+        if regulator is None or crew.settings.prediction != "closed_loop":
             return None
         if self.tracker is not None and self.track is not None:
             gains = self.tracker.over(start, len(x_ref))
             return self._along(self.track, gains, x0, c, forces, start)
-        return self._about_hover(x0, x_ref, c, forces, start)
+        return self._about_hover(regulator, x0, x_ref, c, forces, start)
 
     def _about_hover(
-        self, x0: Array, x_ref: Array, c: Array, forces: Array | None, start: int
+        self,
+        regulator: Regulator,
+        x0: Array,
+        x_ref: Array,
+        c: Array,
+        forces: Array | None,
+        start: int,
     ) -> FeedbackLaw:
         """Return the law u = u_hover + M_u F + K (x - x_ref - M_x F) + c_ff, (35), (40)."""
         law = self.about_hover
-        if law.regulator is None:
-            raise FeedbackError("expected a shared control law, got open-loop prediction")
         u_rest = self.hover.u
         error = self._error(x0, x_ref)
         feedforward = self.feedforward(start, len(x_ref))
@@ -94,9 +99,7 @@ class TeamLaw:
             u_rest = u_rest + law.target.M_u @ forces
             error = error - self._shift(forces)
             feedforward = feedforward + law.forced[0] @ forces
-        return FeedbackLaw(
-            K=law.regulator.K, u_rest=u_rest, error=error, feedforward=feedforward, c=c
-        )
+        return FeedbackLaw(K=regulator.K, u_rest=u_rest, error=error, feedforward=feedforward, c=c)
 
     def _along(
         self,
@@ -112,6 +115,7 @@ class TeamLaw:
         u_rest = track.U[where]
         error = x0 - track.X[where]
         if forces is not None:
+            # The forces may lack the mass error, the last of the derivatives.
             X_forces, U_forces = track.by_forces(where)
             u_rest = u_rest + U_forces[..., : len(forces)] @ forces
             error = error - X_forces[..., : len(forces)] @ forces

@@ -259,14 +259,22 @@ class Bus:
         if token.digest != self._digest or token.version != VERSION:
             return None  # it finds out by itself that it does not belong here
         if is_there:
-            self.alive[token.name] = token.incarnation
-            self._left.discard(token.name)
-            self.gate.announce(token.name, token.incarnation)
+            self._note_came(token)
             return None
+        self._note_went(token)
+        return Presence(token.name, token.incarnation, alive=False)
+
+    def _note_came(self, token: Token) -> None:
+        """Note a process that is alive; it takes part from its "ready" token on."""
+        self.alive[token.name] = token.incarnation
+        self._left.discard(token.name)
+        self.gate.announce(token.name, token.incarnation)
+
+    def _note_went(self, token: Token) -> None:
+        """Note a process that has gone, unless a newer incarnation of it is alive."""
         if self.alive.get(token.name) == token.incarnation:
             del self.alive[token.name]
             self._left.add(token.name)
-        return Presence(token.name, token.incarnation, alive=False)
 
     def _check_peer(self, token: Token) -> None:
         """Refuse to join beside a process that does not fit. Raises: BusError: as `join`."""
@@ -296,10 +304,13 @@ class Bus:
     def renew(self, incarnation: int) -> None:
         """Announce a new incarnation of this process once all is read that has come until now.
 
-        A process that was stopped for long reads messages of connections that have closed since: a
-        roster without it, and then that the coordinator is gone. Announced between the two, it would
-        join the run and leave at once. Without an answer of the coordinator, for which this waits,
-        nothing is announced; calls try again, so seldom that this process goes on reading.
+        The queue itself announces it, after everything older, and only if the coordinator answers.
+        Without an answer, for which this waits, further calls try again, so seldom that this process
+        goes on reading.
+
+        The reason: a process that was stopped for long reads messages of connections that have closed
+        since, a roster without it, and then that the coordinator is gone. Announced between the two, it
+        would join the run and leave at once.
         """
         if self._renewing == incarnation or time.monotonic() < self._asks_again_s:
             return
@@ -449,7 +460,8 @@ class Bus:
 
         None for a query that is answered here, and for messages, which `next` takes one by one.
         """
-        if isinstance(item, Interrupted | Request):  # a request came while this process joined
+        # An interruption comes at any time, a request here while this process joined.
+        if isinstance(item, Interrupted | Request):
             return item
         if isinstance(item, _Renewal):
             self._announce(item.incarnation)

@@ -28,7 +28,7 @@ S = TypeVar("S", bound=BaseModel)
 # Keys whose name has changed, by their old one.
 RENAMED = {"samples": "samples_s"}
 
-# Of a share: 100 %, and the least number that is taken for one in per cent.
+# 100 %, and the least value given for a share that was probably meant in per cent.
 _PERCENT = 100.0
 _LEAST_PERCENT = 2.0
 _LONGEST_SHOWN = 80  # characters of a value that an error repeats

@@ -119,10 +119,10 @@ def validate(tree: dict[str, Any], source: str) -> Scenario:
     return scenario
 
 
-def _run_realtime_at_speed_1(tree: dict[str, Any], changed: Collection[str]) -> None:
-    """Set speed 1 where a change asks for real time alone: the tree's 0 is that of lockstep."""
+def _run_realtime_at_speed_1(tree: dict[str, Any], keys_set: Collection[str]) -> None:
+    """Set speed 1 where settings ask for real time alone: the file's 0 was meant for lockstep."""
     clock = tree.get("clock")
-    if "clock.mode" not in changed or "clock.speed" in changed or not isinstance(clock, dict):
+    if "clock.mode" not in keys_set or "clock.speed" in keys_set or not isinstance(clock, dict):
         return
     if clock.get("mode") == "realtime" and clock.get("speed", 0.0) == 0.0:
         clock["speed"] = 1.0
@@ -134,23 +134,23 @@ def _apply(tree: dict[str, Any], setting: str) -> None:
 
     section: Any = tree
     for part, below in pairwise([*parents, last]):
-        is_left_out = isinstance(section, dict) and part not in section
-        if is_left_out and below.isdecimal():
-            problem = (
-                f"expected a list that the file gives, got {part!r} left out: set the whole list"
-            )
-            raise ScenarioError(option(setting), "", problem)
-        section = _child(section, part, setting)
+        section = _child(section, part, below, setting)
 
     place = _index(section, last, setting) if isinstance(section, list) else last
     # Its files are relative to the current folder, unlike those of the scenario's file.
     section[place] = anchored(_value(setting), last)
 
 
-def _child(section: Any, part: str, setting: str) -> Any:
-    """Return a section or list within another one, by name, made if missing, or by number."""
+def _child(section: Any, part: str, below: str, setting: str) -> Any:
+    """Return a section or list within another one, by number, or by name and made if missing.
+
+    `below` is the part of the key after it: a list that is missing has no entry to be numbered.
+    """
     if isinstance(section, list):
         return section[_index(section, part, setting)]
+    if part not in section and below.isdecimal():
+        expected = f"expected a list that the file gives, got {part!r} left out"
+        raise ScenarioError(option(setting), "", f"{expected}: set the whole list")
 
     child = section.setdefault(part, {})
     if not isinstance(child, dict | list):

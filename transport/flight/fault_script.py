@@ -104,9 +104,11 @@ class FaultScript:
         # The coordinator stops before it opens the tick, and frozen it sends nothing more: the
         # recorder sees neither that tick nor, on a busy machine, those just before.
         is_open = self._recorder.tick >= fault.tick
-        is_coordinator = fault.target == COORDINATOR and COORDINATOR not in self._stopped_by_person
-        is_next = is_coordinator or self._recorder.tick >= fault.tick - 1
-        if is_open or (is_next and self._harness.child(fault.target).is_stopped):
+        is_frozen_unseen = (
+            fault.target == COORDINATOR and COORDINATOR not in self._stopped_by_person
+        )
+        may_have_stopped = is_frozen_unseen or self._recorder.tick >= fault.tick - 1
+        if is_open or (may_have_stopped and self._harness.child(fault.target).is_stopped):
             self._pending.remove(fault)
             self._stops[fault.target] = fault, self._now_s()
             self._recorder.note(fault.target, _NOTES["stop"], "script", fault.tick)
@@ -153,9 +155,12 @@ class FaultScript:
     def _has_left(self, fault: Fault) -> bool:
         """Return whether the process of a due return has ended or stopped, and its team knows.
 
-        It may still have to read the message at which it kills or stops itself: a signal before
-        that would be of no effect, or take part of its last tick. In lockstep a stopped agent has
-        to be off the roster, too: its answer to the tick at which it stopped would still count.
+        - It may still have to read the message at which it kills or stops itself: a signal before
+          that would be of no effect, or take part of its last tick.
+        - In lockstep a stopped agent has to be off the roster, too: its answer to the tick at which it
+          stopped would still count.
+        - A process that has neither ended nor stopped after 3 s will not: it was off the roster at the
+          tick of its fault.
         """
         child = self._harness.child(fault.target)
         is_gone = child.code is not None
@@ -164,7 +169,6 @@ class FaultScript:
             return False
         if is_gone or is_stopped:
             return True
-        # It was off the roster at the tick of its fault, and has not read that tick.
         since_s = self._overdue_since_s.setdefault(fault, self._now_s())
         return self._now_s() - since_s >= _LEAVE_S
 
