@@ -101,7 +101,8 @@ class AnnouncedInputs:
         alignment: Alignment of the others' plans with the horizon.
         own: The agent itself, 1-based, whose plans are always aligned by age; 0 for none.
         law: Shared control law, followed after the first step of a plan; without inputs for none.
-        settings: Bounds of the actuators, applied to inputs in force.
+        settings: Bounds of the actuators, applied to inputs in force, and the sampling period, by which
+            actuators play a last plan.
 
     The attributes describe the team; who owns this object changes them with the team, at the tick
     of the change and before `heard.observe`.
@@ -318,8 +319,9 @@ class AnnouncedInputs:
         if is_known or instant is None:
             return announced
 
-        # The agent has replaced the later ones by plans not received: by the shared law, (32a). Which
-        # law that was before the present one is not known any more: they count as announced.
+        # The agent has replaced later inputs by those of plans that were not received: here by the
+        # shared law, (32a). Before the present law that was another, which is not known any more: then
+        # the inputs count as announced.
         is_under_law = tick >= max(self.law_since, self.heard.failed_since)
         by_law = self._by_law(plan, instant) if is_under_law else announced
         if by_law is None:
@@ -390,7 +392,7 @@ class AnnouncedInputs:
         if step < len(plan.corrections):
             by_law = by_law + plan.corrections[step]
         if plan.tick < self.law_since:
-            return by_law  # (46)
+            return by_law  # the sender's law was another: its first step tells nothing, (46)
 
         # Differences in the sender's knowledge, such as external forces, show at the first step.
         #   u_a(k) = U_a(0) + lambda_a(k) - lambda_a(s_a)
@@ -409,7 +411,7 @@ class AnnouncedInputs:
         """Return an agent's inputs by the fail-safe, (4 owned,); hover without a state."""
         if instant is None or self.fail_safe is None:
             return self._hover(self._columns[agent])
-        # What its integral holds and what pushes it are one to every sensor: neither is assumed.
+        # No sensor can tell the force of its integral from what pushes it: neither is assumed.
         inputs = [
             self.fail_safe.inputs(uav, instant.x, instant.tick) for uav in self._owned[agent - 1]
         ]

@@ -15,24 +15,27 @@ import numpy as np
 from transport.agent.estimation.noise import OthersErrors
 from transport.model.arrays import Array
 
-# Age of news beyond the usual one at which an agent begins to act alone, and at which it does so
-# wholly, s. A filter without news errs by centimetres within a second; with a measured payload the
-# others answer to gusts that an agent has not heard of, for too long where its news were late before.
+# Ages of news beyond the usual one at which an agent begins to act alone, and does so wholly, s. The
+# reasons: a filter without news errs by centimetres within a second, and with a measured payload the
+# others answer to gusts that the agent has not heard of.
 OVERDUE_S = (0.5, 1.0)
-# The same for the mean age, with a filter, s: the others answer to errors of their own estimates,
-# of which an agent learns so late. With a measured payload there are none.
+# The same for the mean age of news, with a filter, s. The reason: the others answer to the errors of
+# their own estimates, and an agent learns of these answers late. A measured payload has no such errors.
 LATE_S = (0.15, 1.0)
-# Age of news beyond the usual one from which on what the others do differently would count as a force
-# in an estimate from measured states, s. Lost plans are bridged.
+# Age of news beyond the usual one from which on an estimate of forces from measured states does not
+# learn, s: what the others do differently would count as a force.
 _UNINFORMED_S = 0.5
-# Window of the usual age of news, as a multiple of the age at which an agent acts alone wholly; and
-# of the mean age, s.
-_WINDOW, _MEAN_S = 3.0, 1.0
-# Time from the team's law to the law alone, and back, s. On the way there others hear of it and come
-# along; on the way back the estimate takes in the news.
+# Where plans are sent on change, news are that many heartbeats later: one of them may be lost.
+_HEARTBEATS = 2.0
+# The usual age of news is the smallest in a window, a multiple of the age at which an agent acts wholly
+# alone.
+_USUAL_WINDOW = 3.0
+_MEAN_WINDOW_S = 1.0  # window of the mean age of news
+# Time from the team's law to the law alone, and back, s. On the way to it, others hear of the change and
+# come along; on the way back, the estimate takes in the news.
 _HAND_OVER_S = 2.0
-# How much less than the most of the others an agent acts alone that hears it say so: all would
-# otherwise wait for each other to return.
+# An agent acts alone at least as much as the largest share that it hears, minus this. Without the
+# difference all would wait for each other to return.
 LESS_THAN_OTHERS = 0.2
 # Correlation of the errors of two agents, until news are older than usual.
 SHARED = OthersErrors().correlation
@@ -58,12 +61,11 @@ class Ramp:
     complete: float
 
     @staticmethod
-    def of(ages_s: tuple[float, float], heartbeat_s: float, period_s: float) -> "Ramp":
-        """Return the ramp between two ages, s, of plans that come at the latest after a heartbeat, s."""
+    def of(ages_s: tuple[float, float], later_s: float, period_s: float) -> "Ramp":
+        """Return the ramp between two ages, s, both later by a time, s."""
         begins_s, complete_s = ages_s
         return Ramp(
-            begins=(begins_s + heartbeat_s) / period_s,
-            complete=(complete_s + heartbeat_s) / period_s,
+            begins=(begins_s + later_s) / period_s, complete=(complete_s + later_s) / period_s
         )
 
     def not_before(self, age: float) -> "Ramp":
@@ -83,7 +85,8 @@ class Silence:
     overdue: Ramp  # by the age beyond the usual one
     uninformed: float  # that age from which on what the others do is not known, ticks
     late: Ramp | None  # by the mean age; None where late news are as good as new ones
-    forgets: float  # ticks in which a correlation falls after overdue news make agents act alone
+    # Time constant, ticks, with which errors lose their correlation once overdue news begin to count.
+    forgets: float
     window: int  # ticks over which the usual age is the smallest: longer than any ramp
     recent: int  # ticks over which ages are averaged
     hand_over: int  # ticks from the law alone to the team's law, and back
@@ -91,17 +94,17 @@ class Silence:
     @staticmethod
     def of(period_s: float, *, is_filtered: bool, heartbeat_s: float = 0.0) -> "Silence":
         """Return the rule for a sampling period; plans come at the latest after a heartbeat, s."""
-        # One lost heartbeat is no silence: the next one has the news.
-        overdue = Ramp.of(OVERDUE_S, 2.0 * heartbeat_s, period_s)
+        later_s = _HEARTBEATS * heartbeat_s
+        overdue = Ramp.of(OVERDUE_S, later_s, period_s)
         # News of the tick before are on time, however long a period is.
-        late = Ramp.of(LATE_S, heartbeat_s, period_s).not_before(1.0)
+        late = Ramp.of(LATE_S, later_s, period_s).not_before(1.0)
         return Silence(
             overdue=overdue,
-            uninformed=(_UNINFORMED_S + heartbeat_s) / period_s,
+            uninformed=(_UNINFORMED_S + later_s) / period_s,
             late=late if is_filtered else None,
             forgets=_FORGETS_S / period_s,
-            window=round(_WINDOW * overdue.complete),
-            recent=max(1, round(_MEAN_S / period_s)),
+            window=round(_USUAL_WINDOW * overdue.complete),
+            recent=max(1, round(_MEAN_WINDOW_S / period_s)),
             hand_over=round(_HAND_OVER_S / period_s),
         )
 

@@ -17,7 +17,8 @@ class HeardOthers:
     """Plans of all agents, and the ages of those of the others.
 
     Where a method takes a tick `before`, only plans made before it count, even if later ones have
-    been received; where it takes a plan, that is the agent's newest one, or None without any.
+    been received; where it takes a plan, that is the agent's newest one, for a past tick the newest that
+    had started, or None without any.
 
     Args:
         agents: Numbers of the agents, 1-based.
@@ -122,7 +123,8 @@ class HeardOthers:
 
         Of those that have returned later it has to hear nothing: they hear the team first.
         """
-        if not self._began:
+        began_in_mid_run = self._began is not None and self._began > 0
+        if not began_in_mid_run:
             return False
         present = set(self._agents) - self.off_roster - self._returned.keys() - {self._own}
         return any(self.plans.newest(agent, before) is None for agent in present)
@@ -130,7 +132,10 @@ class HeardOthers:
     # How much the others act alone.
 
     def share_alone(self, agent: int, plan: Plan | None, tick: int) -> float:
-        """Return how much an agent is assumed to act alone at a tick: as its plan says, by the rule."""
+        """Return how much an agent is assumed to act alone at a tick.
+
+        The larger of what its plan says and of what follows from the age of its news.
+        """
         silence = self.silence
         if silence is None:
             return 0.0

@@ -25,7 +25,7 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks.runs import origin
-from docs.tables import ROOT, put, table
+from docs.tables import FLOWN, ROOT, put, table
 from transport.flight.memory import simulate
 from transport.flight.progress import compile_models
 from transport.model.arrays import Array
@@ -206,19 +206,20 @@ def _phases(case: Case) -> tuple[str, ...]:
     return (f"maneuver.phase=[{', '.join([*moves, hover])}]",)
 
 
-# Sources that decide the numbers of a run.
-SOURCES = ("model", "mpc", "protocol", "agent", "plant", "coordinator", "scenarios")
 NUMBERS = ("error_m", "attitude_deg", "separation_m")
 
 
 @lru_cache(maxsize=1)
 def _of_sources() -> str:
-    """Return a digest of the sources."""
+    """Return a digest of the sources that decide the numbers of a run."""
     digest = hashlib.sha256()
-    for package in SOURCES:
-        for path in sorted((ROOT / package).rglob("*")):
-            if path.suffix in {".py", ".c", ".toml"}:
-                digest.update(path.read_bytes())
+    files = [Path(__file__)]
+    for source in FLOWN:
+        place = ROOT / source
+        files += [place] if place.is_file() else sorted(place.rglob("*"))
+    for path in files:
+        if path.suffix in {".py", ".c", ".toml"}:
+            digest.update(path.read_bytes())
     return digest.hexdigest()
 
 
@@ -421,6 +422,8 @@ def main(given: Sequence[str] | None = None) -> None:
     parser.add_argument("--no-fly", action="store_true", help="count kept runs alone")
     parser.add_argument("--write", action="store_true", help="renew the table of the page")
     options = parser.parse_args(given)
+    if options.write and (options.case or options.no_fly):
+        parser.error("--write: expected neither --case nor --no-fly, as it renews the whole table")
     seeds = range(options.first, options.first + options.seeds)
     kept = Kept(options.kept, is_flying=not options.no_fly)
     results = []

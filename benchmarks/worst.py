@@ -162,7 +162,7 @@ def find(case: PlantedFault, budget: int, seed: int, workers: Workers) -> Found:
 def planted(names: Sequence[str], seeds: int, budget: int, workers: Workers) -> str:
     """Return the table of the runs until each planted fault is found, by search and by chance.
 
-    A median is infinite if the fault was not found with at least half of the seeds.
+    A median is infinite if at least half of the seeds did not find the fault.
     """
     rows = []
     for name in names or PLANTED:
@@ -232,7 +232,7 @@ def together() -> str:
     return table(["events", "`follow`", "`level`"], rows)
 
 
-def main() -> None:
+def main(given: Sequence[str] | None = None) -> None:
     """Run what the arguments ask for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help="names of cases; default: all")
@@ -243,7 +243,15 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=None, help="default: all cores")
     parser.add_argument("--out", type=Path, default=Path("runs/worst"))
     parser.add_argument("--write", action="store_true", help="put the table into its page")
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(given)
+    known = PLANTED if arguments.planted else READY
+    for name in arguments.names:
+        if arguments.together or name not in known:
+            names = "no names" if arguments.together else f"one of {', '.join(known)}"
+            parser.error(f"names: expected {names}, got {name!r}")
+    if arguments.write and arguments.names:
+        parser.error("--write: expected no names, as it renews a whole table")
+
     if arguments.planted:
         with Workers(arguments.jobs) as workers:
             content = planted(arguments.names, arguments.seeds, arguments.runs, workers)

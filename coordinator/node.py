@@ -46,7 +46,7 @@ class State(Enum):
     """State of a run.
 
     WAITING ends with the last process that is ready, HELD with the last agent that returns or at
-    the end of its time. DIVERGED follows the plant's word from any of them but STOPPED, the end.
+    the end of its time. DIVERGED follows the plant's word from OPEN and HELD. STOPPED is the end.
     """
 
     WAITING = "the processes are joining"
@@ -319,8 +319,8 @@ class CoordinatorNode:
             return ()
         is_diverged = self.state is State.DIVERGED
         if is_diverged and self.tick > self._plant_tick:
-            # The tick after the last interval is always opened before the end, whichever message
-            # came first.
+            # One more tick has been opened, so that the record has the interval that diverged,
+            # whichever message came first.
             return self._stop(EXIT_DIVERGED, self._divergence)
 
         may_close = self._clock.may_close(self.tick, self._missing, now_ns, last=self._is_last)

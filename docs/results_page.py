@@ -196,7 +196,7 @@ SCENARIOS = ("paper", "resilient")
 
 
 def _effect(rows: Sequence[Row], labels: Row) -> str:
-    """Return what becomes of the runs with some labels, in words."""
+    """Return how the runs with some labels end, in words; ranges are over the points of the experiment."""
     own = [row for row in rows if row.items() >= labels.items() and row.get("agent") != "none"]
     if not own:
         return ""
@@ -207,6 +207,8 @@ def _effect(rows: Sequence[Row], labels: Row) -> str:
         return f"{completed} of {runs} complete, the first diverges at {first_s:.1f} s"
 
     done = [row for row in own if row["cost_ratio"]]
+    if not done:
+        return f"{completed} of {runs} complete"
     ratios = [float(row["cost_ratio"]) for row in done]
     attitude_deg = max(float(row["attitude_max_deg"]) for row in done)
     swings_m = [float(row["swing_m"]) for row in done]

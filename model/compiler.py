@@ -21,7 +21,8 @@ _TIMEOUT_S = 300.0
 def cache_folder() -> Path:
     """Return $PAYLOAD_TRANSPORT_CACHE, or the user's cache folder.
 
-    A user without a home, as in a container with any user id, has one among the temporary files.
+    A user without a home that can be written, as in a container with any user id, has one among the
+    temporary files.
     """
     named = os.environ.get("PAYLOAD_TRANSPORT_CACHE")
     if named:
@@ -29,10 +30,13 @@ def cache_folder() -> Path:
     shared = os.environ.get("XDG_CACHE_HOME")
     if shared:
         return Path(shared) / "payload-transport"
+    temporary = Path(tempfile.gettempdir()) / f"payload-transport-{os.getuid()}"
     try:
-        return Path.home() / ".cache" / "payload-transport"
+        own = Path.home() / ".cache" / "payload-transport"
     except RuntimeError:
-        return Path(tempfile.gettempdir()) / f"payload-transport-{os.getuid()}"
+        return temporary
+    nearest = next(folder for folder in (own, *own.parents) if folder.exists())
+    return own if os.access(nearest, os.W_OK) else temporary
 
 
 def enabled() -> bool:
@@ -51,7 +55,8 @@ def find_compiler() -> str | None:
 
 def compiled_file(name: str, source: bytes, flags: Sequence[str]) -> Path:
     """Return the path of a library, with a hash of source, flags and processor in its name."""
-    digest = hashlib.sha256(source + repr((tuple(flags), _processor())).encode())
+    how = repr((*_COMMON, *flags, _processor()))
+    digest = hashlib.sha256(source + how.encode())
     return cache_folder() / f"{name}-{digest.hexdigest()[:16]}.so"
 
 
@@ -68,8 +73,8 @@ def intact(path: Path) -> bool:
 def compile_library(path: Path, sources: Sequence[bytes], flags: Sequence[str]) -> bool:
     """Compile C sources, unless their library is intact; return whether there is one.
 
-    All sources are compiled at the same time. There is no library without a compiler, if it
-    fails, or if the cache cannot be written, which is reported as a warning.
+    All sources are compiled at the same time. There is no library without a compiler, or if it fails.
+    If it cannot be started, or the cache cannot be written, a warning says so.
     """
     if intact(path):
         return True
@@ -88,8 +93,8 @@ def compile_library(path: Path, sources: Sequence[bytes], flags: Sequence[str]) 
             checksum = _checksum_file(library)
             checksum.write_text(_checksum(library.read_bytes()), encoding="utf-8")
 
-            # Other processes see each file in full or not at all; a library without its checksum
-            # is compiled again.
+            # Other processes see each file in full or not at all. The checksum comes first: one that
+            # looks between the two sees a library that does not match it, and compiles.
             os.replace(checksum, _checksum_file(path))
             os.replace(library, path)
     except subprocess.SubprocessError:

@@ -2,8 +2,8 @@
 
 The actual inputs a follow the commanded inputs u by a' = (u - a) / lambda, with lambda the lag.
 Two held inputs per step have the mean and first moment of a: a Magnus method of order 4 (Blanes,
-Moan 2006). With commanded body rates a is the command that would give the present angular
-acceleration at once, omega + omega' / K.
+Moan 2006). With commanded body rates, a is the command that would give the present angular
+acceleration at once, a = omega + omega' / K, and a' has omega' beside the lag.
 """
 
 import math

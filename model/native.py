@@ -105,7 +105,10 @@ class Addresses:
         return None if kept is None else kept[0]
 
     def of(self, name: str, array: npt.NDArray[Any]) -> int:
-        """Return the address of an array, which a name stands for from now on."""
+        """Return the address of an array, which a name stands for from now on.
+
+        The array is the caller's: a name is used here or with `copied`, which writes into it.
+        """
         kept = self._kept.get(name)
         if kept is not None and kept[0] is array:
             return kept[1]

@@ -45,7 +45,7 @@ _HEADING = (
 )
 # Observer of the rod from the specific force: fast enough for the pendulum of a rod, slow enough for the noise.
 _OBSERVER_RAD_S, _OBSERVER_DAMPING = 3.0, 0.7
-_VERTICAL = np.array([0.0, 0.0, 1.0])
+_E3 = np.array([0.0, 0.0, 1.0])  # third axis: down, or that of the thrust in the body frame
 # Time that a plan covers, s: three lost plans in a row at 20 Hz, and about the time constant of the
 # attitude loop. Moments that are held for longer tip the UAV, as nothing predicts its feedback.
 # Without a newer plan the actuators continue on `controller.fail_safe`: "follow" is (31a) along the
@@ -132,11 +132,20 @@ def course_of(system: System, uav: int, x_ref: Array, u_ref: Array) -> Course:
 
 
 class AloneLaw:
-    """Control law of one UAV, 0-based, that carries its share of the payload with a hover thrust, N."""
+    """Control law of one UAV, 0-based, that carries its share of the payload with a hover thrust, N.
+
+    A further term of the force has its place in `force`, its derivatives in `gain`, `gain_along` and
+    `by_sensors`, its numbers in `numbers`, and its twin in `alone_inputs` of model/kernels.c. Tests
+    compare each of them with `inputs`.
+    """
 
     def __init__(self, system: System, uav: int, hover_N: float, gains: AloneGains = GAINS) -> None:
-        self._system, self._uav, self._gains, self._hover_N = system, uav, gains, hover_N
-        mass, inertia = system.uavs[uav].mass, system.uavs[uav].inertia
+        self._system = system
+        self._uav = uav
+        self._gains = gains
+        self._hover_N = hover_N
+        mass = system.uavs[uav].mass
+        inertia = system.uavs[uav].inertia
         self._swing = gains.swing * float(np.sqrt(system.uavs[uav].rod_length))
         # Sideways the rod gives way. Upwards the UAV lifts its share of the payload as well.
         self._masses = np.array([mass, mass, hover_N / system.gravity])
@@ -179,12 +188,13 @@ class AloneLaw:
 
     def force(self, motion: Motion, course: Course, held_I: Array | None = None) -> Array:
         """Return the force that the thrust is to have, (3,), inertial frame, N. Source: docs/equations.md (31a)."""
-        gains, ahead = self._gains, course.motion
-        swing_I = motion.swing_I - ahead.swing_I
+        gains = self._gains
+        wanted = course.motion
+        swing_I = motion.swing_I - wanted.swing_I
         acceleration = (
-            gains.position * (ahead.position_I - motion.position_I)
-            + gains.velocity * (ahead.velocity_I - motion.velocity_I)
-            - self._swing * (swing_I - swing_I[2] * _VERTICAL)
+            gains.position * (wanted.position_I - motion.position_I)
+            + gains.velocity * (wanted.velocity_I - motion.velocity_I)
+            - self._swing * (swing_I - swing_I[2] * _E3)
         )
         force_I: Array = course.force_I + self._masses * acceleration
         return force_I if held_I is None else force_I + held_I
@@ -232,8 +242,9 @@ class AloneLaw:
         by_force, by_yaw = _attitude_slopes(course.force_I, course.motion.Theta[2])
         error = np.zeros_like(force_I)
         error[:2] = -by_force @ force_I
-        error[:, own][:, state.THETA] += np.eye(3)
-        error[:2, own][:, state.THETA][:, 2] -= by_yaw
+        by_attitude = error[:, own][:, state.THETA]  # a view
+        by_attitude += np.eye(3)
+        by_attitude[:2, 2] -= by_yaw
 
         # The direction of the thrust is that of the force: only along it does the force count.
         gain = np.zeros((state.INPUTS, len(x)))
@@ -271,12 +282,12 @@ class AloneLaw:
     def _by_force(self) -> Array:
         """Return the derivative of the inputs by the wanted force about hover, (4, 3): thrust is upwards, z down."""
         tilt = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) / self._hover_N
-        return np.vstack([-_VERTICAL, self._stiffness @ tilt])
+        return np.vstack([-_E3, self._stiffness @ tilt])
 
     def _motions(self, ahead_s: float) -> tuple[Array, Array, Array]:
         """Return the derivatives of position, velocity and swing about hover by the state, (3, n) each."""
         uav, own = self._system.uavs[self._uav], state.uav_slice(self._uav)
-        rod = uav.rod_length * _VERTICAL
+        rod = uav.rod_length * _E3
         position, velocity, swing = (np.zeros((3, self._system.n)) for _ in range(3))
         swing[:, own][:, state.ROD_RATE] = np.cross(np.eye(3), rod).T
         position[:, state.R0] = velocity[:, state.V0] = np.eye(3)
@@ -335,7 +346,7 @@ class OwnSensors:
     def _observe(self, sensed: Array, thrust_N: float, reference: Motion) -> None:
         """Take in the direction of the rod's force. Source: docs/equations.md (31d)."""
         R = rotation(sensed[state.THETA])
-        pull_I = R @ (self._uav.mass * sensed[state.SPECIFIC_FORCE] + thrust_N * _VERTICAL)
+        pull_I = R @ (self._uav.mass * sensed[state.SPECIFIC_FORCE] + thrust_N * _E3)
         strength_N = float(np.linalg.norm(pull_I))
         if not strength_N > 0.0:
             return
@@ -374,7 +385,7 @@ def _attitude_slopes(force_I: Array, yaw: float) -> tuple[Array, Array]:
 
     # The tangent of the pitch is the backward over the upward part.
     forward_by_force = np.array([cosine, sine, 0.0])
-    by_force[1] = (z * forward_by_force - forward * _VERTICAL) / (forward**2 + z**2)
+    by_force[1] = (z * forward_by_force - forward * _E3) / (forward**2 + z**2)
     by_yaw[1] = z * right / (forward**2 + z**2)
     return by_force, by_yaw
 

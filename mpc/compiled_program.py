@@ -31,6 +31,15 @@ frozen(_NO_GAIN)
 class CompiledProgram:
     """The struct `problem` of the kernels, its arrays, and the QP and prediction in them.
 
+    The names are those of `struct problem` in model/kernels.c. An array is handed over in one of these
+    ways:
+
+    - `_set`: one of the struct's own, constant or written by the kernels;
+    - `_input`: the caller's, mostly that of the step before; `_changed` gathers those that are new over
+      `respond` and `condense`, so that the kernels keep what follows from the others;
+    - `_like_before`: as `_input`, of an array that is mostly equal to the one before, but another object;
+    - `_copies.copied`: a copy of one that is new at each step.
+
     Args:
         n: States of the prediction, with those of known motors.
         outputs: Outputs with a weight.
@@ -255,7 +264,7 @@ class CompiledProgram:
         problem = self._problem
         steps, m = decision.shape
         m_all = decision.system.m
-        # Outputs, the user's terms, and the others' inputs, of which there are fewer than of all.
+        # What has a weight: outputs, the user's terms, and the others' inputs, at most m_all.
         weighted = problem.outputs + self._terms + m_all
         in_rows = m * max(problem.pairs, problem.angles) + problem.pairs
         self._set("S", np.empty((weighted, steps, m)))

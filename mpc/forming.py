@@ -30,7 +30,11 @@ from transport.mpc.undisturbed import ControlledTeam, UndisturbedMotion
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Followed:
-    """The reference that the laws of all teams follow, from its newest change on."""
+    """The reference that the laws of all teams follow, from its newest change on.
+
+    It is made in two steps, as the fail-safe follows the motion that a law gives, and that law needs
+    one: first with a fail-safe that follows the reference, then with one that follows the motion.
+    """
 
     fail_safe: FailSafe  # of the whole team, which follows its undisturbed motion
     ahead: Change | None  # the part whose preview is computed; None without reference
@@ -212,6 +216,7 @@ def _preview(law: HoverLaw, followed: Followed, motion: UndisturbedMotion | None
             response = only_known(regulator, on_reference, ahead.first)
         return response if before is None else continued(before, response, KEPT)
 
+    # All that the response follows from: the preview setting and the weights are in the law's key.
     by_before = None if before is None else (before.feedforward, before.slope, before.first)
     by_motion = None if followed_motion is None else followed_motion.key
     return _PREVIEWS.get(digest(law.key, ahead.X, ahead.first, by_before, by_motion), computed)

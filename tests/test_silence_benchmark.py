@@ -60,3 +60,11 @@ def test_kept_runs_are_read_and_not_flown(monkeypatch: pytest.MonkeyPatch, tmp_p
     np.testing.assert_array_equal(again.error_m, flown.error_m)
     assert (again.outcome, again.resets, again.period_s) == ("completed", 0, PERIOD_S)
     assert Kept(tmp_path, is_flying=False).fly("precise", ("seed=1",)) is None
+
+
+def test_only_a_whole_table_is_written(capsys: pytest.CaptureFixture[str]) -> None:
+    """A selection of cases would leave the page without the others: it is refused."""
+    with pytest.raises(SystemExit) as caught:
+        silence.main(["--case", "eight", "--write"])
+    assert caught.value.code == 2
+    assert "--write: expected neither --case nor --no-fly" in capsys.readouterr().err

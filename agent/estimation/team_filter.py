@@ -130,7 +130,8 @@ class TeamFilter:
     Attributes:
         N: Number of UAVs.
         manifold: Coordinates of errors.
-        Q: Largest covariance of the model's errors per period, in the coordinates of a belief.
+        Q: Covariance of the model's errors per period that the level scales, at level 1, in the
+            coordinates of a belief.
     """
 
     def __init__(self, setup: Setup, noise: ModelNoise | None = None) -> None:
@@ -431,13 +432,13 @@ class TeamFilter:
         return self.moved(belief, deviation, covariance, level, saved)
 
     def in_state(self, covariance: Covariance, coordinates: Array) -> Array:
-        """Return coordinates, (r, ...), as deviations of state and unknown forces, (n + 7, ...)."""
+        """Return coordinates, (r, ...), as deviations of the state and, if estimated, unknown forces."""
         T = covariance.basis.T
         s = T.shape[1]
         return np.concatenate([T @ coordinates[:s], coordinates[s:]])
 
     def in_coordinates(self, covariance: Covariance, deviations: Array) -> Array:
-        """Return deviations of state and unknown forces, (n + 7, ...), in coordinates, (r, ...)."""
+        """Return deviations of the state and, if estimated, unknown forces in coordinates, (r, ...)."""
         L = covariance.basis.L
         n = len(L)
         return np.concatenate([L.T @ deviations[:n], deviations[n:]])

@@ -27,6 +27,13 @@ AGENTS, VERSION, STEPS = 4, 7, 20
 MASS, INERTIA, THRUST, RHO = 1.5, np.array([0.029, 0.029, 0.055]), 22.0725, (-0.25, -0.25)
 RHO_Z, LENGTH = -0.125, 3.2
 
+# Fields of messages behind the header, in the order of docs/protocol.md.
+MEASUREMENT = ("agent", "answered", "shared", "roster", "payload", "uavs", "uav_states", "inputs")
+PLAN = (
+    *("agent", "start_tick", "negotiation", "shared", "uavs", "uav_states", "inputs"),
+    *("corrections", "status", "alone", "data"),
+)
+
 
 def pack(value):
     """Return an array as the protocol's extension type 1."""
@@ -40,16 +47,11 @@ def unpack(_, data):
     return np.frombuffer(data, "<f8", offset=16).reshape(shape[:axes])
 
 
-def messages(data, shared=None):
-    """Yield the messages in some bytes as lists, those of a bundle one by one.
-
-    Add its plans to a list, if given.
-    """
+def messages(data):
+    """Yield the messages in some bytes as lists, those of a bundle one by one."""
     kind, *fields = msgpack.unpackb(data[1:], ext_hook=unpack)
     if kind in ("instant", "relay"):
-        for key, part in zip(*fields[4:6], strict=True):
-            if shared is not None and key.startswith("plan/"):
-                shared.append((key, part))
+        for part in fields[5]:
             yield from messages(part)
     else:
         yield kind, *fields
@@ -63,7 +65,8 @@ def message(kind, *fields):
 def control(payload, uav, team):
     """Return the inputs that follow rods and tilt of the others, by two cascaded loops."""
     (roll, pitch, _), (p, q, _) = payload[6:9], payload[9:12]
-    low = RHO[1] * (roll + 0.3 * p) - RHO[0] * (pitch + 0.3 * q)  # height of the corner in 0.3 s
+    # How far the corner will be below the middle in 0.3 s, m.
+    low = RHO[1] * (roll + 0.3 * p) - RHO[0] * (pitch + 0.3 * q)
     (e, rod_rate, attitude, rate), (e_team, rod_rate_team, attitude_team, _) = (
         uav.reshape(4, 3),
         team.reshape(4, 3),
@@ -82,84 +85,106 @@ def height(payload, uav):
     return payload[2] + down @ (np.append(RHO, RHO_Z) - LENGTH * uav[:3])
 
 
-def main(run, digest, agent, port, exchange="relayed"):
-    """Take part until the run ends."""
-    me, prefix, inbox, alive, plans = int(agent), f"transport/{run}", queue.SimpleQueue(), set(), {}
-    heights = {}  # own data of the others, if they share a height, by agent
-    ports = [
-        f"tcp/127.0.0.1:{int(port) + i}" for i in range(2 + me)
-    ]  # it connects to those before its own
-    config = {
+def configuration(port, me):
+    """Return Zenoh's configuration: listen at an own port, connect to those before it."""
+    ports = [f"tcp/127.0.0.1:{port + i}" for i in range(2 + me)]
+    return {
         "mode": "peer",
         "listen": {"endpoints": ports[-1:]},
         "connect": {"endpoints": ports[:-1]},
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
     }
-    config["scouting"] = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
+
+
+def answer(me, tick, measured, others, heights):
+    """Return the fields of the plan that answers a measurement, given the others' mean states."""
+    states = measured["uav_states"]
+    team = np.mean(others, axis=0) if others else states[0]
+
+    # This agent cannot tell what it will do after this tick: hover.
+    inputs = np.tile([THRUST, 0.0, 0.0, 0.0], (STEPS, 1))
+    inputs[0] = control(measured["payload"], states[0], team)
+    z = height(measured["payload"], states[0])
+    if heights:
+        inputs[0, 0] += 20.0 * (z - np.mean([z, *heights]))
+
+    plan = {
+        "agent": me,
+        "start_tick": tick,
+        "negotiation": 0,
+        "shared": True,
+        "uavs": [me],
+        "uav_states": pack(states),
+        "inputs": pack(inputs),
+        "corrections": pack(np.zeros((0, 4))),
+        "status": "solved",
+        "alone": 0.0,  # no part of the inputs is by the control law of a UAV alone
+        "data": pack(np.array([z])),  # own data, which classes of the user find as plan.data
+    }
+    return [plan[name] for name in PLAN]
+
+
+def main(run, digest, agent, port, exchange="relayed"):
+    """Take part until the run ends."""
+    me = int(agent)
+    prefix = f"transport/{run}"
+    inbox = queue.SimpleQueue()
+    alive = set()
 
     def watch(sample):
         name = str(sample.key_expr).split("/")[3]
-        alive.add(name)
-        if sample.kind == zenoh.SampleKind.DELETE and name == "coordinator":
+        if sample.kind == zenoh.SampleKind.PUT:
+            alive.add(name)
+        elif name == "coordinator":
             inbox.put(None)
 
-    with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
+    config = zenoh.Config.from_json5(json.dumps(configuration(int(port), me)))
+    with zenoh.open(config) as session:
         keys = [f"{prefix}/{key}" for key in (f"measurement/{me}", "plan/*", "instant", "control")]
         kept = [session.declare_subscriber(key, inbox.put) for key in keys]
-        kept.append(
-            session.liveliness().declare_subscriber(f"{prefix}/alive/**", watch, history=True)
-        )
-        kept.append(
-            session.liveliness().declare_token(f"{prefix}/alive/agent{me}/0/{digest}/{VERSION}")
-        )
+        tokens = session.liveliness()
+        kept.append(tokens.declare_subscriber(f"{prefix}/alive/**", watch, history=True))
+        kept.append(tokens.declare_token(f"{prefix}/alive/agent{me}/0/{digest}/{VERSION}"))
         while not alive >= {"coordinator", "plant", *[f"agent{i + 1}" for i in range(AGENTS)]}:
             time.sleep(0.01)
-        kept.append(session.liveliness().declare_token(f"{prefix}/ready/agent{me}/0"))
-        measured = None
-        while (sample := inbox.get()) is not None:
-            for kind, _, _, _, tick, *fields in messages(sample.payload.to_bytes()):
-                if kind == "control":
-                    return
-                if kind == "plan":
-                    plans[tick, fields[0]] = fields[5].mean(
-                        axis=0
-                    )  # e, Omega, Theta, omega of its UAVs
-                    if fields[0] != me and len(fields) > 10 and fields[10].size == 1:
-                        heights[fields[0]] = fields[10][0]
-                elif kind == "measurement" and fields[0] == me:
-                    measured = tick, fields
-            if measured is None or any(
-                (measured[0] - 1, a) not in plans for a in measured[1][2] if a != me
-            ):
-                continue  # nothing to answer, or plans of the tick before are still on their way
-            (tick, (_, _, shared, _, payload, _, states, _)), measured = measured, None
-            others = [plans.pop((tick - 1, a)) for a in shared if a != me]
-            inputs = np.tile(
-                [THRUST, 0.0, 0.0, 0.0], (STEPS, 1)
-            )  # what it will do after this tick it cannot tell
-            inputs[0] = control(
-                payload, states[0], np.mean(others, axis=0) if others else states[0]
-            )
-            z = height(payload, states[0])
-            if heights:
-                inputs[0, 0] += 20.0 * (z - np.mean([z, *heights.values()]))
+        kept.append(tokens.declare_token(f"{prefix}/ready/agent{me}/0"))
+
+        for tick, measured, others, heights in measurements(me, inbox):
+            plan = answer(me, tick, measured, others, heights)
             head, key = [f"agent{me}", 0, tick, tick], f"plan/{me}"
-            fields = [
-                me,
-                tick,
-                0,
-                True,
-                [me],
-                pack(states),
-                pack(inputs),
-                pack(np.zeros((0, 4))),
-                "solved",
-                0.0,  # no part of the inputs is by the control law of a UAV alone
-                pack(np.array([z])),  # own data, which classes of the user find as plan.data
-            ]
-            data = message("plan", *head, *fields)
+            data = message("plan", *head, *plan)
             if exchange == "relayed":
                 key, data = f"answer/{me}", message("answer", *head, [key], [data], me)
             session.put(f"{prefix}/{key}", data, congestion_control=zenoh.CongestionControl.BLOCK)
+        session.put(f"{prefix}/left/agent{me}", b"")
+
+
+def measurements(me, inbox):
+    """Yield each measurement with what the others' plans of the tick before say, until the run ends.
+
+    That is the mean state of each one's UAVs (e, Omega, Theta, omega), and the height that each
+    shares, if it does.
+    """
+    states, heights, waiting = {}, {}, None
+    while (sample := inbox.get()) is not None:
+        for kind, _, _, _, tick, *fields in messages(sample.payload.to_bytes()):
+            if kind == "control":
+                return
+            if kind == "plan":
+                plan = dict(zip(PLAN, fields, strict=False))
+                states[tick, plan["agent"]] = plan["uav_states"].mean(axis=0)
+                if plan["agent"] != me and plan.get("data") is not None and plan["data"].size == 1:
+                    heights[plan["agent"]] = plan["data"][0]
+            elif kind == "measurement" and fields[0] == me:
+                waiting = tick, dict(zip(MEASUREMENT, fields, strict=True))
+
+        if waiting is None:
+            continue
+        tick, measured = waiting
+        awaited = [(tick - 1, agent) for agent in measured["shared"] if agent != me]
+        if all(plan in states for plan in awaited):
+            waiting = None
+            yield tick, measured, [states.pop(plan) for plan in awaited], heights.values()
 
 
 if __name__ == "__main__":

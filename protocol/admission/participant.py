@@ -31,6 +31,9 @@ _NONE = Roster(sender=COORDINATOR, incarnation=0, sequence=0, tick=0, version=0,
 class Membership:
     """The newest roster and the plans ahead of it, also of an agent, `own`, that is off it.
 
+    A plan is refused by `check` if no roster, now or to come, can admit it. One that counts is taken
+    at once. Any other waits for the next roster, which `update` takes in.
+
     Attributes:
         version: Version of the newest roster.
         failed_since: Tick of the newest failure of a UAV.
@@ -70,7 +73,7 @@ class Membership:
         return self._rosters[0]
 
     def update(self, roster: Roster) -> list[Plan]:
-        """Take in a roster, newer than the one in force; return the plans that were ahead of it."""
+        """Take in a roster newer than all before; return the plans that were ahead of it."""
         newest = self._rosters[-1]
         if (roster.off, roster.released) != (newest.off, newest.released):
             self.failed_since = roster.tick
@@ -100,8 +103,8 @@ class Membership:
             text = "plan of an incarnation that is not on the roster"
             raise MessageError("wrong_incarnation", text)
 
-    def admits(self, plan: Plan) -> bool:
-        """Return whether a plan counts now; otherwise keep it for a roster to come."""
+    def admit_or_keep(self, plan: Plan) -> bool:
+        """Return whether a plan counts now; keep one that does not for a roster to come."""
         if self._counts(plan) and (self._own is None or self._own in self.since):
             return True
         self._early.append(plan)
@@ -121,10 +124,12 @@ class Membership:
 class Participant(ABC):
     """A node that follows the coordinator.
 
-    Over a perfect link, plans of others may be used so many ticks `after` their own.
+    Args:
+        after: Ticks from that of a plan until others may use it, over a perfect link.
+        own: Number of the agent that the node is, if it is one.
     """
 
-    publish_ns = 0
+    publish_ns = 0  # time that the newest messages took to publish
     _hears_by_radio = False  # whether plans come over the radio of the team
 
     def __init__(
@@ -141,7 +146,7 @@ class Participant(ABC):
         self._begin(incarnation)
 
     def _begin(self, incarnation: int) -> None:
-        """Start anew under an incarnation; only the roster is kept."""
+        """Start anew under an incarnation; only the roster and the targets so far are kept."""
         self.incarnation = incarnation
         self._out = Outbox(self.name, incarnation)
         self._tick = -1  # the newest worked on
@@ -180,7 +185,7 @@ class Participant(ABC):
                     self._setup = self._setup.after([message])
                     self._follow_target(message)
             case Plan():
-                if self._membership.admits(message):
+                if self._membership.admit_or_keep(message):
                     self._take_plan(message, now_ns)
             case _:
                 self._take(message, now_ns)

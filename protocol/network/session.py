@@ -18,6 +18,7 @@ from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
 
+_RETRY_S = 0.05  # pause between attempts of a client to reach its router
 CLOSE_S = 2.0  # how long closing may take: it blocks while a peer does not read (zenoh issue 2675)
 
 
@@ -62,6 +63,7 @@ def open_session(
         except zenoh.ZError as error:
             is_client = endpoints.mode == "client"
             if is_client and time.monotonic() <= deadline:
+                time.sleep(_RETRY_S)
                 continue
             problem = _no_router(name, endpoints) if is_client else _cannot_listen(endpoints, error)
             raise BusError(problem) from error
@@ -83,7 +85,8 @@ def _cannot_listen(endpoints: Endpoints, error: zenoh.ZError) -> str:
 def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys) -> dict[str, Any]:
     """Return Zenoh's configuration of a process with fixed endpoints and without discovery.
 
-    It tries to connect until `Bus.join` gives up.
+    A peer tries to connect as long as its session is open. A client tries once: `open_session`
+    repeats that.
     """
     settings: dict[str, Any] = {
         "mode": endpoints.mode,
@@ -195,9 +198,10 @@ def route(endpoints: Endpoints) -> AbstractContextManager[zenoh.Session]:
 
 
 def log_errors(*, to_output: bool) -> None:
-    """Let Zenoh write its errors to standard output, or only what the variable RUST_LOG asks for.
+    """Let Zenoh write its errors to standard output.
 
-    A command whose results go there needs the second.
+    Otherwise it writes only what the variable RUST_LOG asks for: standard output of many commands is
+    for their results.
     """
     if to_output:
         zenoh.init_log_from_env_or("error")
@@ -212,8 +216,8 @@ def in_bounded_time(*closing: Callable[[], Any]) -> None:
     """
 
     def run() -> None:
-        with suppress(zenoh.ZError):  # "timed out"
-            for close in closing:
+        for close in closing:
+            with suppress(zenoh.ZError):  # "timed out"
                 close()
 
     closer = threading.Thread(target=run, daemon=True)

@@ -37,9 +37,11 @@ _STEP_BYTES = 320.0
 _PEER_BYTES = 13.0
 _TICK_BYTES = 120.0
 
+_TICKS_PER_VARIABLE = 20  # ticks whose log and report take about the memory of a variable
 _OTHER_PROCESSES = 3  # plant, coordinator and recorder
 
-# Of a time in sampling periods, and relative: a whole number must not become one more.
+# Rounding of a number of periods or steps, absolute, and relative for the duration of a run: a whole
+# number must not become one more.
 _ROUNDING = 1e-9
 
 
@@ -181,7 +183,8 @@ def _limited(scenario: Scenario) -> Iterator[tuple[str, float, float, str]]:
         "integration steps per sampling period",
     )
 
-    is_long = budget.ticks > 20 * budget.variables
+    # Log and report grow with the ticks, programs with their variables: the larger part is named.
+    is_long = budget.ticks > _TICKS_PER_VARIABLE * budget.variables
     size_key = "maneuver.phase" if is_long else "controller.horizon"
     yield size_key, budget.total_bytes / MB, MOST_TOTAL_BYTES / MB, "MB of memory in total"
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from transport.agent.handover import SHARED, Mixture, News, NewsAge, Silence, mixed
 
 PERIOD_S = 0.05
+HAND_OVER_S = 2.0  # (32d)
 RULES = [Silence.of(PERIOD_S, is_filtered=filtered) for filtered in (True, False)]
 ROUNDING = 1e-12
 
@@ -64,6 +65,7 @@ def test_a_lost_heartbeat_is_no_silence() -> None:
         for heartbeat_s in (0.0, 1.0)
     )
     assert shared.overdue.begins == pytest.approx(plain.overdue.begins + 2.0 / PERIOD_S)
+    assert shared.uninformed == pytest.approx(plain.uninformed + 2.0 / PERIOD_S)
 
 
 @given(st.lists(st.integers(1, 300), min_size=1, max_size=200))
@@ -96,7 +98,7 @@ def test_mixture_is_smooth(wanted: list[float]) -> None:
     for share in wanted[1:]:
         after = mixture.advance(share)
         assert -ROUNDING <= after <= 1.0 + ROUNDING
-        assert abs(after - before) <= PERIOD_S / 0.5 + ROUNDING
+        assert abs(after - before) <= PERIOD_S / HAND_OVER_S + ROUNDING
         before = after
 
 

@@ -246,3 +246,17 @@ def test_a_compiler_that_cannot_be_started_is_reported(
     monkeypatch.setenv("CC", str(no_program))
     with pytest.warns(RuntimeWarning, match="the compiler .*cc cannot be started"):
         assert not compiler.compile_library(tmp_path / "cache" / "library.so", [b"int one;"], ())
+
+
+@pytest.mark.parametrize("is_writable", [True, False])
+def test_a_home_that_cannot_be_written_has_no_cache(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *, is_writable: bool
+) -> None:
+    """A container sets the home of an unknown user to a folder of root: the cache is temporary then."""
+    for name in ("PAYLOAD_TRANSPORT_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setattr(os, "access", lambda *_: is_writable)
+    folder = compiler.cache_folder()
+    assert folder.is_relative_to(tmp_path / ".cache") == is_writable
+    assert str(os.getuid()) in folder.name or is_writable

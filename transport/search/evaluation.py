@@ -37,6 +37,15 @@ class Evaluation:
     end_s: float  # scenario time of the end
     reason: str = ""  # why it was refused
 
+    @staticmethod
+    def of(tree: dict[str, Any]) -> "Evaluation":
+        """Return an evaluation from plain data. Raises: TypeError, ValueError: it is none."""
+        return Evaluation(**{**tree, "value": float(tree["value"])})
+
+    def tree(self) -> dict[str, Any]:
+        """Return plain data; JSON has no infinite value, so the value is a text."""
+        return {**asdict(self), "value": repr(self.value)}
+
     @property
     def failed(self) -> bool:
         """Return whether the run has failed; a refused candidate has not been flown."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
@@ -57,7 +57,7 @@ class SearchResult:
 
     @property
     def worst(self) -> Flown:
-        """Return the case closest to failing, or the earliest failure."""
+        """Return the case of least robustness; of equal ones the first that was flown."""
         return min(self.flown, key=lambda one: one.order)
 
     @property
@@ -96,7 +96,7 @@ class Evaluations:
             self._file.write(b"\n")  # the next line does not continue one that a kill has cut
         for line in kept.splitlines():
             with suppress(ValueError, TypeError):  # such a case is flown again
-                evaluation = Evaluation(**orjson.loads(line))
+                evaluation = Evaluation.of(orjson.loads(line))
                 self._by_key[evaluation.key] = evaluation
 
     def close(self) -> None:
@@ -113,7 +113,7 @@ class Evaluations:
         }
         for evaluation in fly(problem, list(missing.values())):
             if self._file is not None:
-                self._file.write(orjson.dumps(asdict(evaluation)) + b"\n")
+                self._file.write(orjson.dumps(evaluation.tree()) + b"\n")
             self._by_key[evaluation.key] = evaluation
 
         return [self._by_key[problem.key(candidate)] for candidate in candidates]

@@ -1,6 +1,7 @@
 """Searches: deterministic, resumed, better than chance, and minimal in what they hand over."""
 
 import json
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -50,10 +51,13 @@ class Planted(Problem):
         dead = any(death.agent == 3 and death.at_s < WINDOW_S[0] for death in deaths)
         away_s = min(begins, default=20.0) + (0.0 if dead else 10.0)
         robustness = min(1.0, (away_s - 0.5) / 20.0)
-        outcome = "completed" if robustness >= 0.0 else "failed"
-        key = self.key(candidate)
+        has_failed = robustness < 0.0
         return Evaluation(
-            key=key, robustness=float(robustness), value=0.0, outcome=outcome, end_s=0.0
+            key=self.key(candidate),
+            robustness=float(robustness),
+            value=math.inf if has_failed else 0.0,  # as of a run without the number
+            outcome="failed" if has_failed else "completed",
+            end_s=0.0,
         )
 
     def with_perfect_information(self, candidate: Candidate) -> Evaluation:
