@@ -34,6 +34,9 @@ _MEAN_WINDOW_S = 1.0  # window of the mean age of news
 # Time from the team's law to the law alone, and back, s. On the way to it, others hear of the change and
 # come along; on the way back, the estimate takes in the news.
 _HAND_OVER_S = 2.0
+# The time to the law alone of an agent that has never heard one of the others, s: it does not know where
+# the UAVs of that one are, and the team's law counts on them.
+_UNHEARD_S = 0.5
 # An agent acts alone at least as much as the largest share that it hears, minus this. Without the
 # difference all would wait for each other to return.
 LESS_THAN_OTHERS = 0.2
@@ -185,16 +188,18 @@ class Mixture:
     """
 
     def __init__(self, period_s: float) -> None:
-        self._step = period_s / _HAND_OVER_S
+        self._period_s = period_s
         self._has_begun = False
         self.share = 0.0
 
-    def advance(self, wanted: float) -> float:
+    def advance(self, wanted: float, *, has_heard_all: bool = True) -> float:
         """Return the share one tick later, where the rule wants another one."""
         if not self._has_begun:
             self._has_begun = True
             self.share = wanted
-        self.share += min(max(wanted - self.share, -self._step), self._step)
+        up = self._period_s / (_HAND_OVER_S if has_heard_all else _UNHEARD_S)
+        down = self._period_s / _HAND_OVER_S
+        self.share += min(max(wanted - self.share, -down), up)
         return self.share
 
 

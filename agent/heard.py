@@ -119,15 +119,17 @@ class HeardOthers:
         return True
 
     def lacks_first_news(self, before: int) -> bool:
-        """Return whether the agent began in mid-run, and has not heard one of the others since.
-
-        Of those that have returned later it has to hear nothing: they hear the team first.
-        """
+        """Return whether the agent began in mid-run, and has not heard one of the others since."""
         began_in_mid_run = self._began is not None and self._began > 0
-        if not began_in_mid_run:
-            return False
+        return began_in_mid_run and not self.has_heard_all(before)
+
+    def has_heard_all(self, before: int) -> bool:
+        """Return whether there is a plan of each of the others on the roster.
+
+        Of those that have returned it has to hear nothing: they hear the team first.
+        """
         present = set(self._agents) - self.off_roster - self._returned.keys() - {self._own}
-        return any(self.plans.newest(agent, before) is None for agent in present)
+        return all(self.plans.newest(agent, before) is not None for agent in present)
 
     # How much the others act alone.
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from transport.agent.handover import SHARED, Mixture, News, NewsAge, Silence, mixed
 
 PERIOD_S = 0.05
-HAND_OVER_S = 2.0  # (32d)
+HAND_OVER_S, UNHEARD_S = 2.0, 0.5  # (32d)
 RULES = [Silence.of(PERIOD_S, is_filtered=filtered) for filtered in (True, False)]
 ROUNDING = 1e-12
 
@@ -89,16 +89,17 @@ def test_a_silence_for_good_stays_one(rule: Silence) -> None:
     assert rule.alone(_overdue(4999 - news.usual(2))) == 1.0
 
 
-@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=100))
-def test_mixture_is_smooth(wanted: list[float]) -> None:
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=100), st.booleans())
+def test_mixture_is_smooth(wanted: list[float], has_heard_all: bool) -> None:
     """The share begins as wanted, stays within 0 and 1 and changes at a limited rate from then on."""
     mixture = Mixture(PERIOD_S)
     before = mixture.advance(wanted[0])
     assert before == wanted[0]
+    up = PERIOD_S / (HAND_OVER_S if has_heard_all else UNHEARD_S)
     for share in wanted[1:]:
-        after = mixture.advance(share)
+        after = mixture.advance(share, has_heard_all=has_heard_all)
         assert -ROUNDING <= after <= 1.0 + ROUNDING
-        assert abs(after - before) <= PERIOD_S / HAND_OVER_S + ROUNDING
+        assert -PERIOD_S / HAND_OVER_S - ROUNDING <= after - before <= up + ROUNDING
         before = after
 
 

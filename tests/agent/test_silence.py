@@ -438,6 +438,17 @@ def test_agents_hand_over_and_take_back() -> None:
     assert not [message for message in messages if isinstance(message, Note) and message.problem]
 
 
+def test_a_team_that_never_hears_each_other_acts_alone_soon() -> None:
+    """The team's law counts on UAVs whose places no agent knows: the hand-over takes half a second."""
+    run = runs.ready("resilient", "links.loss=1.0", runs.ticks(60))
+    messages = completed(run)
+    for agent in run.agents:
+        shares = {plan.tick: plan.alone for plan in _plans(messages, agent)}
+        whole = min(tick for tick, share in shares.items() if share == 1.0)
+        assert 0.5 < whole * run.settings.sampling_period_s < 1.5
+        assert all(share == 1.0 for tick, share in shares.items() if tick > whole)
+
+
 def test_law_keeps_the_law() -> None:
     """With `controller.silence = "law"` no agent ever acts alone."""
     run = runs.ready("resilient", "controller.silence=law", "links.loss=1.0", runs.ticks(60))
