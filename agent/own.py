@@ -21,7 +21,8 @@ from transport.agent.step import numbers_note, step_report
 from transport.model.arrays import Array
 from transport.model.state import REPORTS, StateView, input_indices
 from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.own_class import OwnClassError, own_class, version_of
+from transport.protocol.scenario.own_calls import OwnClassError
+from transport.protocol.scenario.own_class import own_class, version_of
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import STAGES, Measurement, Message, Note, Plan, PlanStatus
 from transport.protocol.wire.node import Outbox

@@ -5,7 +5,8 @@ from typing import Any
 
 from transport.agent.own_returned import Returned, checked, converted
 from transport.agent.own_run import Run
-from transport.protocol.scenario.own_class import OwnClassError, errors_of, new_object, own_class
+from transport.protocol.scenario.own_calls import OwnClassError, errors_of, new_object
+from transport.protocol.scenario.own_class import own_class
 from transport.protocol.wire.messages import Measurement, Plan
 
 METHODS = ("start", "step", "stop")  # of a class of the user

@@ -9,7 +9,7 @@ import numpy as np
 
 from transport.agent.own_run import Run
 from transport.model.arrays import Array
-from transport.protocol.scenario.own_class import OwnClassError, real_array
+from transport.protocol.scenario.own_calls import OwnClassError, real_array
 from transport.protocol.wire.messages import MAX_NAME, MAX_NAMES
 
 

@@ -17,14 +17,8 @@ from transport.model.state import StateView
 from transport.plant.actuators import checked_firmware
 from transport.plant.environment import Environment
 from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.own_class import (
-    OwnClassError,
-    errors_of,
-    new_object,
-    own_class,
-    real_array,
-    version_of,
-)
+from transport.protocol.scenario.own_calls import OwnClassError, errors_of, new_object, real_array
+from transport.protocol.scenario.own_class import own_class, version_of
 from transport.protocol.scenario.plant_sections import PlantSection
 from transport.protocol.scenario.setup import Setup
 

@@ -1,40 +1,37 @@
-"""Classes of the user that a scenario names, an engine or a controller: import, calls, version."""
+"""Classes of the user that a scenario names, an engine or a controller: import and version."""
 
-import contextlib
 import hashlib
 import importlib
-import os
 import re
 import sys
-import traceback
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import module_from_spec
 from pathlib import Path
-from types import FrameType, ModuleType
-from typing import Any, NoReturn
+from typing import Any
 
-import numpy as np
 from pydantic import AfterValidator
 
-from transport.model.arrays import Array
+from transport.protocol.scenario.own_calls import OwnClassError, errors_of, is_foreign
 
-_PROGRAM = "transport."  # beginning of the names of the program's modules
 _MAIN = "__main__"  # module of a script or notebook, which is no file to be imported again
-
-# Characters of an error that is passed on: it travels in messages, with the name of the class.
-_LONGEST_TEXT = 400
+_PROGRAM = "transport"  # package of the program
 
 _NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
-_FOREIGN_FILE = re.compile(r"<|.*site-packages")
-
-# Hashes of the files of imported modules as they were imported, by the name of the module.
-_DIGESTS: dict[str, str] = {}
 
 
-class OwnClassError(ValueError):
-    """A class of the user that cannot be used, or that has failed; one line."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Imported:
+    """A file of the user as it was imported."""
+
+    file: Path
+    digest: str
+
+
+# The user's modules, by name: those of named classes, and what these import from their folder.
+_OWN_MODULES: dict[str, _Imported] = {}
 
 
 def or_class(*names: str) -> AfterValidator:
@@ -53,63 +50,64 @@ def own_class(name: str) -> Any:
     """Return the user's class "package.module:Class", of the current folder or installed packages.
 
     The current folder comes first, for this module alone: a file there named like an installed
-    package hides that package from no other import. A module whose file has changed is imported
-    again, since the recorded version must be that of the code that runs.
+    package hides that package from no other import. Where a file of the user has changed, all are
+    imported again, since the recorded version must be that of the code that runs.
     Raises: OwnClassError: it is not found, or its import fails.
     """
     module_name, _, attribute = name.partition(":")
     package = module_name.partition(".")[0]
-    folder = str(Path.cwd())
-    spec = _new_in(folder, package)
+    folder = Path.cwd()
+    spec = None
+    if module_name != _MAIN:
+        _forget_changed()
+        spec = _spec_to_import(folder, package)
+
+    before = set(sys.modules)
     with errors_of(f"its import from {folder} or the installed packages"), _on_path(folder):
-        if spec is not None:
-            _execute(spec)
-        return getattr(_current(module_name), attribute)
-
-
-def _current(name: str) -> ModuleType:
-    """Return a module, imported again if its file has changed since it was imported."""
-    module = importlib.import_module(name)
-    digest = _digest(name)
-    imported = _DIGESTS.setdefault(name, digest)
-    if imported != digest and name != _MAIN:
-        module = importlib.reload(module)
-        _DIGESTS[name] = digest
-    return module
+        try:
+            if spec is not None:
+                _execute(spec)
+            module = importlib.import_module(module_name)
+        finally:
+            _note_own(module_name, before, folder)
+        return getattr(module, attribute)
 
 
 @contextmanager
-def _on_path(folder: str) -> Iterator[None]:
+def _on_path(folder: Path) -> Iterator[None]:
     """Search a folder last, so that modules beside the user's file can be imported by it."""
-    sys.path.append(folder)
+    place = str(folder)
+    sys.path.append(place)
     try:
         yield
     finally:
-        last = len(sys.path) - 1 - sys.path[::-1].index(folder)
+        last = len(sys.path) - 1 - sys.path[::-1].index(place)
         del sys.path[last]
 
 
-def _new_in(folder: str, name: str) -> ModuleSpec | None:
+def _spec_to_import(folder: Path, package: str) -> ModuleSpec | None:
     """Return the specification of a package in a folder; None if it is imported or not there.
 
+    Modules that the user has in other folders are forgotten: some may have the names of those here.
     Raises: OwnClassError: another package of this name, which is not the user's, is imported.
     """
     importlib.invalidate_caches()  # the file may be newer than this process
-    spec = None if name == _MAIN else PathFinder.find_spec(name, [folder])
+    spec = PathFinder.find_spec(package, [str(folder)])
     if spec is None or spec.loader is None:
         return None
 
-    imported = sys.modules.get(name)
+    for name, own in list(_OWN_MODULES.items()):
+        if not own.file.is_relative_to(folder) and not is_foreign(str(own.file)):
+            _forget(name)
+
+    imported = sys.modules.get(package)
     if imported is None:
         return spec
     file = getattr(imported, "__file__", None)
     if file == spec.origin:
         return None
-    if name not in _DIGESTS:
-        problem = f"{spec.origin} has the name of the imported package {file}"
-        raise OwnClassError(f"{problem}: rename it")
-    del _DIGESTS[name]
-    return spec
+    problem = f"{spec.origin} has the name of the imported package {file}"
+    raise OwnClassError(f"{problem}: rename it")
 
 
 def _execute(spec: ModuleSpec) -> None:
@@ -123,114 +121,56 @@ def _execute(spec: ModuleSpec) -> None:
         raise
 
 
+def _note_own(module_name: str, before: set[str], folder: Path) -> None:
+    """Note the files of a named module, and of those of its folder that it has imported."""
+    names = {name for name in sys.modules.keys() - before if not _is_within(_PROGRAM, name)}
+    for name in names | {module_name}:
+        file = getattr(sys.modules.get(name), "__file__", None)
+        if not file or name in _OWN_MODULES or name == _MAIN:
+            continue
+        is_of_folder = Path(file).is_relative_to(folder) and not is_foreign(file)
+        if is_of_folder or name == module_name:
+            _OWN_MODULES[name] = _Imported(file=Path(file), digest=_digest(Path(file)))
+
+
+def _forget_changed() -> None:
+    """Forget all modules of the user if a file of theirs has changed since it was imported.
+
+    All of them, as others may have imported from it.
+    """
+    if any(_digest(own.file) != own.digest for own in _OWN_MODULES.values()):
+        for name in list(_OWN_MODULES):
+            _forget(name)
+
+
+def _forget(package: str) -> None:
+    """Forget a module, or a package with its parts, so that it is imported anew."""
+    for name in [name for name in sys.modules if _is_within(package, name)]:
+        del sys.modules[name]
+    for name in [name for name in _OWN_MODULES if _is_within(package, name)]:
+        del _OWN_MODULES[name]
+
+
+def _is_within(package: str, module: str) -> bool:
+    """Return whether a module is a package or one of its parts."""
+    return module == package or module.startswith(f"{package}.")
+
+
 def version_of(make: Any) -> str:
     """Return the version of a class: its attribute `version`, else a hash of its file.
 
     Empty if there is neither.
     """
     given = getattr(make, "version", None)
-    return _digest(make.__module__) if given is None else str(given)
+    if given is not None:
+        return str(given)
+    file = getattr(sys.modules.get(make.__module__), "__file__", None)
+    return _digest(Path(file)) if file else ""
 
 
-def _digest(module: str) -> str:
-    """Return a hash of the file of an imported module; empty without one."""
-    file = getattr(sys.modules.get(module), "__file__", None)
-    if not file:
+def _digest(file: Path) -> str:
+    """Return a hash of a file; empty if it cannot be read."""
+    try:
+        return hashlib.sha256(file.read_bytes()).hexdigest()[:12]
+    except OSError:
         return ""
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:12]
-
-
-def new_object(make: Callable[..., Any], methods: Sequence[str], *arguments: object) -> Any:
-    """Return a new object of a class.
-
-    Raises: OwnClassError: its constructor fails, or it lacks one of the methods.
-    """
-    with errors_of("the constructor"):
-        instance = make(*arguments)
-
-    for name in methods:
-        if not callable(getattr(instance, name, None)):
-            raise OwnClassError(f"expected the methods {', '.join(methods)}, got no {name}")
-    return instance
-
-
-def real_array(given: object) -> Array:
-    """Return a copy of a real array, finite or not, that a method returned.
-
-    Complex numbers and texts raise.
-    """
-    return np.array(given).astype(np.float64, casting="same_kind")
-
-
-@contextmanager
-def errors_of(call: str) -> Iterator[None]:
-    """Turn exceptions of a call of a class into OwnClassError, with file and line, also `os._exit`.
-
-    Its output goes to standard error.
-    """
-    try:
-        with redirect_stdout(sys.stderr), _no_exit():
-            yield
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:
-        raise OwnClassError(f"{call} raised {_in_words(error)}{_place_of(error)}") from error
-
-
-def _in_words(error: BaseException) -> str:
-    """Return an exception in one printable line of limited length, which a message can hold."""
-    text = " ".join(f"{type(error).__name__}: {error}".split())[:_LONGEST_TEXT]
-    return "".join(character if character.isprintable() else "?" for character in text)
-
-
-def _place_of(error: BaseException) -> str:
-    """Return file and line of the user's code that raised an exception; empty if none did."""
-    # The first two frames are those of `told` and of its caller.
-    for frame in reversed(traceback.extract_tb(error.__traceback__)[2:]):
-        is_foreign = _FOREIGN_FILE.match(frame.filename) or frame.filename == __file__
-        if not is_foreign:
-            return f" ({Path(frame.filename).name}:{frame.lineno})"
-    return ""
-
-
-@contextmanager
-def _no_exit() -> Iterator[None]:
-    """Turn `os._exit` by the code that is called within it into SystemExit.
-
-    A command that ended so would look like a success, with no word of the class. Other threads,
-    forked children and the program's own handlers of signals end as they ask to; `os.abort`,
-    signals and C code end the process, which its parent reports.
-    """
-    end = os._exit
-    process = os.getpid()
-    caller = _caller()
-
-    def end_or_raise(status: int) -> NoReturn:
-        frame = sys._getframe(1)
-        is_of_program = frame.f_globals.get("__name__", "").startswith(_PROGRAM)
-        if os.getpid() == process and not is_of_program and _is_within(frame, caller):
-            raise SystemExit(f"os._exit({status})")
-        end(status)
-
-    os._exit = end_or_raise
-    try:
-        yield
-    finally:
-        os._exit = end
-
-
-def _caller() -> FrameType | None:
-    """Return the frame of the function that called this module."""
-    frame: FrameType | None = sys._getframe(1)
-    while frame is not None and frame.f_code.co_filename in (__file__, contextlib.__file__):
-        frame = frame.f_back
-    return frame
-
-
-def _is_within(frame: FrameType | None, caller: FrameType | None) -> bool:
-    """Return whether a frame was called, directly or not, by another one, so in its thread."""
-    while frame is not None:
-        if frame is caller:
-            return True
-        frame = frame.f_back
-    return False

@@ -1,13 +1,21 @@
-"""Classes of the user do not end the process that calls them without a word."""
+"""Classes of the user: which file they come from, and that they do not end their process without a word."""
 
 import os
+import re
 import threading
 from pathlib import Path
 
 import pytest
 
-from transport.protocol.scenario.own_class import OwnClassError, errors_of, new_object, own_class
+from transport.protocol.scenario.own_calls import OwnClassError, errors_of, new_object
+from transport.protocol.scenario.own_class import own_class
 
+CONTROL = """
+import mine_number
+
+class Control:
+    number = mine_number.NUMBER
+"""
 ENDS = """
 import os
 
@@ -22,6 +30,54 @@ class Forks:
             os._exit(7)
         self.status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 """
+
+
+def package(folder: Path, number: int) -> None:
+    """Write a package with a class that has a number, which a module beside it gives."""
+    (folder / "mine_package").mkdir(parents=True, exist_ok=True)
+    (folder / "mine_package" / "__init__.py").touch()
+    (folder / "mine_package" / "control.py").write_text(CONTROL, encoding="utf-8")
+    (folder / "mine_number.py").write_text(f"NUMBER = {number}\n", encoding="utf-8")
+
+
+@pytest.fixture
+def numbered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder, the current one, with the package of number 1."""
+    package(tmp_path / "first", 1)
+    monkeypatch.chdir(tmp_path / "first")
+    return tmp_path / "first"
+
+
+def test_a_package_of_another_folder_takes_the_place_of_the_one_before(
+    numbered: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The current folder says which one is meant, also of modules within a package."""
+    assert own_class("mine_package.control:Control").number == 1
+    package(numbered.parent / "second", 2)
+    monkeypatch.chdir(numbered.parent / "second")
+    assert own_class("mine_package.control:Control").number == 2
+
+
+def test_a_changed_module_that_a_class_imports_is_imported_anew(numbered: Path) -> None:
+    """The class of the next call runs the code that is there."""
+    before = own_class("mine_package.control:Control")
+    assert own_class("mine_package.control:Control") is before
+    package(numbered, 22)
+    assert own_class("mine_package.control:Control").number == 22
+
+
+@pytest.mark.parametrize(
+    ("code", "place"),
+    [("json.loads('bad')", "mine_place.py:3"), ("import missing_module", "mine_place.py:3")],
+)
+def test_an_error_has_the_line_of_the_users_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, place: str
+) -> None:
+    """Also where the exception rises in Python's own modules."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine_place.py").write_text(f"import json\n\n{code}\n", encoding="utf-8")
+    with pytest.raises(OwnClassError, match=rf"\({re.escape(place)}\)$"):
+        own_class("mine_place:Place")
 
 
 def test_an_exit_in_a_constructor_is_an_error(

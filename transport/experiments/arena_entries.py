@@ -7,7 +7,8 @@ from typing import Any
 from transport.experiments.cases import ExperimentError
 from transport.mpc.settings import Section
 from transport.protocol.scenario.errors import ScenarioError, dotted_key, validated
-from transport.protocol.scenario.own_class import OwnClassError, own_class, version_of
+from transport.protocol.scenario.own_calls import OwnClassError
+from transport.protocol.scenario.own_class import own_class, version_of
 from transport.protocol.wire.exit_codes import EXIT_SCENARIO
 
 # Keys of the controller that belong to the task: all algorithms have the same.

@@ -1,0 +1,131 @@
+"""Calls of classes of the user: their errors in one line, and no end of the process without a word."""
+
+import contextlib
+import os
+import re
+import sys
+import sysconfig
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout
+from pathlib import Path
+from types import FrameType
+from typing import Any, NoReturn
+
+import numpy as np
+
+from transport.model.arrays import Array
+
+_PROGRAM = "transport."  # beginning of the names of the program's modules
+_FOREIGN_FILE = re.compile(r"<|.*site-packages")
+_STANDARD_LIBRARY = sysconfig.get_path("stdlib")
+
+# Characters of an error that is passed on: it travels in messages, with the name of the class.
+_LONGEST_TEXT = 400
+
+
+class OwnClassError(ValueError):
+    """A class of the user that cannot be used, or that has failed; one line."""
+
+
+def new_object(make: Callable[..., Any], methods: Sequence[str], *arguments: object) -> Any:
+    """Return a new object of a class.
+
+    Raises: OwnClassError: its constructor fails, or it lacks one of the methods.
+    """
+    with errors_of("the constructor"):
+        instance = make(*arguments)
+
+    for name in methods:
+        if not callable(getattr(instance, name, None)):
+            raise OwnClassError(f"expected the methods {', '.join(methods)}, got no {name}")
+    return instance
+
+
+def real_array(given: object) -> Array:
+    """Return a copy of a real array, finite or not, that a method returned.
+
+    Complex numbers and texts raise.
+    """
+    return np.array(given).astype(np.float64, casting="same_kind")
+
+
+@contextmanager
+def errors_of(call: str) -> Iterator[None]:
+    """Turn exceptions of a call of a class into OwnClassError, with file and line, also `os._exit`.
+
+    Its output goes to standard error.
+    """
+    try:
+        with redirect_stdout(sys.stderr), _no_exit():
+            yield
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        raise OwnClassError(f"{call} raised {_in_words(error)}{_place_of(error)}") from error
+
+
+def _in_words(error: BaseException) -> str:
+    """Return an exception in one printable line of limited length, which a message can hold."""
+    text = " ".join(f"{type(error).__name__}: {error}".split())[:_LONGEST_TEXT]
+    return "".join(character if character.isprintable() else "?" for character in text)
+
+
+def _place_of(error: BaseException) -> str:
+    """Return file and line of the user's code that raised an exception; empty if none did."""
+    frames = list(traceback.walk_tb(error.__traceback__))
+    for frame, line in reversed(frames):
+        file = frame.f_code.co_filename
+        is_of_program = frame.f_globals.get("__name__", "").startswith(_PROGRAM)
+        if not is_of_program and not is_foreign(file):
+            return f" ({Path(file).name}:{line})"
+    return ""
+
+
+def is_foreign(file: str) -> bool:
+    """Return whether a file of code is one of Python or of an installed package, or no file."""
+    is_of_python = Path(file).is_relative_to(_STANDARD_LIBRARY)
+    return is_of_python or _FOREIGN_FILE.match(file) is not None
+
+
+@contextmanager
+def _no_exit() -> Iterator[None]:
+    """Turn `os._exit` by the code that is called within it into SystemExit.
+
+    A command that ended so would look like a success, with no word of the class. Other threads,
+    forked children and the program's own handlers of signals end as they ask to; `os.abort`,
+    signals and C code end the process, which its parent reports.
+    """
+    end = os._exit
+    process = os.getpid()
+    caller = _caller()
+
+    def end_or_raise(status: int) -> NoReturn:
+        frame = sys._getframe(1)
+        is_of_program = frame.f_globals.get("__name__", "").startswith(_PROGRAM)
+        if os.getpid() == process and not is_of_program and _is_within(frame, caller):
+            raise SystemExit(f"os._exit({status})")
+        end(status)
+
+    os._exit = end_or_raise
+    try:
+        yield
+    finally:
+        os._exit = end
+
+
+def _caller() -> FrameType | None:
+    """Return the frame of the function that called this module."""
+    frame: FrameType | None = sys._getframe(1)
+    while frame is not None and frame.f_code.co_filename in (__file__, contextlib.__file__):
+        frame = frame.f_back
+    return frame
+
+
+def _is_within(frame: FrameType | None, caller: FrameType | None) -> bool:
+    """Return whether a frame was called, directly or not, by another one, so in its thread."""
+    while frame is not None:
+        if frame is caller:
+            return True
+        frame = frame.f_back
+    return False
