@@ -246,7 +246,8 @@ class Motors:
     """Motors of all UAVs, with their state: hover at first, (4 N,).
 
     `fails` tells that an efficiency will change during the run. Motors without lag, steps, limits
-    and failures are `ideal`: actual inputs are the commands, and are not recorded a second time.
+    and failures are `ideal`: actual inputs are the commands, and are not recorded a second time. Those
+    of a UAV whose motors are off are zero, also where an inner loop has given some.
     """
 
     def __init__(self, section: MotorsSection, u_hover: Array, *, fails: bool = False) -> None:
@@ -275,7 +276,7 @@ class Motors:
             steps: Integration steps in it.
         """
         if self.ideal:
-            yield u, period_s
+            yield self._efficiency * u, period_s
             return
         command = self._limited(u)
         if self._section.lag_s == 0.0:

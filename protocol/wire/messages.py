@@ -174,7 +174,10 @@ def _per_uav(numbers: int) -> ShapeOf:
 
 
 def _states_or(sensed: int) -> ShapeOf:
-    """States of the message's UAVs, or that many numbers of their own sensors: a run has either."""
+    """States of the message's UAVs, or that many numbers of their own sensors, each.
+
+    A run has either; the array itself tells which.
+    """
     return lambda message: (
         len(message.uavs),
         sensed if message.uav_states.shape[-1:] == (sensed,) else PER_UAV,
@@ -339,7 +342,7 @@ class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
     # Their states e, Omega, Theta, omega, (owned, 12), SI; with `plant.sensors` vehicle the
     # measurements of their sensors, r, v, Theta, omega, specific force, (owned, 15), SI.
     uav_states: Array
-    inputs: Array  # inputs their actuators applied until now, (owned, 4), N and N m or rad/s
+    inputs: Array  # commands in force until now, (owned, 4), N and N m or rad/s
 
 
 _NO_NUMBERS = np.zeros(0)

@@ -171,3 +171,13 @@ def test_actual_inputs_are_recorded_where_they_differ() -> None:
             message.inputs, share * before.u.reshape(4, 4), rtol=0.0, atol=ROUNDING
         )
     assert not any(isinstance(message, ActualInputs) for message in recorded(setup(ticks(4))))
+
+
+def test_motors_that_are_off_give_nothing() -> None:
+    """Ideal motors too, although an inner loop, such as an armed autopilot, goes on idling."""
+    motors = Motors(MotorsSection(), U_HOVER)
+    motors.degrade(1, 0.0)
+    actual = mean(motors, U_HOVER).reshape(4, 4)
+    expected = U_HOVER.reshape(4, 4).copy()
+    expected[1] = 0.0
+    np.testing.assert_array_equal(actual, expected)

@@ -10,12 +10,13 @@ The smallest value is the worst case, which the search looks for. Three sources 
 - And one of CMA-ES (package `cma`), which follows a valley from the worst point. When it stalls, it
   starts anew from the worst point apart from its earlier starts.
 
-Deterministic: the same values told give the same points asked, so that a search is resumed by
-telling it again what has been evaluated.
+Deterministic: the same values told, in the same order, give the same points asked, so that a search is
+resumed by asking and telling again what has been evaluated.
 """
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -71,7 +72,7 @@ class Optimiser:
         self._sampler = qmc.Sobol(layout.dimension, seed=seed)
         self._rng = np.random.default_rng(seed)
         self._descent = Descent(layout.dimension, seed=seed)
-        self._descends = False  # whether the next generation is one of CMA-ES
+        self._next_is_descent = False  # whether the next generation is one of CMA-ES
         self._points: list[Array] = []
         self._values: list[float] = []
 
@@ -86,20 +87,20 @@ class Optimiser:
         # The smallest value is the worst.
         order = np.argsort(self._values, kind="stable")
         worst_first = [self._points[index] for index in order]
-        if self._descends:
+        if self._next_is_descent:
             return self._descent.ask(worst_first)
         return [self._child(worst_first) for _ in range(BATCH)]
 
     def tell(self, points: Sequence[Array], values: Sequence[float]) -> None:
         """Take in the values of all points asked for, in the same order."""
-        if self._descends:
+        if self._next_is_descent:
             self._descent.tell(points, values)
         self._points += list(points)
         self._values += list(values)
 
         # After the random points generations alternate, CMA-ES first.
         random_points_are_done = self._random_left <= 0
-        self._descends = random_points_are_done and not self._descends
+        self._next_is_descent = random_points_are_done and not self._next_is_descent
 
     def _child(self, worst_first: Sequence[Array]) -> Array:
         """Return a point whose events are those of bad points, one or two of them changed."""
@@ -147,20 +148,35 @@ class Descent:
         self._seed = seed
         self._starts: list[Array] = []
         self._evolution: Any = None
+        self._random: Any = None  # state of numpy's global generator within this search
         self._worst = np.inf
         self._stalled = 0
 
     def ask(self, worst_first: Sequence[Array]) -> list[Array]:
         """Return the next generation; a new start is at one of the points known so far."""
-        if self._evolution is None or self._evolution.stop() or self._stalled >= _STALL:
-            self._start(worst_first)
-        return [np.array(point) for point in self._evolution.ask()]
+        with self._own_random():
+            if self._evolution is None or self._evolution.stop() or self._stalled >= _STALL:
+                self._start(worst_first)
+            return [np.array(point) for point in self._evolution.ask()]
 
     def tell(self, points: Sequence[Array], values: Sequence[float]) -> None:
         """Take in the values of the generation."""
-        self._evolution.tell(list(points), list(values))
+        with self._own_random():
+            self._evolution.tell(list(points), list(values))
         self._stalled = 0 if min(values) < self._worst else self._stalled + 1
         self._worst = min(self._worst, *values)
+
+    @contextmanager
+    def _own_random(self) -> Iterator[None]:
+        """Keep numpy's global generator, from which the package draws, apart from other users of it."""
+        outside = np.random.get_state()
+        if self._random is not None:
+            np.random.set_state(self._random)
+        try:
+            yield
+        finally:
+            self._random = np.random.get_state()
+            np.random.set_state(outside)
 
     def _start(self, worst_first: Sequence[Array]) -> None:
         """Start at the worst point that is apart from earlier starts, else anywhere."""
