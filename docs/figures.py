@@ -249,8 +249,12 @@ def problems_of_pages(tables: Sequence[Measured]) -> list[str]:
         runs = kept.read(kept.file_of(one.name))
         planned = {run_id(case.scenario) for case in one.cases}
         if planned != runs.keys():
-            changed = len(planned - runs.keys())
-            problems.append(f"{one.name}: {changed} of {len(planned)} runs are of other scenarios")
+            missing_runs = len(planned - runs.keys())
+            unplanned = len(runs.keys() - planned)
+            counts = (
+                f"{missing_runs} of {len(planned)} runs are missing, {unplanned} of other scenarios"
+            )
+            problems.append(f"{one.name}: {counts}")
             continue
         results[one.name] = results_of(one, runs)
         if place(one.document, one.name).group() != text_of(one, runs):

@@ -104,23 +104,21 @@ def completed(*results: Flown) -> str:
 
 
 def outcome(flown: Flown) -> str:
-    """Return whether a run completes or when it diverges."""
-    return (
-        "completes"
-        if flown[0].outcome == "completed"
-        else f"**diverges** at {flown[0].numbers['lost_s']:.1f} s"
-    )
+    """Return whether a run completes, or how and when it ends."""
+    result = flown[0]
+    if result.outcome == "completed":
+        return "completes"
+    word = "diverges" if result.outcome == "diverged" else f"is {result.outcome}"
+    return f"**{word}** at {result.numbers['lost_s']:.1f} s"
 
 
 def unless_diverged(*cells: Cell) -> Cell:
     """Return a cell with several numbers of a run, or when it diverges."""
 
     def text(flown: Flown) -> str:
-        return (
-            ", ".join(one(flown) for one in cells)
-            if flown[0].outcome == "completed"
-            else outcome(flown)
-        )
+        if flown[0].outcome != "completed":
+            return outcome(flown)
+        return ", ".join(one(flown) for one in cells)
 
     return text
 

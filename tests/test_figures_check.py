@@ -118,7 +118,7 @@ def test_a_changed_weight_of_a_scenario_is_told(
     monkeypatch.setattr("transport.experiments.cases.find_scenario", changed)
     (problem,) = docs.figures.problems_of_pages([docs.figures.TABLES[TABLE]()])
     assert problem.startswith(f"{TABLE}: ")
-    assert problem.endswith("runs are of other scenarios")
+    assert problem.endswith("of other scenarios")
 
 
 def test_kept_results_read_back(docs: SimpleNamespace, short: Any) -> None:

@@ -14,8 +14,8 @@ from transport.protocol.wire.errors import TransportError
 # Keys whose text is a file.
 _FILE_KEYS = ("samples_s", "trace", "file")
 
-# Whole numbers joined by commas: one number with a decimal comma, or several.
-_DECIMAL_COMMA = re.compile(r"[+-]?\d+(,\d+)+")
+# Whole numbers joined by commas: one number with a decimal comma, perhaps with an exponent, or several.
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+(,\d+)+([eE][+-]?\d+)?")
 
 _LONGEST_SHOWN = 60  # characters of a file that an error repeats
 
@@ -27,10 +27,7 @@ class TableError(TransportError, ValueError):
 
 
 def anchored(value: Any, key: str) -> Any:
-    """Return a part of a scenario's tree with absolute paths.
-
-    Its files are relative to the current folder.
-    """
+    """Return a value of a setting with absolute paths of its files, from the current folder."""
     if isinstance(value, list):
         return [anchored(entry, key) for entry in value]
     if isinstance(value, dict):

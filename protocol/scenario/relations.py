@@ -289,6 +289,11 @@ def _curve(phase: PhaseSection, field: str) -> Problems:
     points = phase.points_m or []
     if phase.kind == "spline" and not points:
         yield f"{field}.points_m", "way points with kind 'spline'", "none"
+    if phase.kind != "spline":
+        for key in ("points_m", "times_s"):
+            if getattr(phase, key) is not None:
+                yield f"{field}.{key}", "it only with kind 'spline'", f"kind {phase.kind!r}"
+        return
 
     times = phase.times_s
     if times is not None:

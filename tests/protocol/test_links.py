@@ -331,6 +331,7 @@ def test_measured_delays_come_from_a_file(tmp_path: Path) -> None:
         ("0,045\n0,051\n", r"row 1: expected .* with a decimal point.*, got '0,045'"),
         ("0.045\n0,051, 0,060\n", r"row 2: expected .* with a decimal point.*, got '0,051'"),
         ("1,2,3", "row 1: expected .* with a decimal point"),
+        ("1,5e-3", "row 1: expected .* with a decimal point.*, got '1,5e-3'"),
         ("0.1\n0.2 nan", "row 2: expected a finite number, got 'nan'"),
         ("0.1; 0.2", "row 1: expected a finite number, got '0.1;'"),
         ("0.1\n50\n483.2", r"at most 10, got 483\.2; divide milliseconds by 1000; if seconds"),

@@ -237,6 +237,11 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     # On the ground.
     ("maneuver.phase.1.kind=land", "expected plant.ground_m with it, got 'land' without a ground"),
     (
+        "maneuver.phase.2.points_m=[[1.0,0.0,0.0]]",
+        "expected it only with kind 'spline', got kind 'move'",
+    ),
+    ("maneuver.phase.2.times_s=[1.0]", "expected it only with kind 'spline', got kind 'move'"),
+    (
         ("maneuver.phase.1.kind=land", *GROUND),
         "maneuver.phase.1.displacement_m: straight down, positive z, got [0.0, 0.0, 0.0]",
     ),

@@ -1,6 +1,6 @@
 """Estimate of external forces.
 
-It converges at the rate of its filter, under any delay and packet loss.
+It converges at the rate of its filter, under any delay of plans.
 """
 
 from collections.abc import Callable
@@ -89,20 +89,18 @@ def estimator_of(run: Setup, disturbance: DisturbanceEstimator) -> StateEstimato
 
 
 def estimates(
-    plant_state: Flight,
+    flown: Flight,
     plans_at: Callable[[int], int] = lambda k: k + 1,
-    measured_at: Callable[[int], int | None] = lambda k: k,
     steps: int = 1,
 ) -> Array:
     """Return agent 1's estimates of the forces at every tick, (TICKS + 1, 15).
 
     Args:
-        plant_state: What happens.
+        flown: What happens.
         plans_at: When others' plans of a tick arrive.
-        measured_at: When the measurement of a tick arrives, if it does.
         steps: How far plans reach.
     """
-    run = plant_state.run
+    run = flown.run
     disturbance = disturbance_of(run)
     estimator = estimator_of(run, disturbance)
     announced = AnnouncedInputs(run.owned, run.hover.u)
@@ -111,15 +109,13 @@ def estimates(
         for agent in run.agents[1:]:
             for made in range(k):
                 if plans_at(made) == k:
-                    announced.add(plant_state.plan(agent, made, steps))
-                    estimator.take(plant_state.plan(agent, made, steps))
-        for seen in range(k + 1):
-            if measured_at(seen) == k:
-                estimator.measure(plant_state.measurement(seen))
+                    announced.add(flown.plan(agent, made, steps))
+                    estimator.take(flown.plan(agent, made, steps))
+        estimator.measure(flown.measurement(k))
         estimator.estimate(k, announced)
         forces_N.append(disturbance.forces)
         if k < TICKS:
-            announced.add(plant_state.plan(1, k))
+            announced.add(flown.plan(1, k))
     return np.array(forces_N)
 
 
@@ -174,20 +170,18 @@ def test_wrong_predictions_are_no_forces(wrong: float) -> None:
 
 def test_actuators_are_believed() -> None:
     """Reported inputs that differ from announced ones do not count as a force."""
-    plant_state = flight(tuple(NOTHING))
-    run = plant_state.run
+    flown = flight(tuple(NOTHING))
+    run = flown.run
     forces_N = []
-    for reported in (plant_state.U, np.tile(run.hover.u, (TICKS, 1))):
+    for reported in (flown.U, np.tile(run.hover.u, (TICKS, 1))):
         disturbance = disturbance_of(run)
         estimator = estimator_of(run, disturbance)
         announced = AnnouncedInputs(run.owned, run.hover.u)
         for agent in (2, 3, 4):
-            announced.add(plant_state.plan(agent, 0))
-        estimator.measure(plant_state.measurement(0))
+            announced.add(flown.plan(agent, 0))
+        estimator.measure(flown.measurement(0))
         estimator.estimate(0, announced)
-        estimator.measure(replace(plant_state.measurement(1), inputs=reported[0].reshape(4, 4)[:1]))
-        for agent in (2, 3, 4):
-            announced.add(plant_state.plan(agent, 0))
+        estimator.measure(replace(flown.measurement(1), inputs=reported[0].reshape(4, 4)[:1]))
         estimator.estimate(1, announced)
         forces_N.append(np.abs(disturbance.forces).max())
     assert forces_N[0] < NO_FORCE
