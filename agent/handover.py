@@ -31,12 +31,13 @@ _HEARTBEATS = 2.0
 # alone.
 _USUAL_WINDOW = 3.0
 _MEAN_WINDOW_S = 1.0  # window of the mean age of news
-# Time from the team's law to the law alone, and back, s. On the way to it, others hear of the change and
-# come along; on the way back, the estimate takes in the news.
-_HAND_OVER_S = 2.0
-# The time to the law alone of an agent that has never heard one of the others, s: it does not know where
-# the UAVs of that one are, and the team's law counts on them.
+# Time from the team's law to the law alone, s: others hear of the change meanwhile, and come along.
+_TO_ALONE_S = 1.0
+# The same of an agent that has never heard one of the others, s: it does not know where the UAVs of that
+# one are, and the team's law counts on them.
 _UNHEARD_S = 0.5
+# Time back to the team's law, s: the estimate takes in the news meanwhile.
+_TO_TEAM_S = 2.0
 # An agent acts alone at least as much as the largest share that it hears, minus this. Without the
 # difference all would wait for each other to return.
 LESS_THAN_OTHERS = 0.2
@@ -92,7 +93,7 @@ class Silence:
     forgets: float
     window: int  # ticks over which the usual age is the smallest: longer than any ramp
     recent: int  # ticks over which ages are averaged
-    hand_over: int  # ticks from the law alone to the team's law, and back
+    to_team: int  # ticks from the law alone to the team's law
 
     @staticmethod
     def of(period_s: float, *, is_filtered: bool, heartbeat_s: float = 0.0) -> "Silence":
@@ -108,7 +109,7 @@ class Silence:
             forgets=_FORGETS_S / period_s,
             window=round(_USUAL_WINDOW * overdue.complete),
             recent=max(1, round(_MEAN_WINDOW_S / period_s)),
-            hand_over=round(_HAND_OVER_S / period_s),
+            to_team=round(_TO_TEAM_S / period_s),
         )
 
     @property
@@ -197,8 +198,8 @@ class Mixture:
         if not self._has_begun:
             self._has_begun = True
             self.share = wanted
-        up = self._period_s / (_HAND_OVER_S if has_heard_all else _UNHEARD_S)
-        down = self._period_s / _HAND_OVER_S
+        up = self._period_s / (_TO_ALONE_S if has_heard_all else _UNHEARD_S)
+        down = self._period_s / _TO_TEAM_S
         self.share += min(max(wanted - self.share, -down), up)
         return self.share
 

@@ -165,7 +165,7 @@ class HeardOthers:
         returned = self._returned.get(agent)
         if silence is None or returned is None:
             return False
-        return plan.tick < returned + silence.hand_over
+        return plan.tick < returned + silence.to_team
 
     # Agents without any plan.
 

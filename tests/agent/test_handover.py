@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from transport.agent.handover import SHARED, Mixture, News, NewsAge, Silence, mixed
 
 PERIOD_S = 0.05
-HAND_OVER_S, UNHEARD_S = 2.0, 0.5  # (32d)
+TO_ALONE_S, UNHEARD_S, TO_TEAM_S = 1.0, 0.5, 2.0  # (32d)
 RULES = [Silence.of(PERIOD_S, is_filtered=filtered) for filtered in (True, False)]
 ROUNDING = 1e-12
 
@@ -95,11 +95,11 @@ def test_mixture_is_smooth(wanted: list[float], has_heard_all: bool) -> None:
     mixture = Mixture(PERIOD_S)
     before = mixture.advance(wanted[0])
     assert before == wanted[0]
-    up = PERIOD_S / (HAND_OVER_S if has_heard_all else UNHEARD_S)
+    up = PERIOD_S / (TO_ALONE_S if has_heard_all else UNHEARD_S)
     for share in wanted[1:]:
         after = mixture.advance(share, has_heard_all=has_heard_all)
         assert -ROUNDING <= after <= 1.0 + ROUNDING
-        assert -PERIOD_S / HAND_OVER_S - ROUNDING <= after - before <= up + ROUNDING
+        assert -PERIOD_S / TO_TEAM_S - ROUNDING <= after - before <= up + ROUNDING
         before = after
 
 
