@@ -97,7 +97,7 @@ def _spec_to_import(folder: Path, package: str) -> ModuleSpec | None:
         return None
 
     for name, own in list(_OWN_MODULES.items()):
-        if not own.file.is_relative_to(folder) and not is_foreign(str(own.file)):
+        if not own.file.is_relative_to(folder):
             _forget(name)
 
     imported = sys.modules.get(package)
@@ -122,14 +122,16 @@ def _execute(spec: ModuleSpec) -> None:
 
 
 def _note_own(module_name: str, before: set[str], folder: Path) -> None:
-    """Note the files of a named module, and of those of its folder that it has imported."""
+    """Note the files of a named module, and of those of its folder that it has imported.
+
+    Installed packages are not the user's: many cannot be imported a second time.
+    """
     names = {name for name in sys.modules.keys() - before if not _is_within(_PROGRAM, name)}
     for name in names | {module_name}:
         file = getattr(sys.modules.get(name), "__file__", None)
-        if not file or name in _OWN_MODULES or name == _MAIN:
+        if not file or is_foreign(file) or name in _OWN_MODULES or name == _MAIN:
             continue
-        is_of_folder = Path(file).is_relative_to(folder) and not is_foreign(file)
-        if is_of_folder or name == module_name:
+        if Path(file).is_relative_to(folder) or name == module_name:
             _OWN_MODULES[name] = _Imported(file=Path(file), digest=_digest(Path(file)))
 
 
@@ -143,12 +145,10 @@ def _forget_changed() -> None:
             _forget(name)
 
 
-def _forget(package: str) -> None:
-    """Forget a module, or a package with its parts, so that it is imported anew."""
-    for name in [name for name in sys.modules if _is_within(package, name)]:
-        del sys.modules[name]
-    for name in [name for name in _OWN_MODULES if _is_within(package, name)]:
-        del _OWN_MODULES[name]
+def _forget(name: str) -> None:
+    """Forget a module of the user, so that it is imported anew."""
+    sys.modules.pop(name, None)
+    del _OWN_MODULES[name]
 
 
 def _is_within(package: str, module: str) -> bool:

@@ -66,6 +66,15 @@ def test_a_changed_module_that_a_class_imports_is_imported_anew(numbered: Path) 
     assert own_class("mine_package.control:Control").number == 22
 
 
+def test_installed_packages_are_imported_once(numbered: Path) -> None:
+    """A class of an installed package stays, whatever has changed in the user's folder."""
+    array = own_class("numpy:ndarray")
+    own_class("mine_package.control:Control")
+    package(numbered, 3)
+    assert own_class("mine_package.control:Control").number == 3
+    assert own_class("numpy:ndarray") is array
+
+
 @pytest.mark.parametrize(
     ("code", "place"),
     [("json.loads('bad')", "mine_place.py:3"), ("import missing_module", "mine_place.py:3")],
