@@ -293,7 +293,6 @@ def _curve(phase: PhaseSection, field: str) -> Problems:
         for key in ("points_m", "times_s"):
             if getattr(phase, key) is not None:
                 yield f"{field}.{key}", "it only with kind 'spline'", f"kind {phase.kind!r}"
-        return
 
     times = phase.times_s
     if times is not None:

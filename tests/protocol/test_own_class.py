@@ -70,8 +70,8 @@ def test_installed_packages_are_imported_once(numbered: Path) -> None:
     """A class of an installed package stays, whatever has changed in the user's folder."""
     array = own_class("numpy:ndarray")
     own_class("mine_package.control:Control")
-    package(numbered, 3)
-    assert own_class("mine_package.control:Control").number == 3
+    package(numbered, 333)
+    assert own_class("mine_package.control:Control").number == 333
     assert own_class("numpy:ndarray") is array
 
 

@@ -29,7 +29,9 @@ DARK = "links.override=[{from='agent2',to='agent1',loss=1.0}]"
 LATE = "links.delay_s=0.2"
 
 
+# No agent foresees that it will act alone, as agent 1 does that does not hear agent 2.
 LAW = (
+    "controller.silence=law",
     "controller.prediction=closed_loop",
     "controller.received_plans=by_age",
     "controller.relaxation=auto",

@@ -80,7 +80,9 @@ def test_a_refused_change_leaves_it_as_it_was(settings: dict[str, Any], text: st
 def test_changes_that_are_valid_only_together() -> None:
     """`set` takes several at once; one of them alone is refused."""
     scenario = transport.Scenario("paper")
-    with pytest.raises(transport.ScenarioError, match="expected measured delays, got nothing"):
+    with pytest.raises(
+        transport.ScenarioError, match="expected measured delays beside empirical, got nothing"
+    ):
         scenario.links.distribution = "empirical"
     scenario.set({"links.distribution": "empirical", "links.samples_s": [0.1]})
     assert scenario.links.samples_s == (0.1,)
