@@ -38,8 +38,11 @@ class HandOver:
 
     def advance(self, k: int) -> None:
         """Follow the rule to tick k: news of the others are in."""
-        has_heard_all = self._team.announced.heard.has_heard_all(before=k)
-        self._mixture.advance(self._team.share_alone(k), has_heard_all=has_heard_all)
+        wanted = self._team.share_alone(k)
+        # Of effect only on the way to the law alone.
+        is_rising = wanted > self._mixture.share
+        has_heard_all = not is_rising or self._team.announced.heard.has_heard_all(before=k)
+        self._mixture.advance(wanted, has_heard_all=has_heard_all)
 
     def inputs(self, k: int, start: int, linear: Linear, team: Array) -> Array:
         """Return the inputs to announce and to apply from tick `start` on, for those of the team, (N_p, 4 owned).

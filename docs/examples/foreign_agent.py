@@ -64,13 +64,12 @@ def message(kind, *fields):
 
 def control(payload, uav, team):
     """Return the inputs that follow rods and tilt of the others, by two cascaded loops."""
-    (roll, pitch, _), (p, q, _) = payload[6:9], payload[9:12]
+    roll, pitch = payload[6:8]
+    p, q = payload[9:11]
     # How far the corner will be below the middle in 0.3 s, m.
     low = RHO[1] * (roll + 0.3 * p) - RHO[0] * (pitch + 0.3 * q)
-    (e, rod_rate, attitude, rate), (e_team, rod_rate_team, attitude_team, _) = (
-        uav.reshape(4, 3),
-        team.reshape(4, 3),
-    )
+    e, rod_rate, attitude, rate = uav.reshape(4, 3)
+    e_team, rod_rate_team, attitude_team, _ = team.reshape(4, 3)
     behind = 40.0 * (e - e_team) + 20.0 * (np.cross(rod_rate, e) - np.cross(rod_rate_team, e_team))
     tilt = attitude_team[:2] + MASS / THRUST * np.array([behind[1], -behind[0]])
     turn = np.append(np.clip(tilt, -0.3, 0.3) - attitude[:2], 0.0)
@@ -124,11 +123,8 @@ def answer(me, tick, measured, others, heights):
     return [plan[name] for name in PLAN]
 
 
-def main(run, digest, agent, port, exchange="relayed"):
-    """Take part until the run ends."""
-    me = int(agent)
-    prefix = f"transport/{run}"
-    inbox = queue.SimpleQueue()
+def join(session, prefix, me, digest, inbox):
+    """Take part in a run once all its processes are there; return what has to be kept until the end."""
     alive = set()
 
     def watch(sample):
@@ -138,23 +134,34 @@ def main(run, digest, agent, port, exchange="relayed"):
         elif name == "coordinator":
             inbox.put(None)
 
+    heard = (f"measurement/{me}", "plan/*", "instant", "control")
+    kept = [session.declare_subscriber(f"{prefix}/{key}", inbox.put) for key in heard]
+    tokens = session.liveliness()
+    kept.append(tokens.declare_subscriber(f"{prefix}/alive/**", watch, history=True))
+    kept.append(tokens.declare_token(f"{prefix}/alive/agent{me}/0/{digest}/{VERSION}"))
+    while not alive >= {"coordinator", "plant", *[f"agent{i + 1}" for i in range(AGENTS)]}:
+        time.sleep(0.01)
+    kept.append(tokens.declare_token(f"{prefix}/ready/agent{me}/0"))
+    return kept
+
+
+def main(run, digest, agent, port, exchange="relayed"):
+    """Take part until the run ends."""
+    me = int(agent)
+    prefix = f"transport/{run}"
+    inbox = queue.SimpleQueue()
+
     config = zenoh.Config.from_json5(json.dumps(configuration(int(port), me)))
     with zenoh.open(config) as session:
-        keys = [f"{prefix}/{key}" for key in (f"measurement/{me}", "plan/*", "instant", "control")]
-        kept = [session.declare_subscriber(key, inbox.put) for key in keys]
-        tokens = session.liveliness()
-        kept.append(tokens.declare_subscriber(f"{prefix}/alive/**", watch, history=True))
-        kept.append(tokens.declare_token(f"{prefix}/alive/agent{me}/0/{digest}/{VERSION}"))
-        while not alive >= {"coordinator", "plant", *[f"agent{i + 1}" for i in range(AGENTS)]}:
-            time.sleep(0.01)
-        kept.append(tokens.declare_token(f"{prefix}/ready/agent{me}/0"))
-
+        kept = join(session, prefix, me, digest, inbox)  # noqa: F841 - what is not kept ends
         for tick, measured, others, heights in measurements(me, inbox):
             plan = answer(me, tick, measured, others, heights)
-            head, key = [f"agent{me}", 0, tick, tick], f"plan/{me}"
+            head = [f"agent{me}", 0, tick, tick]
+            key = f"plan/{me}"
             data = message("plan", *head, *plan)
             if exchange == "relayed":
-                key, data = f"answer/{me}", message("answer", *head, [key], [data], me)
+                data = message("answer", *head, [key], [data], me)
+                key = f"answer/{me}"
             session.put(f"{prefix}/{key}", data, congestion_control=zenoh.CongestionControl.BLOCK)
         session.put(f"{prefix}/left/agent{me}", b"")
 
@@ -165,7 +172,9 @@ def measurements(me, inbox):
     That is the mean state of each one's UAVs (e, Omega, Theta, omega), and the height that each
     shares, if it does.
     """
-    states, heights, waiting = {}, {}, None
+    states = {}  # by tick and agent
+    heights = {}  # by agent
+    waiting = None  # a measurement whose plans are still on their way
     while (sample := inbox.get()) is not None:
         for kind, _, _, _, tick, *fields in messages(sample.payload.to_bytes()):
             if kind == "control":

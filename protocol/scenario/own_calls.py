@@ -17,7 +17,7 @@ import numpy as np
 from transport.model.arrays import Array
 
 _PROGRAM = "transport."  # beginning of the names of the program's modules
-_FOREIGN_FILE = re.compile(r"<|.*site-packages")
+_FOREIGN_FILE = re.compile(r"<|.*(site|dist)-packages")
 _STANDARD_LIBRARY = sysconfig.get_path("stdlib")
 
 # Characters of an error that is passed on: it travels in messages, with the name of the class.

@@ -126,10 +126,10 @@ def _note_own(module_name: str, before: set[str], folder: Path) -> None:
 
     Installed packages are not the user's: many cannot be imported a second time.
     """
-    names = {name for name in sys.modules.keys() - before if not _is_within(_PROGRAM, name)}
-    for name in names | {module_name}:
+    for name in (sys.modules.keys() - before) | {module_name}:
         file = getattr(sys.modules.get(name), "__file__", None)
-        if not file or is_foreign(file) or name in _OWN_MODULES or name == _MAIN:
+        is_of_program = name == _MAIN or _is_within(_PROGRAM, name)
+        if not file or is_foreign(file) or is_of_program or name in _OWN_MODULES:
             continue
         if Path(file).is_relative_to(folder) or name == module_name:
             _OWN_MODULES[name] = _Imported(file=Path(file), digest=_digest(Path(file)))

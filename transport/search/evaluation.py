@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -39,12 +40,12 @@ class Evaluation:
 
     @staticmethod
     def of(tree: dict[str, Any]) -> "Evaluation":
-        """Return an evaluation from plain data. Raises: TypeError, ValueError: it is none."""
-        return Evaluation(**{**tree, "value": float(tree["value"])})
+        """Return an evaluation from a line of JSON, in which an infinite value is null.
 
-    def tree(self) -> dict[str, Any]:
-        """Return plain data; JSON has no infinite value, so the value is a text."""
-        return {**asdict(self), "value": repr(self.value)}
+        Raises: TypeError: the line is none.
+        """
+        value = math.inf if tree.get("value") is None else tree["value"]
+        return Evaluation(**{**tree, "value": value})
 
     @property
     def failed(self) -> bool:

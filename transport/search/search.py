@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
@@ -113,7 +113,7 @@ class Evaluations:
         }
         for evaluation in fly(problem, list(missing.values())):
             if self._file is not None:
-                self._file.write(orjson.dumps(evaluation.tree()) + b"\n")
+                self._file.write(orjson.dumps(asdict(evaluation)) + b"\n")
             self._by_key[evaluation.key] = evaluation
 
         return [self._by_key[problem.key(candidate)] for candidate in candidates]
