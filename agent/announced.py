@@ -108,6 +108,7 @@ class AnnouncedInputs:
     of the change and before `heard.observe`.
 
     Attributes:
+        plans: Newest plans received of all agents.
         heard: Plans of all agents, who is off the roster, and how old news are. From its tick of the
             newest failure of a UAV on, every agent follows the control law of the UAVs that are left;
             earlier plans apply until then.
@@ -135,6 +136,7 @@ class AnnouncedInputs:
         self.heard = HeardOthers(
             self._columns, own, self._law.silence, self._law.silence_after_failures
         )
+        self.plans = self.heard.plans
         self.fail_safe: FailSafe | None = None
         self.law_since = 0
         # Where the last plan of an agent that left has not been received: inputs in its place.
@@ -149,7 +151,7 @@ class AnnouncedInputs:
 
     def add(self, plan: Plan) -> None:
         """Keep a plan, in any order of arrival; a second plan of the same tick is ignored."""
-        self.heard.plans.add(plan)
+        self.plans.add(plan)
 
     def begin_anew(self, agent: int, tick: int) -> None:
         """Discard the plans of an agent that starts anew at a tick, and how old they were.
@@ -167,10 +169,6 @@ class AnnouncedInputs:
         columns = self._columns[agent]
         self._assumed[agent] = Assumed(start_tick=start, inputs=inputs[:, columns])
 
-    def newest(self, agent: int, before: int, started: int | None = None) -> Plan | None:
-        """Return an agent's newest plan made before a tick and, if given, started by `started`."""
-        return self.heard.plans.newest(agent, before, started)
-
     # Over the horizon, (32).
 
     def sequence(self, start: int, steps: int, before: int) -> Array:
@@ -184,7 +182,7 @@ class AnnouncedInputs:
         """
         U = np.empty((steps, len(self._u_hover)))
         for agent, columns in self._columns.items():
-            plan = self.newest(agent, before)
+            plan = self.plans.newest(agent, before)
             assumed = self._assumed.get(agent)
 
             #   u_a(s + j) = U_a(min(s + j - s_a, N_p - 1))    (32)
@@ -212,7 +210,7 @@ class AnnouncedInputs:
         """
         c = np.zeros((steps, len(self._u_hover)))
         for agent, columns in self._columns.items():
-            plan = self.newest(agent, before)
+            plan = self.plans.newest(agent, before)
             if plan is None or agent in self.heard.off_roster:
                 continue
             if plan.tick < self.heard.failed_since:
@@ -257,7 +255,7 @@ class AnnouncedInputs:
         u = np.empty_like(self._u_hover)
         instant = None if x is None else StateAt(tick=tick, x=x, law=self._law)
         for agent, columns in self._columns.items():
-            plan = self.newest(agent, before, started=tick)
+            plan = self.plans.newest(agent, before, started=tick)
             if plan is None:
                 u[columns] = self._without_plan(agent, instant)
             else:
@@ -278,7 +276,7 @@ class AnnouncedInputs:
         m = len(self._u_hover)
         untold = Untold(by_law=np.zeros(m, dtype=bool), by_fail_safe=np.zeros(m, dtype=bool))
         for agent, columns in self._columns.items():
-            plan = self.newest(agent, before, started=tick)
+            plan = self.plans.newest(agent, before, started=tick)
             if agent in self.heard.off_roster:
                 untold.by_fail_safe[columns] = plan is not None and self._is_over(plan, tick)
             elif plan is None and self.heard.is_before_return(agent, tick):
@@ -296,7 +294,7 @@ class AnnouncedInputs:
         correlation = np.full(len(self._u_hover), SHARED)
         for agent, columns in self._columns.items():
             if agent != self._own:
-                plan = self.newest(agent, before, started=tick)
+                plan = self.plans.newest(agent, before, started=tick)
                 share[columns] = self.heard.share_alone(agent, plan, tick)
                 correlation[columns] = silence.correlation(self.heard.age(agent, plan, tick))
         if not share.any() and (correlation == SHARED).all():

@@ -382,7 +382,7 @@ class Planner:
         solution = result.solution
         worst = solution.residuals.worst
         measured = team.estimator.news.measured
-        newest = [team.announced.newest(agent, before=k) for agent in team.peers]
+        newest = [team.announced.plans.newest(agent, before=k) for agent in team.peers]
         force = np.zeros(3)
         if team.forces is not None:
             force = self._controller.model.with_weight_of_mass_error(team.forces)[:3]

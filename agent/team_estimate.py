@@ -194,7 +194,7 @@ class TeamEstimate:
         """Return an estimate of tick k with the others' states as received, whatever their age."""
         x = x.copy()
         for agent in self.peers:
-            plan = self.announced.newest(agent, before=k)
+            plan = self.announced.plans.newest(agent, before=k)
             if plan is None:
                 continue
             for uav, block in zip(plan.uavs, plan.uav_states, strict=True):
@@ -203,7 +203,7 @@ class TeamEstimate:
 
     def _is_alone(self, agent: int, tick: int) -> bool:
         """Return whether another agent is assumed to act wholly alone at a tick."""
-        plan = self.announced.newest(agent, before=tick, started=tick)
+        plan = self.announced.plans.newest(agent, before=tick, started=tick)
         return self.announced.heard.share_alone(agent, plan, tick) == 1.0
 
     def _update_roster(self, received: Received) -> None:
@@ -240,7 +240,7 @@ class TeamEstimate:
         One that acted alone is assumed on its fail-safe at once: its last plan is short.
         Source: docs/equations.md (32b).
         """
-        newest = self.announced.newest(agent, before=tick)
+        newest = self.announced.plans.newest(agent, before=tick)
         expected = self.expected
         if expected is None or newest is None or newest.tick >= tick - 1:
             return

@@ -44,6 +44,8 @@ class StateEstimator:
         self._uses_inputs = disturbance is not None or motion.lag_s > 0.0
         self._reports = Reports()
         self._history: History[Array] = History()
+        # Inputs in force over the newest period of the estimate, (4 N,); None before there is one.
+        self._newest_inputs: Array | None = None
 
     @property
     def forces(self) -> Array | None:
@@ -92,6 +94,7 @@ class StateEstimator:
 
         def following(x: Array, tick: int) -> Array:
             u = announced.in_force(tick, before=k, x=x)
+            self._newest_inputs = u
             is_learning = self._disturbance is not None and tick >= self._learned
             is_informed = is_learning and announced.heard.is_informed(tick + 1, before=k)
             return self._following(x, tick, u, is_informed=is_informed)
@@ -116,7 +119,9 @@ class StateEstimator:
 
         They are the announced ones, the own ones as reported.
         """
-        u = announced.in_force(k - 1, before=k, x=self.past(k - 1))
+        u = self._newest_inputs
+        if u is None:
+            u = announced.in_force(k - 1, before=k)
         self._reports.apply_inputs(k, u)
         return u
 

@@ -151,8 +151,8 @@ def test_early_plans_wait() -> None:
     """
     early, older = labelled(1, 5), labelled(1, 4)
     inputs = announced(older, early)
-    assert inputs.newest(1, before=5) is older
-    assert inputs.newest(1, before=6) is early
+    assert inputs.plans.newest(1, before=5) is older
+    assert inputs.plans.newest(1, before=6) is early
     np.testing.assert_array_equal(
         inputs.sequence(5, STEPS, before=5), announced(older).sequence(5, STEPS, before=5)
     )
@@ -315,7 +315,7 @@ def test_oldest_news_tell_how_much_to_act_alone(heard: list[set[int]], is_filter
             plan = replace(labelled(2, k - 1), agent=agent)
             inputs.add(plan)
         inputs.heard.observe(k)
-        newest = {agent: inputs.newest(agent, before=k) for agent in (2, 3)}
+        newest = {agent: inputs.plans.newest(agent, before=k) for agent in (2, 3)}
         ages = [inputs.heard.age(agent, plan, k) for agent, plan in newest.items()]
         shares = [rule.alone(age) for age in ages]
         assert rule.alone(inputs.heard.oldest_news) == max(shares)
