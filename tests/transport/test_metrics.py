@@ -55,6 +55,8 @@ def test_estimates_against_their_covariance() -> None:
     ]  # of the last no state is known
     found = summarise(AnalysedRun.of(run, log_of(flown)))["estimate"]
     assert found["nees"] == pytest.approx(6.0)
+    # Tabulated quantiles of chi-square with 6 degrees of freedom.
+    assert found["nees_band"] == pytest.approx([1.237, 14.449], abs=5e-4)
     assert found["nis"] == pytest.approx(2.0)
     assert found["position_rms_m"] == pytest.approx(0.1 * np.sqrt(3.0))
     assert found["attitude_rms_deg"] == pytest.approx(np.degrees(0.1 * np.sqrt(3.0)))
