@@ -295,8 +295,10 @@ class AnnouncedInputs:
         for agent, columns in self._columns.items():
             if agent != self._own:
                 plan = self.plans.newest(agent, before, started=tick)
-                share[columns] = self.heard.share_alone(agent, plan, tick)
-                correlation[columns] = silence.correlation(self.heard.age(agent, plan, tick))
+                age = self.heard.age(agent, plan, tick)
+                said = 0.0 if plan is None else plan.alone
+                share[columns] = max(said, silence.alone(age))
+                correlation[columns] = silence.correlation(age)
         if not share.any() and (correlation == SHARED).all():
             return None
         return Silent(alone=share, correlation=correlation)

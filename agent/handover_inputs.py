@@ -74,7 +74,7 @@ class HandOver:
         self._held_I[uav] = law.held(held_I, motion, course, self._period_s)
 
         fading = np.exp(-self._period_s / _FADES_S * np.arange(steps))
-        ahead = np.array([self._team.alone(uav, start + step)[1].inputs for step in range(steps)])
+        ahead = self._team.alone_ahead(uav, start, steps)
         return np.asarray(ahead + fading[:, None] * deviation)
 
     def _motion(self, uav: int, k: int, start: int, x: Array) -> Motion:

@@ -128,6 +128,10 @@ class TeamEstimate:
         """Return control law and course of a UAV, 0-based, alone."""
         return self._alone.law(uav), self._alone.course(uav, tick)
 
+    def alone_ahead(self, uav: int, first: int, steps: int) -> Array:
+        """Return the inputs on the course of a UAV, 0-based, alone, over a horizon, (steps, 4)."""
+        return self._alone.course_inputs(uav, first, steps)
+
     def _by_law_alone(self, uav: int, tick: int, x: Array) -> Array:
         """Return the inputs of a UAV alone, (4,): its integral has followed its part of the forces."""
         held_I = None

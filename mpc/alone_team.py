@@ -8,6 +8,8 @@ Source: docs/equations.md (31f).
 
 from collections.abc import Collection
 
+import numpy as np
+
 from transport.model import native
 from transport.model.arrays import Array
 from transport.model.hover import Hover
@@ -68,13 +70,15 @@ class AloneTeam:
 
     def course(self, uav: int, tick: int) -> Course:
         """Return what a UAV, 0-based, follows at a tick."""
-        key = uav, max(tick, 0)
-        self._renew(key[1])
-        if key not in self._courses:
-            while len(self._courses) > _KEPT * self._system.N:
-                del self._courses[next(iter(self._courses))]
-            self._courses[key] = self._course(*key)
-        return self._courses[key]
+        tick = max(tick, 0)
+        self._renew(tick)
+        return self._kept_course(uav, tick)
+
+    def course_inputs(self, uav: int, first: int, steps: int) -> Array:
+        """Return the inputs on the course of a UAV, 0-based, from a tick >= 0 on, (steps, 4)."""
+        self._renew(first)
+        ticks = range(first, first + steps)
+        return np.array([self._kept_course(uav, tick).inputs for tick in ticks])
 
     def inputs(self, uav: int, x: Array, tick: int, held_I: Array | None = None) -> Array:
         """Return the inputs of a UAV, 0-based, alone at a state, (n,), before limits, (4,)."""
@@ -94,6 +98,16 @@ class AloneTeam:
             compiled = CompiledCourse(course)
             self._compiled_courses[uav, tick] = compiled
         return compiled
+
+    def _kept_course(self, uav: int, tick: int) -> Course:
+        """Return the course of a UAV at a tick >= 0 under the newest law, computed once."""
+        course = self._courses.get((uav, tick))
+        if course is None:
+            while len(self._courses) > _KEPT * self._system.N:
+                del self._courses[next(iter(self._courses))]
+            course = self._course(uav, tick)
+            self._courses[uav, tick] = course
+        return course
 
     def _course(self, uav: int, tick: int) -> Course:
         if self._off or self._motion is None:

@@ -119,9 +119,8 @@ class StateEstimator:
 
         They are the announced ones, the own ones as reported.
         """
-        u = self._newest_inputs
-        if u is None:
-            u = announced.in_force(k - 1, before=k)
+        newest = self._newest_inputs
+        u = announced.in_force(k - 1, before=k) if newest is None else newest.copy()
         self._reports.apply_inputs(k, u)
         return u
 

@@ -68,6 +68,8 @@ class SensorEstimator:
         ]
         self._reports = Reports()
         self._history: History[Tick] = History()
+        # Inputs in force over the newest period of the estimate, (4 N,); None before there is one.
+        self._newest_inputs: Array | None = None
 
     @property
     def belief(self) -> Belief | None:
@@ -146,7 +148,8 @@ class SensorEstimator:
 
         They are the announced ones, the own ones as reported.
         """
-        u = announced.in_force(k - 1, before=k, x=self.past(k - 1))
+        newest = self._newest_inputs
+        u = announced.in_force(k - 1, before=k) if newest is None else newest.copy()
         self._reports.apply_inputs(k, u)
         return u
 
@@ -178,6 +181,7 @@ class SensorEstimator:
         # has the inputs that acted from `tick` on.
         u = announced.in_force(tick, before=k, x=belief.x)
         self._reports.apply_inputs(tick + 1, u)
+        self._newest_inputs = u
 
         # Inputs that are not told answer to the state: du = K dx. The gain is that of the law of
         # now, whenever the covariance is computed.
