@@ -21,7 +21,7 @@ _SIZE = 2.2  # of a point
 _FEW_DECADES = 1e3
 # Number, title, factor, and whether the axis is logarithmic.
 _STRIPS = (
-    (COST_RATIO, "mean cost over centralized, perfect network", 1.0, True),
+    (COST_RATIO, "mean cost over centralized", 1.0, True),
     ("payload_rms_m", "payload error, cm rms", 100.0, True),
     ("separation_min_m", "smallest distance of two UAVs, m", 1.0, False),
     ("plan_bytes_per_s", "plans of the team, kB/s", 1e-3, True),
