@@ -13,6 +13,7 @@ from transport.protocol.scenario.fault_relations import Problems, fault_problems
 from transport.protocol.scenario.maneuver_sections import PhaseSection
 from transport.protocol.scenario.plant_sections import MujocoSection
 from transport.protocol.scenario.schema import Scenario
+from transport.protocol.wire.names import PLANT
 
 # Least lag of motors, in sampling periods: the discretisation takes exponentials of its reciprocal.
 _LEAST_LAG = 0.01
@@ -132,10 +133,15 @@ def after_the_end(scenario: Scenario) -> Iterator[str]:
 def _links(scenario: Scenario) -> Problems:
     """Yield empty partitions, and ends of links that are no processes of the run."""
     names = processes_of(scenario)
+    agents = set(names) - {PLANT}
     for i, partition in enumerate(scenario.links.partition, start=1):
         if partition.end_s <= partition.start_s:
             expected = f"more than start_s {partition.start_s}"
             yield f"links.partition.{i}.end_s", expected, partition.end_s
+        # The group is cut off from the agents that it lacks; all of them from none.
+        if len(agents) > 1 and agents <= set(partition.between):
+            expected = "some of the agents (no message at all: links.change with loss = 1.0)"
+            yield f"links.partition.{i}.between", expected, "all of them"
 
     for field, name in _link_ends(scenario):
         if name is not None and name not in names:

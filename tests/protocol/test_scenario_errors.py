@@ -152,6 +152,10 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         "links.partition=[{between=['x'],start_s=1,end_s=2}]",
         f"links.partition.1.between: {ENDS}'x'",
     ),
+    (
+        "links.partition=[{between=['agent4','agent2','agent1','agent3'],start_s=1,end_s=2}]",
+        "links.partition.1.between: expected some of the agents (no message at all: ",
+    ),
     ("links.change=[{loss=0.1}]", "links.change.1.at_s: expected a value, got nothing"),
     ("links.change=[{at_s=1,from='agent0'}]", f"links.change.1.from: {ENDS}'agent0'"),
     # Clock.

@@ -114,6 +114,12 @@ def _in_words(result: SearchResult, folder: Path) -> str:
         lines += textwrap.wrap(one.candidate.in_words(), _WIDTH, **_INDENTED)
 
     failures = f"{result.failures} of {len(result.flown)} cases fail"
+    if result.refused:
+        reason = result.refused[0].evaluation.reason
+        lines += [
+            "",
+            f"{len(result.refused)} cases are refused and not simulated, such as: {reason}",
+        ]
     if result.minimal is None:
         lines += ["", failures]
     else:

@@ -10,7 +10,7 @@ from transport.experiments.arena_report import ArenaResult, conduct, results_of
 from transport.experiments.figures import fill
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.fly import console
-from transport.interface.settings import ArgumentError, plain, printed
+from transport.interface.settings import ArgumentError, names_of, plain, printed
 from transport.interface.sweep import simulate_with
 
 _WIDTH = 150  # characters
@@ -57,9 +57,9 @@ class Arena:
 def arena(
     controllers: "str | type | Sequence[str | type]" = (),
     *,
-    tasks: Sequence[str] = (),
-    networks: Sequence[str] = (),
-    algorithms: Sequence[str] = (),
+    tasks: str | Sequence[str] = (),
+    networks: str | Sequence[str] = (),
+    algorithms: str | Sequence[str] = (),
     seeds: int = experiment_arena.SEEDS,
     workers: int | str | None = None,
     folder: "str | PathLike[str] | None" = None,
@@ -92,7 +92,11 @@ def arena(
     given = [controllers] if isinstance(controllers, str | type) else list(controllers)
     simulate = simulate_with(workers)
     made = experiment_arena.arena(
-        plain(given), tasks=tasks, networks=networks, algorithms=algorithms, seeds=seeds
+        plain(given),
+        tasks=names_of(tasks),
+        networks=names_of(networks),
+        algorithms=names_of(algorithms),
+        seeds=seeds,
     )
 
     target = None if folder is None else Path(folder)

@@ -22,6 +22,13 @@ class ArgumentError(TransportError, TypeError):
     """
 
 
+def names_of(value: str | Sequence[str]) -> tuple[str, ...]:
+    """Return names that are a sequence, or one text with commas between them."""
+    if isinstance(value, str):
+        return tuple(name.strip() for name in value.split(",") if name.strip())
+    return tuple(value)
+
+
 def import_pandas() -> Any:
     """Return the package pandas. Raises: ArgumentError: it is not installed."""
     try:

@@ -9,13 +9,13 @@ from typing import Any, Unpack
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.fly import console
 from transport.interface.scenario import Scenario
-from transport.interface.settings import ArgumentError, Settings, ShortSettings
+from transport.interface.settings import ArgumentError, Settings, ShortSettings, names_of
 from transport.search.options import OVER, SearchOptions, search
 from transport.search.report import draw, in_words, scenario_text, summary, write
 from transport.search.search import SearchResult
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Worst:
     """Result of `transport.worst`."""
 
@@ -50,6 +50,9 @@ class Worst:
         Path(folder).mkdir(parents=True, exist_ok=True)
         write(Path(folder), self.result)
 
+    def __repr__(self) -> str:
+        return f"<Worst: {len(self.result.flown)} cases, {self.result.failures} of them fail>"
+
     def __str__(self) -> str:
         minimal = self.result.minimal
         if minimal is None:
@@ -64,7 +67,7 @@ def worst(
     scenario: "str | PathLike[str] | Scenario" = "resilient",
     settings: Settings | None = None,
     *,
-    over: Sequence[str] = OVER,
+    over: str | Sequence[str] = OVER,
     budget: int = 300,
     objective: str = "attitude",
     limit: float | None = None,
@@ -108,9 +111,11 @@ def worst(
     """
     if budget < 1:
         raise ArgumentError(f"budget: expected a number >= 1, got {budget}")
+    if bounds is not None and not isinstance(bounds, str | PathLike):
+        raise ArgumentError(f"bounds: expected a TOML file, got {type(bounds).__name__}")
     chosen = Scenario(scenario, settings, **short)
     options = SearchOptions(
-        over=tuple(over),
+        over=names_of(over),
         budget=budget,
         objective=objective,
         limit=limit,

@@ -37,6 +37,8 @@ class Evaluation:
     outcome: str  # as in a summary; "failed" where the run was ended at its limit; "refused"
     end_s: float  # scenario time of the end
     reason: str = ""  # why it was refused
+    # When the objective first passed its limit, s; None where it did not, or is of the whole run.
+    passed_s: float | None = None
 
     @staticmethod
     def of(tree: dict[str, Any]) -> "Evaluation":
@@ -51,6 +53,11 @@ class Evaluation:
     def failed(self) -> bool:
         """Return whether the run has failed; a refused candidate has not been flown."""
         return self.robustness < 0.0 and self.outcome != REFUSED
+
+    @property
+    def failed_s(self) -> float:
+        """Return when a run has failed, s: at its limit, or at its end."""
+        return self.end_s if self.passed_s is None else self.passed_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,8 +110,8 @@ class Problem:
             outcome = control.outcome
 
         log = RunLog(header={}, messages=tuple(messages), cut="")
-        summary = summarise(AnalysedRun.of(setup, log))
-        value = self.objective.value(summary)
+        run = AnalysedRun.of(setup, log)
+        value = self.objective.value(summarise(run))
         survived = 1.0 if outcome == "completed" else end_tick / setup.ticks
 
         return Evaluation(
@@ -113,6 +120,7 @@ class Problem:
             value=value,
             outcome=outcome,
             end_s=round(end_tick * period_s, 6),
+            passed_s=self.objective.passed_s(run.series),
         )
 
     def _decides(self, state: PlantState) -> bool:

@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
+from transport.analysis.events import TIME_DIGITS
+from transport.analysis.series import Series
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.schema import Scenario
 
@@ -61,6 +63,25 @@ class Objective:
         if value is None:
             return 0.0 if self.measure == "separation" else math.inf
         return float(value)
+
+    def passed_s(self, series: Series) -> float | None:
+        """Return when a run first passes the limit, s.
+
+        None where it does not, and for a violation or the cost, which are of the whole run.
+        """
+        values = {
+            "attitude": series.attitude_max_deg,
+            "separation": series.separation_m,
+            "payload": series.payload_error_norm_m,
+        }.get(self.measure)
+        if values is None:
+            return None
+
+        is_beyond = values < self.limit if self.measure == "separation" else values > self.limit
+        if not is_beyond.any():
+            return None
+        first = int(is_beyond.argmax())
+        return round(float(series.times_s[first]), TIME_DIGITS)
 
     def robustness(self, value: float, survived: float) -> float:
         """Return the distance from failing: 1 far away, 0 at the limit, -1 to 0 after a failure.

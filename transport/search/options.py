@@ -47,7 +47,8 @@ def search(
     objective = Objective.of(options.objective, options.limit, scenario)
     problem = Problem(base=base, objective=objective)
     setup = Setup.of(scenario, source)
-    bounds = read_bounds(options.bounds, setup.ticks * setup.settings.sampling_period_s)
+    duration_s = setup.ticks * setup.settings.sampling_period_s
+    bounds = read_bounds(options.bounds, duration_s, options.over)
     chosen = Search(
         problem=problem,
         space=Space(options.over, bounds, scenario),

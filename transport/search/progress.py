@@ -40,6 +40,6 @@ class SearchProgress(ConsoleProgress):
     def _line(self, one: Flown) -> str:
         evaluation = one.evaluation
         value = self._problem.objective.in_words(evaluation.value)
-        end = f" at {evaluation.end_s:g} s" if evaluation.failed else ""
+        end = f" at {evaluation.failed_s:g} s" if evaluation.failed else ""
         state = "FAILS" if evaluation.failed else f"robustness {evaluation.robustness:.2f}"
         return f"case {one.number}: {state}{end}, {value}"

@@ -64,6 +64,7 @@ def summary(result: SearchResult) -> dict[str, Any]:
         "without_events": result.without_events.value,
         "cases": len(result.flown),
         "failures": result.failures,
+        "refused": len(result.refused),
         "first_failure": result.first_failure,
         "worst": [_row(one) for one in ranked(result)],
         "minimal": None if result.minimal is None else _minimal(result.minimal),
@@ -95,24 +96,34 @@ def _minimal(minimal: Minimal) -> dict[str, Any]:
         "outcome": minimal.evaluation.outcome,
         "value": minimal.evaluation.value,
         "end_s": minimal.evaluation.end_s,
+        "failed_s": minimal.evaluation.failed_s,
         "beyond_physics": minimal.beyond_physics,
     }
 
 
 def in_words(minimal: Minimal) -> list[str]:
     """Return what happens in the minimal case, a sentence each."""
-    objective = minimal.problem.objective
-    evaluation = minimal.evaluation
     events = [f"{_capital(event.in_words())}." for event in minimal.candidate.events]
-    end = f"At {evaluation.end_s:g} s the run fails: {objective.in_words(evaluation.value)}"
-    limit = f"(limit {objective.limit:g})."
     verdict = (
         "One agent for all UAVs with perfect information fails as well: the case is beyond physics."
         if minimal.beyond_physics
         else "One agent for all UAVs with perfect information survives the same weather and targets."
     )
 
-    return [*events, f"{end} {limit}", verdict]
+    return [*events, _failure_in_words(minimal), verdict]
+
+
+def _failure_in_words(minimal: Minimal) -> str:
+    """Return when and by which number the minimal case fails, as a sentence."""
+    objective = minimal.problem.objective
+    evaluation = minimal.evaluation
+    number = objective.in_words(evaluation.value)
+    limit = f"(limit {objective.limit:g})"
+    if evaluation.outcome != "completed":  # diverged, or ended at the limit
+        return f"At {evaluation.failed_s:g} s the run fails: {number} {limit}."
+    if evaluation.passed_s is None:
+        return f"Over the whole run it fails: {number} {limit}."
+    return f"At {evaluation.passed_s:g} s the run fails: {number} at the worst {limit}."
 
 
 def _capital(text: str) -> str:
@@ -153,7 +164,7 @@ def draw(figure: Figure, minimal: Minimal) -> Figure:
     """Draw attitude, payload error and smallest distance around the failure, with the events."""
     setup, log = flown_again(minimal)
     series = series_of(setup, log)
-    end_s = min(float(series.times_s[-1]), minimal.evaluation.end_s + _AFTER_S)
+    end_s = min(float(series.times_s[-1]), minimal.evaluation.failed_s + _AFTER_S)
     first_s = _first_s(minimal.candidate.events)  # infinite: all of them last for the whole run
     earliest_s = max(0.0, end_s - _LONGEST_S)
     begin_s = max(earliest_s, min(end_s, first_s) - _BEFORE_S)
@@ -202,7 +213,7 @@ def _curves(series: Series) -> dict[str, Array]:
     """Return the curves of the panels by their labels, each (T,)."""
     return {
         _LABELS["attitude"]: series.attitude_max_deg,
-        _LABELS["payload"]: np.linalg.norm(series.payload_error_I, axis=-1),
+        _LABELS["payload"]: series.payload_error_norm_m,
         _LABELS["separation"]: series.separation_m,
     }
 

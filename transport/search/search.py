@@ -13,7 +13,7 @@ from transport.experiments.cases import ExperimentError, refused
 from transport.experiments.workers import Workers
 from transport.protocol.scenario.errors import ScenarioError
 from transport.search.candidate import Candidate
-from transport.search.evaluation import Evaluation, Problem
+from transport.search.evaluation import REFUSED, Evaluation, Problem
 from transport.search.optimiser import BATCH, Optimiser
 from transport.search.shrink import Evaluate, Shrinker
 from transport.search.space import Space
@@ -69,6 +69,11 @@ class SearchResult:
     def failures(self) -> int:
         """Return how many cases failed."""
         return sum(one.evaluation.failed for one in self.flown)
+
+    @property
+    def refused(self) -> Sequence[Flown]:
+        """Return the cases that the scenario refuses, which are not flown."""
+        return [one for one in self.flown if one.evaluation.outcome == REFUSED]
 
 
 class Evaluations:
@@ -168,7 +173,7 @@ class Search:
 
         at_once: cases that shrinking flies at a time, by which the result does not change.
 
-        Raises: ScenarioError: the scenario fails without any event.
+        Raises: ScenarioError: the scenario fails without any event, or refuses all cases.
         """
         nothing = Candidate(())
         without_events = evaluations.of(self.problem, [nothing], fly)[0]
@@ -179,6 +184,7 @@ class Search:
             raise ScenarioError(self.problem.base.source, "", problem)
 
         flown = list(self._cases(evaluations, fly, progress))
+        self._check_flown(flown)
         worst = min(flown, key=lambda one: one.order)
         minimal = None
         if worst.evaluation.failed:
@@ -195,6 +201,13 @@ class Search:
         return SearchResult(
             problem=self.problem, without_events=without_events, flown=flown, minimal=minimal
         )
+
+    def _check_flown(self, flown: Sequence[Flown]) -> None:
+        """Refuse a space of which the scenario refuses every case."""
+        if all(one.evaluation.outcome == REFUSED for one in flown):
+            problem = f"expected cases that can be flown, got {len(flown)} refused"
+            first = flown[0].evaluation.reason
+            raise ScenarioError("bounds", "", f"{problem}, the first by {first}")
 
     def _cases(self, evaluations: Evaluations, fly: Fly, progress: Progress) -> Iterator[Flown]:
         """Yield the cases of the budget, in whole batches.

@@ -84,15 +84,27 @@ class Shrinker:
         return None
 
     def _shrink_team(self) -> None:
-        """Replace the team by the smallest one with which the case fails, and fails by its events."""
-        for base in self.candidate.smaller_teams(self.problem.base):
-            whole = self.problem
+        """Replace the team by the smallest one with which the case is the same.
+
+        It fails, by its events, and perfect information saves the smaller team as it does the whole
+        one, or neither.
+        """
+        whole = self.problem
+        teams = list(self.candidate.smaller_teams(whole.base))
+        if not teams:
+            return
+        is_beyond_physics = whole.with_perfect_information(self.candidate).failed
+
+        for base in teams:
             self.problem = replace(whole, base=base)
             fails_by_events = self._holds_without_events()
-            if fails_by_events and self._first_failing([self.candidate]) is not None:
+            if not fails_by_events or self._first_failing([self.candidate]) is None:
+                continue
+            verdict = self.problem.with_perfect_information(self.candidate)
+            if verdict.failed == is_beyond_physics:
                 self._progress(self.candidate, self.evaluations)
                 return
-            self.problem = whole
+        self.problem = whole
 
     def _holds_without_events(self) -> bool:
         """Return whether the team keeps the limit without any event."""

@@ -135,13 +135,16 @@ class Bounds(Section):
 KINDS = tuple(Bounds.model_fields)
 
 
-def read_bounds(file: Path | None, duration_s: float) -> Bounds:
+def read_bounds(file: Path | None, duration_s: float, kinds: Sequence[str] = KINDS) -> Bounds:
     """Return the bounds in a file, or the defaults; times that it does not give fit the run.
 
-    Raises: ScenarioError: the file cannot be read, or a value is invalid.
+    Raises: ScenarioError: the file cannot be read, a value is invalid, or bounds have no effect: of
+        events that are not drawn, or that begin after the run.
     """
     tree = {} if file is None else read_tree(file)
-    bounds = validated(Bounds, tree, str(file or "bounds"), Path())
+    source = str(file or "bounds")
+    bounds = validated(Bounds, tree, source, Path())
+    _check_effect(bounds, kinds, duration_s, source)
 
     last_s = 0.8 * duration_s
     first_s = min(1.0, last_s)
@@ -156,6 +159,20 @@ def read_bounds(file: Path | None, duration_s: float) -> Bounds:
         left = {key: value for key, value in ranges.items() if key not in section.model_fields_set}
         changed[kind] = section.model_copy(update=left)
     return bounds.model_copy(update=changed)
+
+
+def _check_effect(bounds: Bounds, kinds: Sequence[str], duration_s: float, source: str) -> None:
+    """Refuse bounds of events that are not drawn, or that begin after the run."""
+    for kind in bounds.model_fields_set:
+        if kind not in kinds:
+            raise ScenarioError(source, kind, f"expected bounds of --over {','.join(kinds)} only")
+
+        section = getattr(bounds, kind)
+        for key in section.model_fields_set & {"start_s", "at_s"}:
+            begins_s = list(getattr(section, key))
+            if begins_s[0] >= duration_s:
+                problem = f"expected times in the run of {duration_s:g} s, got {begins_s}"
+                raise ScenarioError(source, f"{kind}.{key}", problem)
 
 
 @dataclass(frozen=True, slots=True)

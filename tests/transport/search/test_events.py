@@ -207,6 +207,25 @@ def test_bounds_of_a_file_are_read(tmp_path: Path) -> None:
     assert read_bounds(file, 10.0).silence.start_s == (3.0, 30.0)
 
 
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("[mass]\n", "mass: expected bounds of --over silence,deaths only"),
+        (
+            "[silence]\nstart_s = [20.0, 30.0]\n",
+            "silence.start_s: expected times in the run of 8 s, got [20.0, 30.0]",
+        ),
+    ],
+)
+def test_bounds_without_effect_are_refused(text: str, problem: str, tmp_path: Path) -> None:
+    """Such are those of events that are not drawn, and times after the run."""
+    file = tmp_path / "bounds.toml"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(ScenarioError) as refusal:
+        read_bounds(file, 8.0, ("silence", "deaths"))
+    assert str(refusal.value) == f"{file}: {problem}"
+
+
 REFUSED = {
     "[silence]\nduration_s = [2.0, 1.0]\n": "silence.duration_s: expected smallest <= largest",
     "[silence]\nwho = ['some']\n": "silence.who.1: expected 'all', 'mute', 'deaf' or 'cut'",

@@ -3,26 +3,33 @@
 import json
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import transport
+from tests.support import runs
 from tests.support.logs import log_of
 from tests.support.runs import SCENARIOS, SHORT, recorded
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
+from transport.analysis.series import series_of
 from transport.experiments.cases import ExperimentError
+from transport.interface.settings import ArgumentError, names_of
+from transport.interface.worst import Worst
+from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.file import read_scenario
 from transport.protocol.scenario.setup import Setup
 from transport.search.candidate import Base, Candidate
-from transport.search.evaluation import Evaluation, Problem
+from transport.search.evaluation import REFUSED, Evaluation, Problem
 from transport.search.events import Death, Gusts, Silence
 from transport.search.objective import Objective
 from transport.search.optimiser import Layout, Optimiser
+from transport.search.report import summary
 from transport.search.search import Evaluations, Flown, Search
 from transport.search.space import Space, read_bounds
 
@@ -75,6 +82,16 @@ class SmallTeamsFail(Planted):
         if len(self.base.scenario.owned) == 4:
             return found
         return replace(found, robustness=-0.1, outcome="failed")
+
+
+class SmallTeamsBeyondPhysics(Planted):
+    """The same, where perfect information does not save teams of less than four."""
+
+    def with_perfect_information(self, candidate: Candidate) -> Evaluation:
+        """Return that the centralized controller survives with the whole team alone."""
+        if len(self.base.scenario.owned) == 4:
+            return super().with_perfect_information(candidate)
+        return self.evaluate(candidate)
 
 
 def planted() -> Planted:
@@ -149,6 +166,72 @@ def test_a_minimal_case_fails_by_its_events() -> None:
     held = whole.run(Evaluations(None, {}), fly, Quiet()).minimal
     assert held is not None
     assert len(held.problem.base.scenario.owned) < 4
+
+
+def test_a_minimal_case_keeps_the_verdict_of_the_whole_team() -> None:
+    """A smaller team that perfect information does not save is not the case of the whole one."""
+    whole = search(160)
+    problem = SmallTeamsBeyondPhysics(base=whole.problem.base, objective=whole.problem.objective)
+    minimal = replace(whole, problem=problem).run(Evaluations(None, {}), fly, Quiet()).minimal
+    assert minimal is not None
+    assert len(minimal.problem.base.scenario.owned) == 4
+    assert not minimal.beyond_physics
+
+
+@dataclass(frozen=True, kw_only=True)
+class Refusing(Planted):
+    """A problem whose scenario refuses silences that begin before a time."""
+
+    earliest_s: float
+
+    def evaluate(self, candidate: Candidate) -> Evaluation:
+        """Return the planted robustness, or a refusal."""
+        evaluation = super().evaluate(candidate)
+        silences = [event for event in candidate.events if isinstance(event, Silence)]
+        if all(silence.start_s >= self.earliest_s for silence in silences):
+            return evaluation
+        return replace(evaluation, robustness=1.0, outcome=REFUSED, reason="links: too early")
+
+
+def test_refused_cases_are_counted_and_a_space_without_others_is_refused() -> None:
+    """No case of such a space says that the team holds."""
+    whole = search(32)
+    base, objective = whole.problem.base, whole.problem.objective
+    some = Refusing(base=base, objective=objective, earliest_s=8.0)
+    result = replace(whole, problem=some).run(Evaluations(None, {}), fly, Quiet())
+    assert 0 < len(result.refused) < len(result.flown)
+    assert summary(result)["refused"] == len(result.refused)
+
+    every = Refusing(base=base, objective=objective, earliest_s=30.0)
+    silences = Space(("silence",), read_bounds(None, 25.0), base.scenario)
+    without_others = replace(whole, problem=every, space=silences)
+    with pytest.raises(ScenarioError, match="refused, the first by links: too early"):
+        without_others.run(Evaluations(None, {}), fly, Quiet())
+
+
+@pytest.mark.parametrize(
+    ("measure", "limit", "passed_s"),
+    [
+        ("payload", 0.2, 0.3),
+        ("separation", 0.45, 0.1),
+        ("cost", 1e-9, None),
+        ("payload", 9.0, None),
+    ],
+)
+def test_the_time_of_a_failure_is_that_of_the_limit(
+    measure: str, limit: float, passed_s: float | None
+) -> None:
+    """A payload that leaves its reference at 1 m/s, and UAVs that are closer from 0.1 s on."""
+    run = runs.setup(SHORT)
+    flown = series_of(run, log_of([runs.plant_state(run, k) for k in range(8)]))
+    away_m = np.clip(flown.times_s - 0.1 + 1e-9, 0.0, None)
+    series = replace(
+        flown,
+        payload_reference_I=flown.x[:, state.R0] - away_m[:, None] * [1.0, 0.0, 0.0],
+        separation_m=np.where(flown.times_s > 0.1 - 1e-9, 0.4, 0.5),
+    )
+    objective = Objective.of(measure, limit, run.scenario)
+    assert objective.passed_s(series) == passed_s
 
 
 def counted() -> tuple[list[str], Callable[..., Iterable[Evaluation]]]:
@@ -256,3 +339,12 @@ def test_a_run_ends_as_soon_as_it_has_failed() -> None:
     assert evaluation.outcome == "failed"
     assert 0.0 < evaluation.end_s < 1.4
     assert evaluation.robustness == pytest.approx(evaluation.end_s / 1.5 - 1.0)
+
+
+def test_python_takes_kinds_as_text_and_bounds_from_a_file() -> None:
+    """Text is as on the command line; a mapping of bounds is refused by the argument's name."""
+    assert names_of("silence, gusts") == names_of(["silence", "gusts"]) == ("silence", "gusts")
+    with pytest.raises(ArgumentError, match="bounds: expected a TOML file, got dict"):
+        transport.worst("resilient", bounds={})  # type: ignore[arg-type]  # the error of a user
+    result = search(8).run(Evaluations(None, {}), fly, Quiet())
+    assert repr(Worst(result)) == "<Worst: 8 cases, 0 of them fail>"
