@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from tests.support.coordinator_clock import CONTINUE, MS, START_NS, S, kinds, started, tell
+from tests.support.coordinator_clock import CONTINUE, MS, START_NS, S, kinds, ready, started, tell
 from tests.support.nodes import CoordinatorNode
 from tests.support.runs import ALL, plan, plant_state, setup, ticks
 from transport.protocol.scenario.setup import Setup
@@ -191,6 +191,27 @@ def test_a_frozen_agent_is_taken_off_the_roster() -> None:
     sent, _ = run_until(run, node, due(150), ["agent4"])
     assert sent == []
     assert node.tick - tick > 30
+
+
+def test_a_frozen_agent_that_returns_has_the_whole_timeout() -> None:
+    """A new start of an agent owes its answer since it joined, not since the last one was lost."""
+    run, node = realtime(CONTINUE)
+    tell(node, [*answers(run, 0), plant_state(run, 0)])
+    _, now_ns = run_until(run, node, due(400), ["agent4"])
+    assert tell(node, [ready("agent4", 2)], now_ns) == []
+    assert node.wake_ns is not None
+    joined_ns = node.wake_ns
+    roster, tick = node.poll(joined_ns)
+    assert isinstance(roster, Roster)
+    assert isinstance(tick, Tick)
+    assert (roster.agents, tick.members) == (ALL, ALL)
+    events = [*answers(run, node.tick, (1, 2, 3)), plant_state(run, node.tick)]
+    assert tell(node, events, joined_ns + MS) == []
+    assert node.poll(joined_ns + 2 * MS) == ()
+
+    sent, lost_ns = run_until(run, node, due(400), ["agent4"])
+    assert [message.kind for message in sent] == ["roster"]
+    assert joined_ns + BARRIER_NS <= lost_ns <= joined_ns + BARRIER_NS + PERIOD_NS
 
 
 def test_a_slow_agent_is_not_lost() -> None:

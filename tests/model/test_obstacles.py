@@ -6,7 +6,7 @@ from scipy.optimize import lsq_linear
 
 from transport.model.arrays import Array
 from transport.model.hover import hover
-from transport.model.obstacles import Obstacle, Solid, clearances
+from transport.model.obstacles import Obstacle, Solid, bodies, clearances
 from transport.model.parameters import table_1
 from transport.model.rotations import rotation
 
@@ -84,3 +84,38 @@ def test_clearances_of_a_team_by_hand() -> None:
     )
     np.testing.assert_allclose(clear_of(ball), from_ball, atol=SAME_M)
     np.testing.assert_array_equal(clear_of(wall, ball), np.minimum(clear_of(wall), clear_of(ball)))
+
+
+def test_gradients_are_those_of_the_nearest_of_several_solids() -> None:
+    """Distances of points are the least of all solids, gradients their finite differences."""
+    rng = np.random.default_rng(7)
+    solids = tuple(
+        Solid(
+            centre_I=np.array(centre),
+            heading_rad=0.4,
+            half=np.array(half, dtype=float),
+            radius=0.05,
+        )
+        for centre, half in (
+            ([-1.0, 0.0, 0.0], [0.3, 0.2, 0.4]),
+            ([1.0, 0.5, 0.0], [0.0, 0.0, np.inf]),
+            ([0.0, -1.0, 1.0], [0.0, 0.0, 0.0]),
+        )
+    )
+    obstacle = Obstacle(name="", solids=solids, margin_m=0.3, load_margin_m=0.1, penalty=1.0)
+    r = rng.normal(size=(60, 3))
+    each = np.array([solid.from_points(r)[0] for solid in solids])
+    distances, gradients = obstacle.from_points(r)
+    np.testing.assert_array_equal(distances, each.min(axis=0))
+    assert set(each.argmin(axis=0)) == {0, 1, 2}, "a solid is nowhere the nearest"
+    for axis in np.eye(3):
+        ahead, behind = (obstacle.from_points(r + sign * 1e-5 * axis)[0] for sign in (1.0, -1.0))
+        np.testing.assert_allclose(gradients @ axis, (ahead - behind) / 2e-5, atol=SAME_SLOPE)
+
+
+@pytest.mark.parametrize("N", [1, 4])
+def test_margins_are_in_the_order_of_the_bodies(N: int) -> None:
+    """UAVs keep the margin of their centres, rods and payload that of the load."""
+    obstacle = Obstacle(name="", solids=(), margin_m=0.3, load_margin_m=0.1, penalty=1.0)
+    expected = [0.3 if body.startswith("UAV") else 0.1 for body in bodies(N)]
+    assert obstacle.margins(N).tolist() == expected

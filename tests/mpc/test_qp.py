@@ -6,6 +6,7 @@ By hand, and against errors put in on purpose.
 import numpy as np
 import pytest
 
+from transport.model import native
 from transport.mpc.qp import QP, residuals
 
 # A few products of small numbers: rounding only.
@@ -39,12 +40,17 @@ BY_HAND = {
     "below a row": ([1.0, 1.0], [0.0, 0.0], 0.0, (2.0 / 4.0, 2.0 / 2.0, 0.0)),
     "pushed by a distant bound": ([0.0, 4.0], [7.0, 0.0], -4.0, (0.0, 0.0, 7.0 / 9.0)),
     "pushed by a missing bound": ([1.0, 3.0], [5.0, -2.0], -3.0, (2.0 / 4.0, 0.0, 2.0 / 3.0)),
+    "pushed down by a missing bound": ([1.0, 3.0], [5.0, 2.0], -3.0, (2.0 / 4.0, 0.0, 2.0 / 3.0)),
 }
 
 
+@pytest.mark.parametrize("compiled", [False, True], ids=["NumPy", "kernel"])
 @pytest.mark.parametrize("name", BY_HAND)
-def test_residuals_by_hand(name: str) -> None:
+def test_residuals_by_hand(name: str, *, compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Stationarity, primal violation and complementarity of (28) in docs/equations.md, one error at a time."""
+    if compiled and not native.AVAILABLE:
+        pytest.skip("no compiled kernels")
+    monkeypatch.setattr(native, "AVAILABLE", compiled)
     z, bound, row, expected = BY_HAND[name]
     found = residuals(PROGRAM, np.array(z), np.array(bound), np.array([row]))
     assert (found.stationarity, found.primal, found.complementarity) == pytest.approx(

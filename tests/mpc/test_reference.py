@@ -1,6 +1,7 @@
 """Samples of a reference after a target, (75)."""
 
 import numpy as np
+import pytest
 
 from tests.model.test_flat import ROUNDING, unequal
 from tests.model.test_targets import EIGHT, target
@@ -51,3 +52,14 @@ def test_samples_after_a_target_are_those_of_the_whole_path() -> None:
     assert last < INSTANTS, "no instant is held"
     close(track.X, X[track.first : last])
     close(np.repeat(track.X[-1:], INSTANTS - last, axis=0), X[last:])
+
+
+@pytest.mark.parametrize("tick", [43, TARGET_TICK])
+def test_a_target_changes_the_reference_from_its_tick_on(tick: int) -> None:
+    """The change begins at the tick of the target: 43 * 0.05 / 0.05 is rounded to less than 43."""
+    given = target(tick * PERIOD_S, [1.0, 2.0, -11.0], duration_s=3.02)
+    reference = Reference(FlatReference(SYSTEM, hover(SYSTEM), EIGHT), PERIOD_S, INSTANTS)
+    change = reference.with_target(given).sampled.change
+    assert change is not None
+    assert change.track is not None
+    assert (change.first, change.track.first) == (tick, tick)

@@ -1,8 +1,10 @@
 """The QP solvers against each other, against SciPy, and against answers made wrong on purpose."""
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
+import clarabel
 import daqp
 import numpy as np
 import pytest
@@ -127,3 +129,32 @@ def test_lying_solver_is_not_believed(lie: str, monkeypatch: pytest.MonkeyPatch)
     answer = solve(qp, "daqp")
     assert (answer.status, answer.solver, answer.fallback) == ("solved", "clarabel", True)
     assert np.array_equal(answer.z, expected.z)
+
+
+@pytest.mark.parametrize(
+    ("program", "said", "status"),
+    [
+        (random_qp(0), "AlmostSolved", "solved"),
+        (without_solution()["two ranges"], "AlmostPrimalInfeasible", "infeasible"),
+        (random_qp(0), "InsufficientProgress", "numerical"),
+    ],
+    ids=["solution", "no solution", "no progress"],
+)
+def test_a_solver_that_is_almost_sure_is_believed(
+    program: QP, said: str, status: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Clarabel's reduced accuracy counts as its full one: the residual check decides."""
+    honest = clarabel.DefaultSolver
+
+    def unsure(*arguments: Any) -> Any:
+        answer = honest(*arguments).solve()
+        changed = SimpleNamespace(x=answer.x, z=answer.z, iterations=answer.iterations, status=said)
+        return SimpleNamespace(solve=lambda: changed)
+
+    expected = solve_clarabel(program)
+    monkeypatch.setattr(clarabel, "DefaultSolver", unsure)
+    answer = solve_clarabel(program)
+    assert answer.status == status
+    if status == "solved":
+        assert np.array_equal(answer.z, expected.z)
+        assert answer.residuals == expected.residuals

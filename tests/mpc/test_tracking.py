@@ -18,7 +18,7 @@ from transport.model.linearisation import Model
 from transport.model.maneuver import Maneuver
 from transport.model.obstacles import Obstacle, Solid, clearances
 from transport.model.phase import Phase
-from transport.model.state import R0, V0, StateView, input_slice
+from transport.model.state import R0, V0, StateView, input_slice, uav_slice
 from transport.mpc.controller import Controller, StepResult
 from transport.mpc.course import Course
 from transport.mpc.forming import recursion_of
@@ -450,6 +450,19 @@ def test_meanwhile_the_closed_loop_is_that_of_its_gains() -> None:
         A_deviation = before.A_closed @ deviation - before.B @ before.K @ deviation
         expected = A_deviation + now.B @ now.K @ deviation
         np.testing.assert_allclose(now.A_closed @ deviation, expected, rtol=0.0, atol=1e-12)
+
+
+def test_meanwhile_no_uav_follows_the_motion_of_a_released_one() -> None:
+    """Until the gains are known the others keep theirs, but for those about the released UAV."""
+    regulation, whole, since = controller().regulation, controller().regulation, 60
+    regulation.form({3}, {3}, {3}, since=since)
+    assert not regulation.advance(since), "the law holds at once"
+    found, before = regulation.gain(since), whole.gain(since)
+    others = slice(0, input_slice(3).start)
+    expected = before[others].copy()
+    assert expected[:, uav_slice(3)].any()
+    expected[:, uav_slice(3)] = 0.0
+    np.testing.assert_array_equal(found[others], expected)
 
 
 @pytest.mark.parametrize("released", [(), (3,)], ids=["death", "release"])

@@ -4,10 +4,10 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import psutil
@@ -21,7 +21,7 @@ from transport.model.arrays import Array
 from transport.model.rotations import rotation
 from transport.model.state import OMEGA, StateView
 from transport.plant.actuators import checked_firmware
-from transport.plant.firmware import process
+from transport.plant.firmware import betaflight, process
 from transport.plant.firmware.betaflight import Betaflight
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.file import read_scenario
@@ -126,6 +126,89 @@ def test_sensors_have_the_signs_of_the_firmware() -> None:
     assert np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross == pytest.approx(
         to_flu @ R_IB @ to_flu
     )
+
+
+class Packets:
+    """A firmware whose outputs are one half, and which keeps what it is given."""
+
+    started: ClassVar[list["Packets"]] = []
+
+    def __init__(self, *_: object) -> None:
+        self.started.append(self)
+        self.sensors: Sequence[float] = ()
+        self.channels: Sequence[int] | None = None
+
+    def outputs(self) -> tuple[float, ...]:
+        """Return the outputs of the motors."""
+        return (0.5, 0.5, 0.5, 0.5)
+
+    def give(self, sensors: Sequence[float], channels: Sequence[int] | None = None) -> None:
+        """Keep measurements and channels."""
+        self.sensors, self.channels = sensors, channels
+
+    def end(self) -> None:
+        """End."""
+
+
+@pytest.fixture
+def packets(monkeypatch: pytest.MonkeyPatch) -> list[Packets]:
+    """Start no firmwares, and return what stands for them."""
+    monkeypatch.setattr(Packets, "started", [])
+    monkeypatch.setattr(betaflight, "Process", Packets)
+    monkeypatch.setattr(betaflight, "eeprom_after", lambda *_: b"")
+    return Packets.started
+
+
+# Right wing down and nose to the right are sticks to the right; nose up is a stick pulled back.
+@pytest.mark.parametrize(("axis", "channel", "sign"), [(0, 0, 1), (1, 1, -1), (2, 3, 1)])
+def test_sticks_have_the_signs_of_the_firmware(
+    packets: list[Packets], axis: int, channel: int, sign: int
+) -> None:
+    """A commanded body rate about forward, right or down moves its own stick, in proportion."""
+    run = setup()
+    loop = Betaflight(run, STEP_S)
+    sticks = []
+    for rate in (0.0, 0.5, 1.0, -1.0):
+        command = run.hover.u.reshape(-1, 4).copy()
+        command[:, 1:] = 0.0
+        command[:, 1 + axis] = rate
+        loop.moments(command, run.initial_state())
+        assert packets[0].channels is not None
+        sticks.append([packets[0].channels[each] for each in (0, 1, 3)])
+    moved = np.array(sticks) - 1500
+    own = (0, 1, 3).index(channel)
+    assert not moved[0].any()
+    assert not np.delete(moved, own, axis=1).any()
+    _, half, full, back = sign * moved[:, own]
+    assert full > 0
+    assert back == -full
+    assert abs(full - 2 * half) <= 1  # a channel is a whole number of microseconds
+
+
+@pytest.mark.parametrize(
+    ("Theta", "felt"),
+    [
+        ([0.0, 0.0, 0.7], [0.0, 0.0, -1.0]),
+        ([0.0, 0.3, 0.0], [-np.sin(0.3), 0.0, -np.cos(0.3)]),
+        ([0.3, 0.0, 0.0], [0.0, -np.sin(0.3), -np.cos(0.3)]),
+    ],
+    ids=["level", "nose up", "right wing down"],
+)
+def test_a_vehicle_at_rest_feels_its_weight(
+    packets: list[Packets], Theta: list[float], felt: list[float]
+) -> None:
+    """The packet has the specific force about forward, left, up negated.
+
+    Nose up the vehicle is supported towards its nose, right wing down towards its left.
+    """
+    run = setup()
+    loop = Betaflight(run, STEP_S)
+    x = run.initial_state()
+    StateView(x).Theta[:] = Theta
+    for _ in range(2):  # the velocity of the step before is that of this one
+        loop.moments(run.hover.u.reshape(-1, 4), x)
+    for each in packets:
+        assert each.sensors[3:6] == pytest.approx(run.system.gravity * np.array(felt))
 
 
 @installed

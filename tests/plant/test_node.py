@@ -80,6 +80,22 @@ def test_truth_is_the_integrated_state() -> None:
         np.testing.assert_array_equal(message.inputs, u[None, 4 * agent - 4 : 4 * agent])
 
 
+def test_plans_that_come_early_are_not_forgotten() -> None:
+    """Plans of tick 1 decide the inputs of tick 2, also if they overtook those of tick 0."""
+    run = setup(NEXT_TICK)
+    node = ready(run)
+    assert kinds(tell(node, tick(0))) == [*measured(0), "plant_state 0"]
+    assert kinds(tell(node, tick(1))) == measured(1)
+    early = [plan(run, agent, 1, delay=1) for agent in ALL]
+    assert tell(node, *early) == []
+    found = tell(node, *[plan(run, agent, 0, delay=1) for agent in ALL])
+    assert kinds(found) == ["plant_state 1"]
+    found = tell(node, tick(2))
+    assert kinds(found) == [*measured(2), "plant_state 2"]
+    assert isinstance(found[-1], PlantState)
+    assert found[-1].plan_ticks == (1, 1, 1, 1)
+
+
 def test_lost_agents_uav_plays_on() -> None:
     """The UAV of an agent that left follows its last plan to the end, then the fail-safe."""
     run = setup(IMMEDIATE, "controller.horizon=3")

@@ -11,7 +11,7 @@ from transport.protocol.admission.gate import Gate
 from transport.protocol.wire.codec import MAX_BYTES, encode
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.keys import Keys
-from transport.protocol.wire.messages import Answer, LinkChange, Message, Plan, Relay
+from transport.protocol.wire.messages import Answer, LinkChange, Message, Plan, Relay, Target
 from transport.protocol.wire.node import Outbox
 
 RUN = setup("controller.horizon=5", ticks(60))
@@ -190,6 +190,43 @@ def test_bundles_are_opened() -> None:
         ("plan/4", "wrong_version"),
         ("coordinator", "wrong_sender"),
     ]
+
+
+def test_the_tick_is_that_of_the_run() -> None:
+    """It is the newest of accepted messages, but for link changes and targets."""
+    receiver = Receiver("plant")
+    assert receiver.hear(runs.tick(5))
+    assert receiver.gate.tick == 5
+    for kind in (LinkChange, Target):
+        assert receiver.hear(sample(kind), tick=9)
+        assert receiver.gate.tick == 5
+    assert not receiver.hear(runs.tick(3))
+    assert receiver.gate.tick == 5
+    assert receiver.hear(runs.tick(6))
+    assert receiver.gate.tick == 6
+
+
+def test_refusals_are_told_once_a_second() -> None:
+    """Notices come at most once a second, each with the count since the one before."""
+    receiver = Receiver("plant")
+    start_ns, second_ns = 7 * 10**9, 10**9
+
+    def told(now_ns: int | None) -> list[tuple[str, str, int]]:
+        notices = receiver.gate.notices(1, now_ns)
+        return [(notice.offender, notice.reason, notice.count) for notice in notices]
+
+    assert receiver.hear(runs.tick(5))
+    assert told(start_ns) == []
+    assert not receiver.hear(runs.tick(5))
+    assert told(start_ns) == [("coordinator", "replayed", 1)]
+    for _ in range(2):
+        assert not receiver.hear(runs.tick(5))
+        assert told(start_ns + second_ns - 1) == []
+    assert told(start_ns + second_ns) == [("coordinator", "replayed", 2)]
+    assert told(start_ns + 3 * second_ns) == []
+    for _ in range(2):  # without a time there is nothing to wait for
+        assert not receiver.hear(runs.tick(5))
+        assert told(None) == [("coordinator", "replayed", 1)]
 
 
 def past(text: str = "over") -> MessageError:

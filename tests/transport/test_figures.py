@@ -150,6 +150,22 @@ def test_events_are_marked() -> None:
     )
 
 
+def test_only_the_first_of_many_events_are_marked() -> None:
+    """The caption stays short: more events after those marked change nothing."""
+    few, many = (
+        marks_of(runs.setup(runs.SHORT, f"links.change=[{changes}]"), log_of([]))
+        for changes in (
+            ",".join(f"{{at_s={0.05 * k:.2f},delay_s={0.01 * k:.2f}}}" for k in range(1, count))
+            for count in (26, 29)
+        )
+    )
+    assert few == many
+    assert 0 < len(many) < 20
+    assert [mark.time_s for mark in many] == pytest.approx(
+        [0.05 * k for k in range(1, len(many) + 1)]
+    )
+
+
 def test_drawing_has_no_side_effects(tmp_path: Path) -> None:
     """No setting of matplotlib is changed, and pyplot, which keeps its figures, is not used."""
     before, had_pyplot = dict(mpl.rcParams), "matplotlib.pyplot" in sys.modules

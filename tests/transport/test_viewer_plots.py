@@ -8,7 +8,7 @@ import json
 import os
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -32,7 +32,7 @@ from transport.scene.history import RunHistory
 from transport.scene.parts import Label
 from transport.scene.scene import SceneBuilder
 from transport.viewer.camera import FIELD_OF_VIEW
-from transport.viewer.link_controls import groups_of
+from transport.viewer.link_controls import ALL_LINKS, LinkControls, groups_of
 from transport.viewer.plots import Plots, rounded_range
 from transport.viewer.timeline import Event, events_around, events_of
 from transport.viewer.viewer import Viewer
@@ -369,6 +369,137 @@ def test_sliders_of_links_show_the_values_in_force(live: Viewer, builder: SceneB
     assert "12 of 12 links impaired; cut: 1 to 2" in links._state.content
     builder.history.add([change(3, 7, "", "", **PERFECT_VALUES)])
     assert values() == (0.0, 0)
+
+
+class Widget:
+    """A widget that keeps its value and calls what a user's action is to call."""
+
+    def __init__(self, value: Any = None) -> None:
+        self.value = self.content = value
+        self.said: list[tuple[str, str]] = []
+        self._acts: Callable[[Any], None] = lambda _: None
+
+    def __enter__(self) -> "Widget":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def on_click(self, acts: Callable[[Any], None]) -> None:
+        """Keep what a click is to do."""
+        self._acts = acts
+
+    on_update = on_click
+
+    def act(self, value: Any = None) -> None:
+        """Set the value as a user does, or click."""
+        self.value = value
+        client = SimpleNamespace(add_notification=lambda *text: self.said.append(text))
+        self._acts(SimpleNamespace(client=client))
+
+
+class LinkGui:
+    """Widgets of links, by label."""
+
+    def __init__(self) -> None:
+        self.widgets: dict[str, Widget] = {}
+
+    def _add(self, label: str, value: Any = None) -> Widget:
+        self.widgets[label] = Widget(value)
+        return self.widgets[label]
+
+    def add_folder(self, label: str, **_: Any) -> Widget:
+        """Add a folder."""
+        return self._add(label)
+
+    def add_dropdown(self, label: str, options: Sequence[str]) -> Widget:
+        """Add a list whose first option is chosen."""
+        return self._add(label, options[0])
+
+    def add_slider(self, label: str, low: float, high: float, step: float, value: float) -> Widget:
+        """Add a slider, which has a value from the first."""
+        assert low <= value <= high
+        assert step > 0.0
+        return self._add(label, value)
+
+    def add_button(self, label: str) -> Widget:
+        """Add a button."""
+        return self._add(label)
+
+    def add_text(self, label: str, value: str, **_: Any) -> Widget:
+        """Add a line of text."""
+        return self._add(label, value)
+
+    def add_html(self, text: str) -> Widget:
+        """Add a text."""
+        return self._add("", text)
+
+
+class Requested:
+    """Requests of a page, in place of those to a live run."""
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[Any, ...]] = []
+
+    def link(self, ends: tuple[int, int] | None, settings: Mapping[str, Any]) -> None:
+        """Keep a change of links."""
+        self.sent.append(("link", ends, settings))
+
+    def cut(self, groups: Sequence[Sequence[int]]) -> None:
+        """Keep a cut between groups."""
+        self.sent.append(("cut", groups))
+
+    def clear(self) -> None:
+        """Keep that all links are cleared."""
+        self.sent.append(("clear",))
+
+
+@pytest.fixture
+def links_of_page(builder: SceneBuilder) -> tuple[LinkControls, dict[str, Widget], list[Any]]:
+    """Return the controls of links, their widgets, and what they request."""
+    gui, requested = LinkGui(), Requested()
+    commands: Any = requested
+    return LinkControls(gui, builder.history, commands), gui.widgets, requested.sent
+
+
+def test_buttons_of_links_request_what_the_widgets_show(
+    links_of_page: tuple[LinkControls, dict[str, Widget], list[Any]],
+) -> None:
+    """A slider in per cent sets a loss from 0 to 1, of one link or of all."""
+    _, widgets, sent = links_of_page
+    for chosen, ends in ((ALL_LINKS, None), ("2 to 1", (2, 1))):
+        widgets["link"].act(chosen)
+        widgets["delay (s)"].value = 0.25
+        widgets["loss (%)"].value = 20
+        widgets["Set"].act()
+        assert sent.pop() == ("link", ends, {"delay_s": 0.25, "loss": pytest.approx(0.2)})
+
+    cut, groups = widgets["Cut between groups"], widgets["groups"]
+    cut.act()
+    assert sent.pop() == ("cut", [[1, 2], [3, 4]])
+    groups.value = "1 | 3"
+    cut.act()
+    assert sent.pop() == ("cut", [[1], [3], [2, 4]])
+    widgets["Clear all links"].act()
+    assert sent.pop() == ("clear",)
+
+    groups.value = "9"
+    cut.act()
+    ((title, text),) = cut.said
+    assert title == "Links"
+    assert text.startswith("groups: expected")
+    assert sent == []
+
+
+def test_a_delay_beyond_the_slider_is_shown_at_its_end(
+    builder: SceneBuilder, links_of_page: tuple[LinkControls, dict[str, Widget], list[Any]]
+) -> None:
+    """By a script or another client a delay may exceed what the slider holds, 1 s."""
+    links, widgets, _ = links_of_page
+    for number, (delay_s, seen_s) in enumerate(((3.0, 1.0), (0.4, 0.4)), start=1):
+        builder.history.add([change(number, 4 + number, "", "", delay_s=delay_s)])
+        links.show()
+        assert widgets["delay (s)"].value == seen_s
 
 
 @pytest.mark.parametrize(
