@@ -96,9 +96,10 @@ class Clock:
 
     def answer(self, plan: Plan, tick: int, now_ns: int) -> None:
         """Note an agent's plan while a tick is open."""
-        self._owed_since_ns[plan.agent] = now_ns
         if plan.tick == tick:
-            del self._owed_since_ns[plan.agent]
+            self._owed_since_ns.pop(plan.agent, None)
+        else:
+            self._owed_since_ns[plan.agent] = now_ns
 
         deadline_ns = self.due_ns(plan.tick + 1)
         self._overrun_ns = max(self._overrun_ns, now_ns - deadline_ns)

@@ -15,9 +15,9 @@ from transport.model.dynamics import Symbols
 
 # No contraction of products and sums: the same bits as CasADi's interpreter.
 _FLAGS = ("-Og", "-march=native", "-fno-math-errno", "-ffp-contract=off")
-# Of `step`, a tenth of the code, evaluated tens of times in a step of a controller: worth the time
-# of its compilation. GCC's vectorisation of straight code fuses products and sums of neighbours in
-# spite of the flag above.
+# How `step` is compiled: it is a tenth of the code, but evaluated most, tens of times in a step of a
+# controller. GCC's vectorisation of straight code fuses products and sums of neighbours in spite of
+# the flag above.
 _OPTIMISED = """#pragma GCC push_options
 #pragma GCC optimize("O2,no-tree-slp-vectorize")
 {}
@@ -193,6 +193,7 @@ def _build(N: int, rates: bool) -> dict[str, ca.Function]:
     y = dynamics.outputs(s)
     derivative = ca.Function("derivative", arguments, [motion.derivative])
     sense = _sense(s, motion)
+    # Inlined, so that the derivatives are left out; the first output is the measurements.
     sensed = sense.call(arguments, True, False)[:1]
     return {
         "derivative": derivative,

@@ -153,6 +153,7 @@ def _between_box_and_segments(a: Array, b: Array, half: Array) -> Array:
         s = (low + high) / 2.0
         p = a + s[..., None] * along
         beyond = p - np.clip(p, -half, half)
+        # Half the slope of the squared distance by s.
         is_falling = (beyond * along).sum(axis=-1) < 0.0
         low = np.where(is_falling, s, low)
         high = np.where(is_falling, high, s)

@@ -194,7 +194,7 @@ def within_bounds(qp: QP) -> Solution | None:
     guesses = native.KERNELS.solve_within_bounds(
         n, rows, *qp.addresses, MOST_GUESSES, *places, work
     )
-    if guesses <= 0:
+    if guesses <= 0:  # 0: no such solution, or equalities; -1: H or g is not finite
         return None
 
     z = answer[:n]

@@ -110,13 +110,13 @@ class Recursion:
         return Tracker(gains=gains, key=digest(self._key, "meanwhile"), first=self._track.first)
 
     def advance(self, instant: int | None = None) -> None:
-        """Compute the share of an instant after the first; without instant, all that is missing."""
-        count = self._last + 1
+        """Compute the gains that are due until an instant; without one, all that are missing."""
+        due = self._last + 1
         if instant is not None:
-            count = GAINS_PER_PERIOD * (instant - self._track.first - self._since_row)
+            due = GAINS_PER_PERIOD * (instant - self._track.first - self._since_row)
 
         next_row = self._last - len(self._computed)
-        down_to = max(self._last - count, self._since_row - 1)
+        down_to = max(self._last - due, self._since_row - 1)
         for k in range(next_row, down_to, -1):
             self._computed.append(self._step(k))
 

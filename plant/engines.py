@@ -146,7 +146,9 @@ class Engine:
         Returns: State at its end, (n,), the last one if the engine has failed; the local error, -1
             if it is unknown.
         """
-        if type(self._physics) is Rods:  # not checked: that takes longer than its steps
+        # Our own engine: reading and checking its state would take longer than its steps, and it
+        # cannot fail.
+        if type(self._physics) is Rods:
             error = self._physics.advance(u, forces, duration_s)
             self._x = self._physics.state()
             known_error = error if math.isfinite(error) else UNKNOWN_ERROR
@@ -156,8 +158,10 @@ class Engine:
         if self.failure:
             return self._x, error
         with self._failing():
+            # Copies: the arrays are the plant's record, and an engine may work in place.
+            own_forces = None if forces is None else forces.copy()
             with errors_of("advance"):
-                told_error = self._physics.advance(u, forces, duration_s)
+                told_error = self._physics.advance(u.copy(), own_forces, duration_s)
                 if told_error is not None and math.isfinite(told_error):
                     error = float(told_error)
             self._x = self._read()
@@ -200,14 +204,25 @@ class Engine:
         return x
 
     def _read_tensions(self) -> Array:
-        """Return the tensions of the engine's cables. Raises: OwnClassError: a wrong shape."""
+        """Return the tensions of the engine's cables.
+
+        They need not be finite once its state is not.
+
+        Raises: OwnClassError: a wrong shape, or not finite.
+        """
         with errors_of("tensions"):
             tensions = real_array(getattr(self._physics, "tensions", ()))
         cables = (self._system.N,)
         has_cables = len(self.tensions) > 0
-        if tensions.shape != cables and (has_cables or tensions.shape != (0,)):
-            expected = f"{cables}" if has_cables else f"(0,) or {cables}"
+        allowed = [cables] if has_cables else [(0,), cables]
+        if tensions.shape not in allowed:
+            expected = " or ".join(map(str, allowed))
             raise OwnClassError(f"tensions: expected shape {expected}, got {tensions.shape}")
+
+        wrong = np.flatnonzero(~np.isfinite(tensions))
+        if len(wrong) and np.isfinite(self._x).all():
+            expected = f"expected a finite number for the cable of UAV{wrong[0] + 1}"
+            raise OwnClassError(f"tensions: {expected}, got {tensions[wrong[0]]:g}")
         return tensions
 
     @contextmanager

@@ -28,15 +28,20 @@ from transport.protocol.wire.node import Outbox, RunShape
 
 # Time between two batches of `Rejected` messages, ns.
 _EVERY_NS = 1_000_000_000
-# Keys whose receiver is remembered: a run has fewer, and a sender may invent any.
+# Keys whose receiver is remembered, and counts of refusals: a run has fewer, and a sender may invent
+# any.
 _KEYS_KEPT = 1024
+# Stands for all senders without a count of their own.
+OTHERS = "others"
 
 
 @dataclass(slots=True)
 class Rejection:
     """Messages of one sender refused for one reason."""
 
-    sender: str  # according to the messages, or the end of their key where that cannot be read
+    # According to the messages, or the end of their key where that cannot be read; `OTHERS` for all
+    # further ones.
+    sender: str
     reason: Reason
     example: str  # error of the first of them
     count: int = 0
@@ -44,7 +49,10 @@ class Rejection:
 
 
 class Rejections:
-    """Counts of one process, which iteration yields in the order they began."""
+    """Counts of one process, which iteration yields in the order they began.
+
+    Once there are `_KEYS_KEPT`, those of further senders are summed for each reason.
+    """
 
     def __init__(self) -> None:
         self._entries: dict[tuple[str, Reason], Rejection] = {}
@@ -59,9 +67,11 @@ class Rejections:
 
     def add(self, sender: str, error: MessageError) -> None:
         """Count a message of a sender, or under a key."""
-        new = Rejection(sender[:MAX_KEY], error.reason, str(error)[:MAX_TEXT])
-        entry = self._entries.setdefault((new.sender, new.reason), new)
-        entry.count += 1
+        key = sender[:MAX_KEY], error.reason
+        if key not in self._entries and len(self._entries) >= _KEYS_KEPT:
+            key = OTHERS, error.reason
+        new = Rejection(*key, str(error)[:MAX_TEXT])
+        self._entries.setdefault(key, new).count += 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,7 +241,8 @@ class Gate:
             return None
 
         self._newest[stream] = Newest(message.place, message.sequence)
-        if not isinstance(message, LinkChange | Target):  # a repeated one is of the past
+        if not isinstance(message, LinkChange | Target):
+            # A new one is of the tick that is not open yet.
             self.tick = max(self.tick, message.tick)
         return message
 

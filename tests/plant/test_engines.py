@@ -273,3 +273,51 @@ def test_a_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (
         problem == "expected the package mujoco, got none; pip install 'payload-transport[mujoco]'"
     )
+
+
+# An engine that does not move the team, and works on the arrays that it is given.
+IN_PLACE = """
+class Mine:
+    def __init__(self, system, section): pass
+    def reset(self, x): self.x = x
+    def advance(self, u, forces, duration_s):
+        u *= 0.5
+        if forces is not None:
+            forces *= 0.5
+    def state(self): return self.x
+"""
+
+
+def test_an_engine_that_works_in_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It changes neither the plant's record of inputs nor the forces."""
+    module(tmp_path, monkeypatch, "mine_in_place", IN_PLACE)
+    module(tmp_path, monkeypatch, "mine_rests", broken())
+    runs = [
+        setup(SHORT, f"plant.engine={name}:Mine", "plant.wind.speed_mps=[2.0,0.0,0.0]")
+        for name in ("mine_in_place", "mine_rests")
+    ]
+    in_place, resting = (plant_states(recorded(run)) for run in runs)
+    for found, expected in zip(in_place, resting, strict=True):
+        np.testing.assert_array_equal(found.u, expected.u)
+
+    run = runs[0]
+    u = run.hover.u.copy()
+    forces = np.ones(3 + 3 * run.system.N)
+    Engine(run, Environment(run).system).advance(u, forces, 0.05)
+    np.testing.assert_array_equal(u, run.hover.u)
+    np.testing.assert_array_equal(forces, 1.0)
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "-inf"])
+def test_tensions_that_are_not_finite(
+    number: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They end the run in one line that names engine and cable."""
+    name = f"mine_cables_{number.strip('-')}"
+    module(
+        tmp_path, monkeypatch, name, broken(f"self.tensions = [1.0, float('{number}'), 1.0, 1.0]")
+    )
+    control = ended(setup(SHORT, f"plant.engine={name}:Mine"))
+    assert (control.outcome, control.exit_code) == ("diverged", EXIT_DIVERGED)
+    text = f"tensions: expected a finite number for the cable of UAV2, got {number}"
+    assert f"engine {name}:Mine: {text}" in control.reason

@@ -232,3 +232,22 @@ def test_refusals_are_told_once_a_second() -> None:
 def past(text: str = "over") -> MessageError:
     """Return some refusal."""
     return MessageError("past", text)
+
+
+def test_invented_keys_share_one_count() -> None:
+    """Counts of refusals are limited, whatever a sender invents; no refusal is lost."""
+    receiver = Receiver("plant")
+    invented = 5_000
+    for number in range(invented):
+        assert list(receiver.gate.accept(f"{KEYS.prefix}/plan/{number}", b"")) == []
+    assert list(receiver.gate.accept(f"{KEYS.prefix}/plan/0", b"")) == []
+    first, *_, last = entries = list(receiver.gate.rejections)
+    assert len(entries) < invented / 2
+    assert (first.sender, first.count) == ("plan/0", 2)
+    assert (last.sender, last.reason) == ("others", "malformed")
+    assert last.count == invented + 1 - len(entries)
+    assert receiver.gate.rejections.total == invented + 1
+
+    notices = receiver.gate.notices(0)
+    assert sum(notice.count for notice in notices) == invented + 1
+    assert (notices[-1].offender, notices[-1].count) == ("others", last.count)

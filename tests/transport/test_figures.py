@@ -4,6 +4,7 @@ import struct
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import permutations, product
 from pathlib import Path
 from xml.etree import ElementTree  # of files written here
 
@@ -150,22 +151,6 @@ def test_events_are_marked() -> None:
     )
 
 
-def test_only_the_first_of_many_events_are_marked() -> None:
-    """The caption stays short: more events after those marked change nothing."""
-    few, many = (
-        marks_of(runs.setup(runs.SHORT, f"links.change=[{changes}]"), log_of([]))
-        for changes in (
-            ",".join(f"{{at_s={0.05 * k:.2f},delay_s={0.01 * k:.2f}}}" for k in range(1, count))
-            for count in (26, 29)
-        )
-    )
-    assert few == many
-    assert 0 < len(many) < 20
-    assert [mark.time_s for mark in many] == pytest.approx(
-        [0.05 * k for k in range(1, len(many) + 1)]
-    )
-
-
 def test_drawing_has_no_side_effects(tmp_path: Path) -> None:
     """No setting of matplotlib is changed, and pyplot, which keeps its figures, is not used."""
     before, had_pyplot = dict(mpl.rcParams), "matplotlib.pyplot" in sys.modules
@@ -248,3 +233,79 @@ def at_rest(series: Series) -> Series:
         u=series.u[0] + tiny[:, None],
         separation_m=series.separation_m[0] + tiny,
     )
+
+
+def changes_of(ends: Sequence[tuple[str, str]]) -> list[LinkChange]:
+    """Return the changes by one request, which loses all messages of some links from tick 4 on."""
+    return [
+        LinkChange(
+            sender="coordinator",
+            incarnation=0,
+            sequence=number,
+            tick=4,
+            number=number,
+            source=source,
+            target=target,
+            settings='{"loss": 1.0}',
+        )
+        for number, (source, target) in enumerate(ends, start=1)
+    ]
+
+
+def killed(tick: int) -> FaultNote:
+    """Return the note that an agent was killed."""
+    return FaultNote(
+        sender="recorder",
+        incarnation=0,
+        sequence=0,
+        tick=tick,
+        target="agent3",
+        what="killed",
+        origin="person",
+    )
+
+
+def test_what_a_run_did_not_reach_is_not_marked() -> None:
+    """Scripted changes and partitions after the last tick of the log have no mark."""
+    run = runs.setup(
+        runs.SHORT,
+        "links.change=[{at_s=0.45,loss=0.1},{at_s=0.46,loss=0.2}]",
+        "links.partition=[{between=['agent2'],start_s=0.2,end_s=0.9},"
+        "{between=['agent3'],start_s=0.7,end_s=0.9}]",
+    )
+    ended_early = marks_of(run, log_of([plant_state(run, k) for k in range(10)]))  # until 0.45 s
+    assert [mark.time_s for mark in ended_early] == [0.2, 0.45]
+    completed = marks_of(run, log_of([plant_state(run, k) for k in range(run.ticks)]))
+    assert [mark.time_s for mark in completed] == [0.2, 0.45, 0.46, 0.7, 0.9, 0.9]
+    assert marks_of(run, log_of([])) == []
+
+
+def test_a_request_is_one_mark() -> None:
+    """A cut between groups is one mark, as is a change of all links; later faults have their own."""
+    run = runs.setup(runs.SHORT)
+    groups = ("agent1", "agent2"), ("agent3", "agent4")
+    pairs = [pair for one, other in permutations(groups) for pair in product(one, other)]
+    marks = marks_of(run, log_of([*changes_of(pairs), killed(20)]))
+    assert [(mark.text, mark.of_links) for mark in marks] == [
+        ("8 links: loss 1.0", True),
+        ("agent3 killed", False),
+    ]
+    (mark,) = marks_of(run, log_of(changes_of([("", ""), ("plant", ""), ("", "plant")])))
+    assert (mark.text, mark.of_links) == ("all links: loss 1.0", True)
+
+
+def test_the_caption_counts_what_is_not_marked() -> None:
+    """Of many events the first have marks, and the caption says how many others there are."""
+    run = runs.setup(runs.SHORT)
+    states = [plant_state(run, k) for k in range(run.ticks)]
+    notes = [killed(tick) for tick in range(15)]
+    figure = Figure()
+    with mpl.rc_context(RC):
+        assert fill(figure, "inputs", AnalysedRun.of(run, log_of([*states, *notes])))
+        assert problems(figure, SMALL) == []
+    (caption,) = (text.get_text() for text in figure.texts if "killed" in text.get_text())
+    numbered = caption.count("killed")
+    assert numbered < len(notes)
+    assert caption.endswith(f"{len(notes) - numbered} more not marked")
+    few = marks_of(run, log_of([*states, *notes[:3]]))
+    assert "not marked" not in " ".join(caption_of(few))

@@ -537,3 +537,38 @@ def test_dead_agents_are_drawn_as_off(live: Viewer, builder: SceneBuilder) -> No
     assert OFF_COLOUR in looks[0]
     assert "UAV2" in looks[1]
     assert OFF_COLOUR not in looks[1]
+
+
+def test_only_sliders_that_were_moved_are_sent() -> None:
+    """A slider that cannot show the value in force leaves it as it is, unless it is moved."""
+    setup = runs.setup(runs.SHORT, "links.delay_s=2.0", "links.loss=0.004")
+    gui, requested, history = LinkGui(), Requested(), RunHistory(setup)
+    commands: Any = requested
+    controls = LinkControls(gui, history, commands)
+    delay, loss, button = (gui.widgets[label] for label in ("delay (s)", "loss (%)", "Set"))
+    assert (delay.value, loss.value) == (1.0, 0)
+    button.act()
+    assert button.said == [("Links", "no slider has been moved")]
+    assert requested.sent == []
+
+    loss.value = 50
+    button.act()
+    assert requested.sent.pop() == ("link", None, {"loss": 0.5})
+
+    history.add([change(1, 5, "", "", loss=0.5)])
+    controls.show()
+    delay.value = 0.3
+    button.act()
+    assert requested.sent.pop() == ("link", None, {"delay_s": 0.3})
+
+
+def test_a_change_of_all_links_is_one_event(builder: SceneBuilder) -> None:
+    """So it is when they are cleared, those of the plant included; other changes are their own."""
+    for number, (source, target) in enumerate([("", ""), ("plant", ""), ("", "plant")], start=1):
+        builder.history.add([change(number, 5, source, target, **PERFECT_VALUES)])
+    builder.history.add([change(4, 6, "plant", "", loss=0.1), change(5, 6, "", "plant", loss=0.1)])
+    assert events_of(builder.history) == [
+        Event(5, "all links cleared"),
+        Event(6, "links from plant: loss 0.1"),
+        Event(6, "links to plant: loss 0.1"),
+    ]

@@ -1,5 +1,6 @@
 """Stacked panels in the width of a paper's column, with titles, legends, limits and marks."""
 
+import re
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,10 +15,11 @@ from matplotlib.textpath import text_to_path
 from matplotlib.transforms import ScaledTranslation
 
 from transport.log.run_log import RunLog
+from transport.protocol.scenario.budget import first_tick
 from transport.protocol.scenario.link_changes import change_in_words
 from transport.protocol.scenario.setup import Setup
 from transport.report.style import COLUMN_IN, POINTS_PER_IN, SMALL, TEXT, shade_phases
-from transport.scene.history import RunHistory
+from transport.scene.history import RunHistory, merged
 
 # Height of a row of a legend, room for the line of an entry and the gap behind it, and rim, inches.
 _ROW_IN = 0.115
@@ -45,7 +47,8 @@ _BEYOND = 0.05
 _LINE_IN = 0.105
 _APART_IN = 0.06
 _WRAP = 72  # characters in a line of the caption
-_MOST_MARKS = 12
+_MOST_MARKS = 12  # that are drawn; the caption counts further ones
+_OF_LINKS = re.compile(r"(\d+ |all )?links\b|target\b")  # beginning of an event's text
 _NEAR = 0.035  # of marks nearer than this share of the run only the first has a number
 
 
@@ -178,23 +181,27 @@ def widen(panel: Axes, low: float, high: float) -> None:
 
 
 def caption_of(marks: Sequence[Mark]) -> list[str]:
-    """Return the lines that explain the numbers of the marks."""
+    """Return the lines that explain the numbers of the marks, and how many are left out."""
     texts = [
-        f"{number}: {mark.text} ({mark.time_s:g} s)" for number, mark in enumerate(marks, start=1)
+        f"{number}: {mark.text} ({mark.time_s:g} s)"
+        for number, mark in enumerate(marks[:_MOST_MARKS], start=1)
     ]
+    left_out = len(marks) - _MOST_MARKS
+    if left_out > 0:
+        texts.append(f"{left_out} more not marked")
     return textwrap.wrap("; ".join(texts), _WRAP)
 
 
 def finish(
     figure: Figure, panels: Sequence[Axes], setup: Setup, until_s: float, marks: Sequence[Mark]
 ) -> None:
-    """Shade and name the phases, and draw the marks.
+    """Shade and name the phases, and draw the first marks.
 
     Their numbers are in the first panel, and the caption below all.
     """
     shade_phases(setup, list(panels), until_s)
     labelled_s = -np.inf
-    for number, mark in enumerate(marks, start=1):
+    for number, mark in enumerate(marks[:_MOST_MARKS], start=1):
         _draw_mark(panels, mark)
         if mark.time_s - labelled_s > _NEAR * until_s:
             labelled_s = mark.time_s
@@ -230,27 +237,31 @@ def _write_number(panel: Axes, number: int, time_s: float, until_s: float) -> No
 def marks_of(setup: Setup, log: RunLog) -> list[Mark]:
     """Return the marks of a run in the order of time; changes that come together are one mark."""
     different = dict.fromkeys(_marks(setup, log))
-    in_time = sorted(different, key=lambda mark: mark.time_s)
-    return in_time[:_MOST_MARKS]
+    return sorted(different, key=lambda mark: mark.time_s)
 
 
 def _marks(setup: Setup, log: RunLog) -> Iterator[Mark]:
-    """Yield the changes of the links and the events of a run."""
+    """Yield the changes of the links and the events of a run until the last tick of its log."""
     period_s = setup.settings.sampling_period_s
     links = setup.scenario.links
-    end_s = (setup.ticks if log.messages else 0) * period_s
+    last = max((entry.message.tick for entry in log.messages), default=-1)
+
     for change in links.change:
+        if first_tick(change.at_s, period_s) > last:
+            continue
         words = change_in_words(change.from_ or "", change.to or "", change.settings())
         yield Mark(time_s=change.at_s, text=words, of_links=True)
 
     for partition in links.partition:
+        if first_tick(partition.start_s, period_s) > last:
+            continue
         names = ", ".join(partition.between)
         yield Mark(time_s=partition.start_s, text=f"{names} cut off", of_links=True)
-        if partition.end_s < end_s:
+        if first_tick(partition.end_s, period_s) <= last:
             yield Mark(time_s=partition.end_s, text=f"{names} connected again", of_links=True)
 
     history = RunHistory(setup)
     history.add(entry.message for entry in log.messages)
-    for tick, text in history.events:
-        is_link = text.startswith(("links", "target"))
+    for tick, text in merged(history.events):
+        is_link = _OF_LINKS.match(text) is not None
         yield Mark(time_s=tick * period_s, text=text.partition(" at t =")[0], of_links=is_link)

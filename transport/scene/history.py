@@ -1,6 +1,8 @@
 """Messages of one run that scenes need, by tick; they grow while a live run is read."""
 
+import re
 from collections.abc import Iterable
+from itertools import groupby
 
 from transport.protocol.scenario.link_changes import words_of
 from transport.protocol.scenario.setup import Setup
@@ -17,9 +19,15 @@ from transport.protocol.wire.messages import (
     StepReport,
     Target,
 )
+from transport.protocol.wire.names import PLANT
 
 # Beginnings of the reasons of rosters that another message tells in its own words.
-_TOLD_ELSEWHERE = ("links ", "target (")
+_TOLD_ELSEWHERE = ("links ", "all links", "target (")
+# Text of a change of links: which ones, and their new settings.
+_CHANGE = re.compile(r"(links (?:from \S+ to \S+|from \S+|to \S+|between agents))(: .*| cleared)")
+_ONE_LINK = re.compile(r"links from \S+ to \S+")
+# The links of the changes by one request for all of them.
+_ALL_LINKS = {"links between agents", f"links from {PLANT}", f"links to {PLANT}"}
 
 # Kinds of messages that a history keeps.
 KINDS = frozenset(
@@ -105,3 +113,28 @@ class RunHistory:
         """Return the roster at a tick; None while none is known."""
         until_then = [roster for roster in self._rosters if roster.tick <= tick]
         return max(until_then, key=lambda roster: roster.version, default=None)
+
+
+def merged(events: Iterable[tuple[int, str]]) -> list[tuple[int, str]]:
+    """Return events in the order of time, with one for all links that one request changes."""
+    in_time = sorted(events, key=lambda event: event[0])
+    together: list[tuple[int, str]] = []
+    for (tick, are_single, settings), group in groupby(in_time, key=_request_of):
+        texts = [text for _, text in group]
+        links = {text.removesuffix(settings) for text in texts}
+        if settings and links >= _ALL_LINKS:
+            texts = [f"all links{settings}"]
+        elif are_single and len(texts) > 1:
+            texts = [f"{len(texts)} links{settings}"]
+        together += [(tick, text) for text in texts]
+    return together
+
+
+def _request_of(event: tuple[int, str]) -> tuple[int, bool, str]:
+    """Return tick, whether single links change, and their new settings; "" for other events."""
+    tick, text = event
+    change = _CHANGE.fullmatch(text)
+    if change is None:
+        return tick, False, ""
+    links, settings = change.groups()
+    return tick, _ONE_LINK.fullmatch(links) is not None, settings

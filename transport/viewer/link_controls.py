@@ -62,6 +62,9 @@ class LinkControls:
         self._commands = commands
         self._in_force = LinksInForce(history)
         self._shown: Mapping[Ends, LinkSection] = {}
+        # What was filled in last: a slider that shows something else has been moved.
+        self._filled_s = 0.0
+        self._filled_percent = 0
         self._ends = {
             f"{sender} to {receiver}": (sender, receiver)
             for sender in self._agents
@@ -105,12 +108,22 @@ class LinkControls:
         delays_s = {section.delay_s for section in chosen}
         losses = {section.loss for section in chosen}
         if len(delays_s) == 1:
-            self._delay.value = min(delays_s.pop(), _MOST_S)
+            self._filled_s = min(delays_s.pop(), _MOST_S)
+            self._delay.value = self._filled_s
         if len(losses) == 1:
-            self._loss.value = round(100.0 * losses.pop())
+            self._filled_percent = round(100.0 * losses.pop())
+            self._loss.value = self._filled_percent
 
-    def _change(self, _: Any) -> None:
-        settings = {"delay_s": round(self._delay.value, 3), "loss": self._loss.value / 100.0}
+    def _change(self, event: Any) -> None:
+        """Send what has been moved: a slider need not show the exact value in force."""
+        settings = {}
+        if self._delay.value != self._filled_s:
+            settings["delay_s"] = round(self._delay.value, 3)
+        if self._loss.value != self._filled_percent:
+            settings["loss"] = self._loss.value / 100.0
+        if not settings:
+            event.client.add_notification("Links", "no slider has been moved")
+            return
         self._commands.link(self._ends.get(self._chosen.value), settings)
 
     def _cut(self, event: Any) -> None:

@@ -2,14 +2,13 @@
 
 from collections.abc import Iterator
 from functools import partial
-from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from transport.protocol.scenario.link_changes import change_in_words
 from transport.protocol.scenario.setup import Setup
-from transport.scene.history import RunHistory
+from transport.scene.history import RunHistory, merged
 from transport.viewer.playback import Playback
 from transport.viewer.widgets import from_browser
 
@@ -34,24 +33,7 @@ def events_of(history: RunHistory) -> list[Event]:
     scripted = [Event(round(time_s / period_s), text) for time_s, text in _scripted(history.setup)]
     recorded = [Event(tick, text) for tick, text in list(history.events)]
     happened = [event for event in (*scripted, *recorded) if event.tick <= history.last]
-    return _merged(sorted(happened, key=lambda event: event.tick))
-
-
-def _merged(events: list[Event]) -> list[Event]:
-    """Return events with one for all links that change at one tick in the same way."""
-    merged: list[Event] = []
-    for (tick, settings), group in groupby(events, key=_tick_and_settings):
-        texts = [event.text for event in group]
-        if settings and len(texts) > 1:
-            texts = [f"{len(texts)} links: {settings}"]
-        merged += [Event(tick, text) for text in texts]
-    return merged
-
-
-def _tick_and_settings(event: Event) -> tuple[int, str]:
-    """Return tick and new settings of an event of single links; other events have no settings."""
-    is_link = event.text.startswith(("links from", "links to"))
-    return event.tick, event.text.partition(": ")[2] if is_link else ""
+    return [Event(tick, text) for tick, text in merged(happened)]
 
 
 def _scripted(setup: Setup) -> Iterator[tuple[float, str]]:
