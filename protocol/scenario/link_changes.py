@@ -1,11 +1,11 @@
 """Changes of links during a run: requests, messages of the coordinator, and the same in words."""
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from transport.protocol.scenario.errors import RequestError, requested
-from transport.protocol.scenario.link_sections import LinkOverrideSection, LinkSection
+from transport.protocol.scenario.link_sections import LinkOverrideSection, LinkSection, LinksSection
 from transport.protocol.scenario.links import Link
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import LinkChange
@@ -60,6 +60,17 @@ def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
     ends = {"from": source, "to": target}
     named = {key: name for key, name in ends.items() if name}
     return requested(LinkOverrideSection, {**given, **named})
+
+
+def scripted_changes(links: LinksSection) -> Iterator[tuple[float, str]]:
+    """Yield times, s, and words of the changes and partitions that a scenario has."""
+    for change in links.change:
+        ends = change.from_ or "", change.to or ""
+        yield change.at_s, change_in_words(*ends, change.settings())
+    for partition in links.partition:
+        group = ", ".join(partition.between)
+        yield partition.start_s, f"{group} cut off"
+        yield partition.end_s, f"{group} connected again"
 
 
 def words_of(change: LinkChange) -> str:

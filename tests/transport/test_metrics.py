@@ -339,3 +339,18 @@ def test_one_row_for_each_agent_and_tick() -> None:
     assert first["cost"] == second["cost"] > 0.0
     assert [second[f"force_{axis}_N"] for axis in "xyz"] == [0.5, -1.0, 4.4]
     assert [first[f"force_{axis}_N"] for axis in "xyz"] == [0.0, 0.0, 0.0]
+
+
+def test_scripted_changes_of_links_are_events_as_far_as_the_run_came() -> None:
+    """A change and the begin of a partition are told, its end after the last tick is not."""
+    run = runs.setup(
+        runs.SHORT,
+        "links.change=[{at_s=0.3,from='agent2',loss=1.0}]",
+        "links.partition=[{between=['agent1','agent2'],start_s=0.12,end_s=0.9}]",
+    )
+    log = log_of([plant_state(run, k) for k in range(10)])
+    events = summarise(AnalysedRun.of(run, log))["faults"]
+    assert [(event["time_s"], event["kind"], event["what"]) for event in events] == [
+        (0.15, "notice", "agent1, agent2 cut off by script"),
+        (0.3, "notice", "links from agent2: loss 1.0 by script"),
+    ]

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from transport.log.run_log import Recorded, RunLog
+from transport.protocol.scenario.budget import first_tick
+from transport.protocol.scenario.link_changes import scripted_changes
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire import messages
 from transport.protocol.wire.names import agent_name
@@ -32,7 +34,8 @@ def events(setup: Setup, log: RunLog, control: messages.Control | None) -> list[
     """Return the events in the order of their ticks, as the field `faults` of the schema."""
     period_s = setup.settings.sampling_period_s
     began_ns = min(log.received_ns(messages.Tick).values(), default=None)
-    in_order = sorted(_before_end(setup, log), key=lambda event: event.tick)
+    before_end = [*_scripted_links(setup, log), *_before_end(setup, log)]
+    in_order = sorted(before_end, key=lambda event: event.tick)
     if control is not None and control.reason:
         in_order.append(_end(log, control))
 
@@ -65,6 +68,22 @@ def _end(log: RunLog, control: messages.Control) -> _Event:
         text=control.reason,
         processes=[],
     )
+
+
+def _scripted_links(setup: Setup, log: RunLog) -> Iterator[_Event]:
+    """Yield the changes of links by the scenario that the run has reached."""
+    last = max((entry.message.tick for entry in log.messages), default=-1)
+    for time_s, text in scripted_changes(setup.scenario.links):
+        tick = first_tick(time_s, setup.settings.sampling_period_s)
+        if tick > last:
+            continue
+        yield _Event(
+            tick=tick,
+            received_ns=None,
+            kind="notice",
+            text=f"{text} by script",
+            processes=[],
+        )
 
 
 def _before_end(setup: Setup, log: RunLog) -> Iterator[_Event]:

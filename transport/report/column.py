@@ -16,7 +16,7 @@ from matplotlib.transforms import ScaledTranslation
 
 from transport.log.run_log import RunLog
 from transport.protocol.scenario.budget import first_tick
-from transport.protocol.scenario.link_changes import change_in_words
+from transport.protocol.scenario.link_changes import scripted_changes
 from transport.protocol.scenario.setup import Setup
 from transport.report.style import COLUMN_IN, POINTS_PER_IN, SMALL, TEXT, shade_phases
 from transport.scene.history import RunHistory, merged
@@ -243,22 +243,11 @@ def marks_of(setup: Setup, log: RunLog) -> list[Mark]:
 def _marks(setup: Setup, log: RunLog) -> Iterator[Mark]:
     """Yield the changes of the links and the events of a run until the last tick of its log."""
     period_s = setup.settings.sampling_period_s
-    links = setup.scenario.links
     last = max((entry.message.tick for entry in log.messages), default=-1)
 
-    for change in links.change:
-        if first_tick(change.at_s, period_s) > last:
-            continue
-        words = change_in_words(change.from_ or "", change.to or "", change.settings())
-        yield Mark(time_s=change.at_s, text=words, of_links=True)
-
-    for partition in links.partition:
-        if first_tick(partition.start_s, period_s) > last:
-            continue
-        names = ", ".join(partition.between)
-        yield Mark(time_s=partition.start_s, text=f"{names} cut off", of_links=True)
-        if first_tick(partition.end_s, period_s) <= last:
-            yield Mark(time_s=partition.end_s, text=f"{names} connected again", of_links=True)
+    for time_s, text in scripted_changes(setup.scenario.links):
+        if first_tick(time_s, period_s) <= last:
+            yield Mark(time_s=time_s, text=text, of_links=True)
 
     history = RunHistory(setup)
     history.add(entry.message for entry in log.messages)

@@ -1,13 +1,12 @@
 """Time of the shown instant: a slider over the recorded time with events on it, and their list."""
 
-from collections.abc import Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from transport.protocol.scenario.link_changes import change_in_words
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.budget import first_tick
+from transport.protocol.scenario.link_changes import scripted_changes
 from transport.scene.history import RunHistory, merged
 from transport.viewer.playback import Playback
 from transport.viewer.widgets import from_browser
@@ -30,22 +29,11 @@ class Event(NamedTuple):
 def events_of(history: RunHistory) -> list[Event]:
     """Return what has happened so far, in order of time, changes of links by the scenario too."""
     period_s = history.setup.settings.sampling_period_s
-    scripted = [Event(round(time_s / period_s), text) for time_s, text in _scripted(history.setup)]
+    changes = scripted_changes(history.setup.scenario.links)
+    scripted = [Event(first_tick(time_s, period_s), text) for time_s, text in changes]
     recorded = [Event(tick, text) for tick, text in list(history.events)]
     happened = [event for event in (*scripted, *recorded) if event.tick <= history.last]
     return [Event(tick, text) for tick, text in merged(happened)]
-
-
-def _scripted(setup: Setup) -> Iterator[tuple[float, str]]:
-    """Yield times, s, and descriptions of the changes of links that the scenario contains."""
-    links = setup.scenario.links
-    for change in links.change:
-        ends = change.from_ or "", change.to or ""
-        yield change.at_s, change_in_words(*ends, change.settings())
-    for partition in links.partition:
-        group = ", ".join(partition.between)
-        yield partition.start_s, f"partition: {group} cut off"
-        yield partition.end_s, f"partition of {group} ends"
 
 
 def events_around(events: list[Event], tick: int, count: int) -> list[Event]:
