@@ -183,9 +183,20 @@ def test_violations_are_shares_of_the_range() -> None:
         x[state.uav_slice(0)][state.E] = [0.0, 0.2 / 3.2, np.sqrt(1.0 - (0.2 / 3.2) ** 2)]
 
     def worst(*messages: Message) -> float:
-        value = summarise(AnalysedRun.of(run, log_of(messages)))["constraint_violation_max"]
+        summary = summarise(AnalysedRun.of(run, log_of(messages)))
+        value = summary["constraint_violation_max"]
         assert isinstance(value, float)
         return value
+
+    def limit(*messages: Message) -> tuple[str, float] | None:
+        summary = summarise(AnalysedRun.of(run, log_of(messages)))
+        worst = summary["constraint_violation"]
+        return None if worst is None else (worst["limit"], worst["at_s"])
+
+    assert limit(plant_state(run, 0), plant_state(run, 2, above)) == ("inputs", 0.1)
+    assert limit(plant_state(run, 0), plant_state(run, 1, jump)) == ("change of inputs", 0.05)
+    assert limit(plant_state(run, 0), plant_state(run, 1, close)) == ("separation", 0.05)
+    assert limit(plant_state(run, 0), plant_state(run, 1)) is None
 
     # After a gap in the record only the bound is judged.
     assert worst(plant_state(run, 0), plant_state(run, 2, above)) == pytest.approx(

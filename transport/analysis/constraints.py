@@ -35,12 +35,12 @@ def clearances_of(setup: Setup, x: Array, on_rods: npt.NDArray[np.bool_]) -> Arr
     return smallest_m
 
 
-def violation_of(
+def violations_of(
     setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_m: Array, clearance_m: Array
-) -> Array:
-    """Return the largest constraint violation at each tick, (T,); 0 if all hold.
+) -> dict[str, Array]:
+    """Return by how much each limit is exceeded at each tick, by its name, (T,); 0 or less if it holds.
 
-    It is a share of the constraint's range: largest minus smallest value of an input; twice its
+    It is a share of the limit's range: largest minus smallest value of an input; twice its
     largest change per period; the minimum separation, and the margin of UAVs from obstacles,
     themselves. Changes across a gap in the record and own constraints do not count.
     """
@@ -48,18 +48,22 @@ def violation_of(
     lower = setup.settings.lower(N)
     upper = setup.settings.upper(N)
     excess = np.maximum(lower - u, u - upper) / (upper - lower)
-    worst = excess.max(axis=1, initial=0.0)
-    worst = np.maximum(worst, _change_excess(setup, ticks, u))
+    violations = {
+        "inputs": excess.max(axis=1, initial=0.0),
+        "change of inputs": _change_excess(setup, ticks, u),
+    }
 
     separation = setup.settings.separation
     if separation is not None:
         missing_m = separation.minimum_m - separation_m
-        worst = np.maximum(worst, missing_m / separation.minimum_m)
+        violations["separation"] = missing_m / separation.minimum_m
 
-    for obstacle, distance_m in zip(setup.obstacles, clearance_m, strict=True):
+    obstacles = zip(setup.obstacles, clearance_m, strict=True)
+    for number, (obstacle, distance_m) in enumerate(obstacles, start=1):
         missing_m = obstacle.margin_m - distance_m
-        worst = np.maximum(worst, missing_m / obstacle.margin_m)
-    return np.asarray(worst)
+        name = f"margin from obstacle {number} ({obstacle.name})"
+        violations[name] = missing_m / obstacle.margin_m
+    return violations
 
 
 def _change_excess(setup: Setup, ticks: npt.NDArray[np.int64], u: Array) -> Array:

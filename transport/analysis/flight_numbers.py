@@ -49,8 +49,18 @@ def cost_and_tracking(setup: Setup, series: Series) -> dict[str, Any]:
         "separation_min_m": finite(series.separation_m.min(initial=np.inf)),
         "clearance_min_m": _clearance(setup, series),
         "constraint_violation_max": largest(series.violation),
+        "constraint_violation": _worst_limit(series),
         "local_error_max": largest(series.local_error),
     }
+
+
+def _worst_limit(series: Series) -> dict[str, Any] | None:
+    """Return which limit is exceeded most, and when; None if all hold."""
+    if not series.violation.any():
+        return None
+    name = max(series.violations, key=lambda name: series.violations[name].max())
+    row = int(series.violations[name].argmax())
+    return {"limit": name, "at_s": round(float(series.times_s[row]), TIME_DIGITS)}
 
 
 def _clearance(setup: Setup, series: Series) -> dict[str, float | None] | None:

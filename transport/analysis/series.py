@@ -1,13 +1,13 @@
 """Time series of a run, the basis of every metric and figure, and the swing at its end."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from transport.analysis.constraints import clearances_of, separation_of, violation_of
+from transport.analysis.constraints import clearances_of, separation_of, violations_of
 from transport.log.run_log import RunLog
 from transport.model import state
 from transport.model.arrays import Array
@@ -47,10 +47,16 @@ class Series:
     separation_m: Array
     # Smallest distances of UAVs on their rods, rods, payload from obstacles, (T, 3); or infinite.
     clearance_m: Array
-    # Largest constraint violation relative to the constraint's range, (T,); see `violation_of`.
-    violation: Array
+    # Excess over each limit by its name, as a share of its range, (T,); see `violations_of`.
+    violations: Mapping[str, Array]
     # Largest local error estimate of the plant's integration where it is recorded, (<= T,), SI.
     local_error: Array
+
+    @property
+    def violation(self) -> Array:
+        """Largest excess over a limit, as a share of its range, (T,); 0 if all hold."""
+        none = np.zeros(len(self.ticks))
+        return np.asarray(np.max([none, *self.violations.values()], axis=0))
 
     @property
     def row_of_tick(self) -> dict[int, int]:
@@ -135,7 +141,7 @@ def series_of(setup: Setup, log: RunLog) -> Series:
         on_rods=on_rods,
         separation_m=separation_m,
         clearance_m=clearance_m.min(axis=0, initial=np.inf),
-        violation=violation_of(setup, ticks, u, separation_m, clearance_m[..., 0]),
+        violations=violations_of(setup, ticks, u, separation_m, clearance_m[..., 0]),
         local_error=_local_errors(states),
     )
 

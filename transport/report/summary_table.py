@@ -179,7 +179,7 @@ def _constraint_rows(summary: _Summary) -> Iterator[_Row]:
     if clear_m:
         texts = [f"{number_text(clear_m[key], '{:.3f} m')} {body}" for key, body in _CLEAR.items()]
         yield "clearance", ", ".join(texts)
-    yield "limits", limits_text(summary["constraint_violation_max"], summary["solver"])
+    yield "limits", limits_text(summary)
     for own in summary.get("own_constraints", ()):
         yield "own constraint", own_constraint_text(own)
     yield "integration", number_text(summary["local_error_max"], "largest local error {:.1e}")

@@ -39,10 +39,14 @@ def own_constraint_text(own: Mapping[str, Any]) -> str:
     return f"{own['expression']}: {exceeded} at {own['at_s']:.2f} s{softened}"
 
 
-def limits_text(violation: float | None, solver: Mapping[str, Any]) -> str:
+def limits_text(summary: Mapping[str, Any]) -> str:
     """Return whether the limits held: not if no controller saw to it, even if none was exceeded."""
+    violation, solver = summary["constraint_violation_max"], summary["solver"]
     is_exceeded = violation is None or violation >= HELD
     exceeded = number_text(violation, "exceeded by {:.2%} of their range")
+    worst = summary.get("constraint_violation")  # not in a summary of an earlier version
+    if worst is not None:
+        exceeded += f": {worst['limit']} at {worst['at_s']:.2f} s"
 
     if solver["beyond_share"]:
         excess = exceeded if is_exceeded else "none exceeded"
