@@ -32,6 +32,14 @@ RENAMED = {"samples": "samples_s"}
 _PERCENT = 100.0
 _LEAST_PERCENT = 2.0
 _LONGEST_SHOWN = 80  # characters of a value that an error repeats
+# Words for kinds of pydantic's problems, where its own are those of the library.
+_EXPECTED = {
+    "tuple_type": "expected a list",
+    "model_type": "expected a section with keys",
+    "string_type": "expected text",
+    "too_short": "expected a list of at least {min_length}",
+    "too_long": "expected a list of at most {max_length}",
+}
 _SIMILAR = 0.5  # similarity from which on a known name is offered for a mistyped one
 
 
@@ -209,7 +217,10 @@ def _problem_text(problem: Mapping[str, Any], section: type[BaseModel]) -> str:
         if largest == 1.0 and _LEAST_PERCENT <= value <= _PERCENT:
             return f"expected a share, at most 1, got {value:g}: did you mean {value / _PERCENT:g}?"
 
-    expected = problem["msg"].replace("Input should be", "expected")
+    if kind in _EXPECTED:
+        expected = _EXPECTED[kind].format(**problem.get("ctx", {}))
+    else:
+        expected = problem["msg"].replace("Input should be", "expected")
     if isinstance(value, tuple):  # lists of numbers become tuples
         value = list(value)
     return f"{expected[0].lower()}{expected[1:]}, got {_short(repr(value))}"

@@ -271,7 +271,9 @@ def _process_name(end: str) -> str:
 
 
 def _groups(text: str) -> list[list[str]]:
-    """Return the names of agents in groups given as 1,2/3,4."""
+    """Return the names of agents in groups given as 1,2/3,4; a single group is refused."""
+    if not re.search("[/|]", text):
+        fail(f"--between: expected groups with a slash between them, such as 1,2/3,4, got {text}")
     return [
         [_process_name(name.strip()) for name in group.split(",")]
         for group in re.split("[/|]", text)
