@@ -43,6 +43,16 @@ def delays(point: Point) -> list[list[float]]:
     return [path.delays(tick) for tick in range(TICKS)]
 
 
+@pytest.mark.parametrize(("duration_s", "is_long"), [(5.0, False), (5.05, True)])
+def test_weather_has_rows_of_silences_that_begin(duration_s: float, *, is_long: bool) -> None:
+    """The first silence begins after 5 s: a shorter run would be one on a perfect network."""
+    phase = f"maneuver.phase=[{{name='hover',duration_s={duration_s},displacement_m=[0,0,0]}}]"
+    flown = scenarios("precise", settings=(phase,))
+    points = EXPERIMENTS["weather"].experiment(flown, {}).points
+    networks = {point.labels["network"] for point in points}
+    assert ("5 s of 10 silent" in networks) is is_long
+
+
 @pytest.mark.parametrize(
     "name", ["latency", "loss", "jitter", "kill", "matrix", "horizon", "deaths", "sharing"]
 )
