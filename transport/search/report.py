@@ -110,7 +110,9 @@ def in_words(minimal: Minimal) -> list[str]:
         else "One agent for all UAVs with perfect information survives the same weather and targets."
     )
 
-    return [*events, _failure_in_words(minimal), verdict]
+    uavs = len(minimal.problem.base.scenario.system.uav)
+    team = [f"The team is made smaller, to {uavs} UAVs."] if uavs < minimal.whole_team else []
+    return [*team, *events, _failure_in_words(minimal), verdict]
 
 
 def _failure_in_words(minimal: Minimal) -> str:

@@ -41,6 +41,7 @@ class Minimal:
     """The proof: a minimal case that fails, and whether perfect information would have saved it."""
 
     problem: Problem  # perhaps with a smaller team
+    whole_team: int  # UAVs of the scenario that was searched
     candidate: Candidate
     evaluation: Evaluation
     beyond_physics: bool  # the centralized controller with perfect information fails as well
@@ -196,10 +197,25 @@ class Search:
                 self.problem, worst.candidate, evaluate, progress.shrinking, at_once=at_once
             )
             shrinker.run()
-            minimal = _minimal(shrinker.problem, shrinker.candidate, evaluate)
+            minimal = self._minimal(shrinker, evaluate)
 
         return SearchResult(
             problem=self.problem, without_events=without_events, flown=flown, minimal=minimal
+        )
+
+    def _minimal(self, shrinker: Shrinker, evaluate: Evaluate) -> Minimal:
+        """Return the proof that a minimal case is.
+
+        The case with perfect information is flown here, in this process, and not kept among the
+        evaluations: it is another scenario, and flown once.
+        """
+        problem, candidate = shrinker.problem, shrinker.candidate
+        return Minimal(
+            problem=problem,
+            whole_team=len(self.problem.base.scenario.system.uav),
+            candidate=candidate,
+            evaluation=evaluate(problem, [candidate])[0],
+            beyond_physics=problem.with_perfect_information(candidate).failed,
         )
 
     def _check_flown(self, flown: Sequence[Flown]) -> None:
@@ -232,20 +248,6 @@ class Search:
                 failed = failed or evaluation.failed
             if failed and self.until_failure:
                 return
-
-
-def _minimal(problem: Problem, candidate: Candidate, evaluate: Evaluate) -> Minimal:
-    """Return the proof that a minimal case is.
-
-    The case with perfect information is flown here, in this process, and not kept among the
-    evaluations: it is another scenario, and flown once.
-    """
-    return Minimal(
-        problem=problem,
-        candidate=candidate,
-        evaluation=evaluate(problem, [candidate])[0],
-        beyond_physics=problem.with_perfect_information(candidate).failed,
-    )
 
 
 def random_search(search: Search, evaluations: Evaluations, fly: Fly) -> Iterator[Flown]:
