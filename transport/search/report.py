@@ -29,7 +29,7 @@ SCENARIO, FIGURE, SUMMARY = "minimal.toml", "minimal.png", "summary.json"
 _SHOWN = 10  # cases of the table
 _BEFORE_S = 1.0  # shown before the first event
 _AFTER_S = 2.0  # shown after the failure
-_LONGEST_S = 15.0  # shown at most
+_LONGEST_S = 20.0  # shown at most
 _WIDTH = 100  # columns of a comment
 _HEIGHT_IN = 0.9
 # Labels of the panels, by the measure that each shows.
