@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from transport.agent.handover import SHARED, Silence
-from transport.agent.heard import HeardOthers
+from transport.agent.heard import HeardOthers, alone_by
 from transport.model.arrays import Array, Rows
 from transport.model.state import input_places, input_slice
 from transport.mpc.fail_safe import FailSafe
@@ -109,9 +109,9 @@ class AnnouncedInputs:
 
     Attributes:
         plans: Newest plans received of all agents.
-        heard: Plans of all agents, who is off the roster, and how old news are. From its tick of the
-            newest failure of a UAV on, every agent follows the control law of the UAVs that are left;
-            earlier plans apply until then.
+        heard: Plans of all agents, who is off the roster, and how old news are. From
+            `heard.failed_since` on, every agent follows the control law of the UAVs left; plans made
+            before that tick hold only for periods before it.
         fail_safe: Control law after the last plan of an agent off the roster.
         law_since: Tick from which on the shared control law is that of the present team, (46).
     """
@@ -296,8 +296,7 @@ class AnnouncedInputs:
             if agent != self._own:
                 plan = self.plans.newest(agent, before, started=tick)
                 age = self.heard.age(agent, plan, tick)
-                said = 0.0 if plan is None else plan.alone
-                share[columns] = max(said, silence.alone(age))
+                share[columns] = alone_by(silence, plan, age)
                 correlation[columns] = silence.correlation(age)
         if not share.any() and (correlation == SHARED).all():
             return None
@@ -396,8 +395,8 @@ class AnnouncedInputs:
 
         # Differences in the sender's knowledge, such as external forces, show at the first step.
         #   u_a(k) = U_a(0) + lambda_a(k) - lambda_a(s_a)
-        # Known: while an agent returns from acting alone, U_a(0) contains its share alone, which
-        # `_mixed` adds again. Left so, as the payload's error in such flights does not change.
+        # Not exact: U_a(0) of an agent that returns already contains its part alone, and `_mixed` adds
+        # that part once more. In flights the payload's error is the same without it.
         start_state = self._law.start_state(plan.start_tick)
         if start_state is None:
             return by_law

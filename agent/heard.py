@@ -141,8 +141,7 @@ class HeardOthers:
         silence = self.silence
         if silence is None:
             return 0.0
-        said = 0.0 if plan is None else plan.alone
-        return max(said, silence.alone(self.age(agent, plan, tick)))
+        return alone_by(silence, plan, self.age(agent, plan, tick))
 
     def most_said(self, before: int) -> float:
         """Return the largest share of acting alone that the newest plan of one of the others announces.
@@ -183,3 +182,9 @@ class HeardOthers:
         if silence is None:
             return False
         return self.age(agent, None, tick).overdue > silence.overdue.begins
+
+
+def alone_by(silence: Silence, plan: Plan | None, age: NewsAge) -> float:
+    """Return the larger share alone of what a plan says and of what follows from its age."""
+    said = 0.0 if plan is None else plan.alone
+    return max(said, silence.alone(age))

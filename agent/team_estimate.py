@@ -179,9 +179,10 @@ class TeamEstimate:
     def _hold_forces(self, k: int) -> None:
         """Follow the forces as the integrals of UAVs alone do: (32f).
 
-        A team holds what it estimates; alone, a UAV is first moved by a gust, and then holds it. Each
-        agent does this by its own estimate: the others' share in it is only what this agent expects
-        of them, so agents need not agree.
+        While the agent is with the team, the held forces are the estimated ones. Alone they follow
+        the estimate with the time constant of the integrals, `follows_s`. Each agent does this by its
+        own estimate: the others' share in it is only what this agent expects of them, so agents need
+        not agree.
         """
         if self.forces is None:
             return

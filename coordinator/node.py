@@ -233,7 +233,11 @@ class CoordinatorNode:
     def _agent_returned(self, event: Presence, now_ns: int) -> Sequence[Message]:
         """Let a new incarnation of an agent join at the next tick."""
         agent = self._roster.agents.get(event.name)
-        if agent is None or event.incarnation <= self._roster.incarnations.get(event.name, -1):
+        if agent is None:
+            return ()
+        known = self._roster.incarnations.get(event.name, -1)
+        newest = max(known, self._roster.joining.get(agent, -1))
+        if event.incarnation <= newest:
             return ()
         self._roster.joining[agent] = event.incarnation
 

@@ -142,7 +142,7 @@ class Program:
     def relaxed(
         self, prediction: Prediction, law: FeedbackLaw, z: Array, w: float
     ) -> tuple[Array, Array]:
-        """Return inputs and corrections of a solution z and its weight, 0 if unsolved."""
+        """Return inputs and corrections, relaxed: the solution z has weight w, 0 without one, (36a)."""
         if self.compiled is not None and self.compiled.follows(prediction, law):
             return self.compiled.relaxed(z, w)
         own = self.decision.own

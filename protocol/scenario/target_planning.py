@@ -85,8 +85,23 @@ def target_fields(setup: PlannedRun, section: TargetSection, tick: int) -> dict[
         _check_above_ground(setup, way_I, window.since_s)
 
     target = Target(since_s=window.since_s, point_I=points_I[0], approach=approach, way=way)
+    _check_formation(setup, target, window)
     _check_obstacles(setup, target)
     return _message_fields(tick, points_I, approach, way)
+
+
+def _check_formation(setup: PlannedRun, target: Target, window: Window) -> None:
+    """Check a way during which the formation changes, as it goes on after a target."""
+    if target.way is None or setup.scenario.maneuver.reference == "hover":
+        return
+    led = setup.maneuver.with_target(target)
+    duration_s = target.approach.duration_s + target.way.duration_s
+    path = led.jets(_between(maneuver_instants(led), window.since_s, duration_s))
+    if path.shape[-1] == 3:
+        return  # without a formation: the way itself has been checked
+    problem = _exceeded(path, _teams_flying(setup, window), setup)
+    if problem is not None:
+        raise RequestError(f"points_m: {problem}")
 
 
 def _message_fields(

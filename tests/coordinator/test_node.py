@@ -54,6 +54,17 @@ def test_newest_incarnation_takes_part(incarnations: tuple[int, ...]) -> None:
     assert roster.incarnations == (1, max(incarnations), 1, 1)
 
 
+@pytest.mark.parametrize("incarnations", [(2, 3), (3, 2)])
+def test_the_newest_of_several_returns_joins(incarnations: tuple[int, ...]) -> None:
+    """A token of an older start that comes late does not replace the newer one that waits."""
+    node = started(coordinator(CONTINUE))
+    tell(node, [gone("agent2", 1)])
+    tell(node, [ready("agent2", incarnation) for incarnation in incarnations])
+    joined, _ = tell(node, answers(0, (1, 3, 4)))
+    assert isinstance(joined, Roster)
+    assert joined.incarnations == (1, 3, 1, 1)
+
+
 def test_a_restarted_agent_joins_at_the_next_tick() -> None:
     """A new incarnation ends the old one, is not awaited in the open tick, and takes part from the next tick on.
 

@@ -13,7 +13,9 @@ from tests.support.nodes import CoordinatorNode
 from transport.model.curves import ORDERS
 from transport.protocol.scenario.errors import RequestError, ScenarioError, requested
 from transport.protocol.scenario.feasibility import exceeded, teams_left
+from transport.protocol.scenario.file import find_scenario, read_scenario
 from transport.protocol.scenario.maneuver_sections import TargetSection
+from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.target_planning import straight, target_fields
 from transport.protocol.scenario.targets import MOST
 from transport.protocol.wire.messages import Request
@@ -230,3 +232,14 @@ def test_a_curve_is_above_the_ground_between_its_points() -> None:
 
     raised_m = points_m - [0.0, 0.0, DEEPER_M]
     assert plan(setup, HOVERS, points_m=raised_m.tolist())["way_s"] > 0.0
+
+
+def test_a_way_is_judged_with_the_formation_that_goes_on() -> None:
+    """UAVs that move apart along a way may turn faster than their limits, though the way is slow."""
+    formation = "[[0.12,1,1],[0.15,1,2.6],[0.9,1,2.6],[1,1,1]]"
+    phase = f"name='hover',duration_s=40,displacement_m=[0,0,0],formation={formation}"
+    gap = read_scenario(find_scenario("gap"), ["obstacle=[]", f"maneuver.phase=[{{{phase}}}]"])
+    setup = Setup.of(gap, "gap")
+    way = [[0.0, 0.0, -10.0], [0.0, -6.0, -10.0]]
+    with pytest.raises(RequestError, match="points_m: expected a commanded rate"):
+        plan(setup, points_m=way, speed_mps=5.0)

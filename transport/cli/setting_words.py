@@ -122,7 +122,7 @@ def _numbered(parts: tuple[str, ...], typed: list[str]) -> Iterator[str]:
     """Yield the parts of a key, with the typed numbers of entries in their places."""
     for place, part in enumerate(parts):
         word = typed[place] if place < len(typed) else ""
-        number = word if word.isdecimal() else "1"
+        number = word if word.isdecimal() and int(word) > 0 else "1"
         yield number if part == _NUMBER else part
 
 
@@ -148,7 +148,9 @@ def _present(key: str, ctx: typer.Context) -> Iterator[str]:
     from transport.protocol.scenario.errors import ScenarioError
     from transport.protocol.scenario.file import find_scenario, read_scenario
 
-    name = ctx.params.get("scenario") or "paper"
+    # Before `--set` has its value, click leaves the words of the command unassigned.
+    unassigned = [str(word) for word in ctx.args]
+    name = unassigned[0] if unassigned else ctx.params.get("scenario") or "paper"
     value: Any = None
     with suppress(ScenarioError, OSError, KeyError, IndexError, TypeError):
         value = read_scenario(find_scenario(str(name)), allow_large=True).tree()

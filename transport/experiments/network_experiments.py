@@ -125,6 +125,8 @@ def _bursts(share: float, burst_ticks: float) -> str:
     It spends a share of the ticks there.
     """
     # The largest share has enter = leave share / (1 - share) <= 1.
+    if not burst_ticks < math.inf:
+        raise refused("--burst", "a finite number of ticks", f"{burst_ticks:g}")
     most = burst_ticks / (1.0 + burst_ticks)
     if share > most:
         expected = f"at most {most:.3g} with bursts of {burst_ticks:g} ticks on average"

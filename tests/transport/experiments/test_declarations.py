@@ -212,6 +212,11 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ),
     ("matrix", {"loss": [1.5]}, "links.loss=1.5: expected"),
     ("sharing", {"heartbeat": 0.0}, "controller.share_heartbeat_s=0.0: expected"),
+    (
+        "loss",
+        {"loss": [0.3], "burst": math.inf},
+        "--burst: expected a finite number of ticks, got inf",
+    ),
     ("kill", {"at": 8.0, "restart": 8.0}, "--restart: expected a time after --at 8 s, got 8"),
     ("horizon", {"horizon": [0]}, "controller.horizon=0: expected"),
     ("hover", {"duration": [math.nan]}, "duration_s=nan: expected"),
