@@ -269,9 +269,11 @@ class AnnouncedInputs:
     def untold(self, tick: int, before: int) -> Untold:
         """Return which of the inputs of `in_force` no plan has told.
 
-        Without a plan, and before the law became the present one, `in_force` has hover inputs or the
-        announced ones: the agent followed the law of then, and counts as untold too. Off the roster
-        without a plan its UAVs have hover inputs, as the plant knows.
+        - An agent off the roster: by the fail-safe once its last plan has been played; without a plan
+          its UAVs have hover inputs, as the plant knows.
+        - Before its return: by the fail-safe.
+        - Another agent: by the law after the first step of its plan, or without a plan, also where
+          `in_force` has hover inputs or announced ones.
         """
         m = len(self._u_hover)
         untold = Untold(by_law=np.zeros(m, dtype=bool), by_fail_safe=np.zeros(m, dtype=bool))

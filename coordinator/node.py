@@ -323,8 +323,8 @@ class CoordinatorNode:
             return ()
         is_diverged = self.state is State.DIVERGED
         if is_diverged and self.tick > self._plant_tick:
-            # One more tick has been opened, so that the record has the interval that diverged,
-            # whichever message came first.
+            # The plant reports a divergence at tick p. The run ends once tick p + 1 is open, whether
+            # its answer or those of the agents came first: the record is the same.
             return self._stop(EXIT_DIVERGED, self._divergence)
 
         may_close = self._clock.may_close(self.tick, self._missing, now_ns, last=self._is_last)

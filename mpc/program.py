@@ -88,10 +88,13 @@ class Program:
                 linear, discrete, U, law, only_new=along is not None
             )
 
-        if dynamics_changed or law is None or along is None:
-            self._closed_loop = None
         self._announced = None
-        if law is not None and along is not None:
+        if law is None or along is None:
+            self._closed_loop = None
+        else:
+            # The closed loop is kept from one trajectory to the next with the same A, B and K.
+            if dynamics_changed:
+                self._closed_loop = None
             self._follow(prediction, along, law, discrete, linear.u0)
             self._announced = prediction, Announced(U=along.U, c=law.c)
         return prediction

@@ -100,7 +100,8 @@ class Regulation:
     ) -> Recursion:
         """Return the recursion of a team along the present reference.
 
-        A team that was formed before goes on with its recursion, of which a part may be computed.
+        A team that was formed before goes on with its recursion, of which a part may be computed,
+        also where another law held in between.
         Otherwise the law before holds until the given instant; without one the gains are those
         along the whole reference, as an agent has them that starts in mid-run.
         """
@@ -137,6 +138,7 @@ class Regulation:
             return False
         completed = self._complete()
         self._whole.follow(reference, reference.change)
+        # Before the target the present team keeps its own preview, not that of the whole team.
         self._followed = replace(self._whole.followed, preview_before=self.current.preview)
         self._recursions.clear()
         self.current = law_after_change(self.current, self._followed)

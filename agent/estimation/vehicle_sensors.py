@@ -110,7 +110,8 @@ class SensorEstimator:
         age of a sensor before.
         """
         self._reports.tell(tick, uav, report)
-        self._history.tell(tick - self._oldest)  # a further measurement of that tick's state
+        # Its oldest value is of this tick: corrections from there on are repeated.
+        self._history.tell(tick - self._oldest)
         self._history.outdate_after(tick - 1)  # other inputs in the period before
 
     def change(self, failure: Failure) -> None:
@@ -176,7 +177,10 @@ class SensorEstimator:
         return Tick(prior=belief, posterior=belief)
 
     def _period(self, belief: Belief, tick: int, announced: AnnouncedInputs, k: int) -> Period:
-        """Return the period after `tick` as it is understood at tick k."""
+        """Return the period after `tick` as it is understood at tick k, and keep its inputs.
+
+        The last call of an `advance` is for the newest period, of which `inputs_until` tells.
+        """
         # What plans announced, replaced in place by what UAVs have reported: a report at tick + 1
         # has the inputs that acted from `tick` on.
         u = announced.in_force(tick, before=k, x=belief.x)

@@ -158,6 +158,7 @@ class Betaflight:
                 process.give(sensors, channels)
         except FirmwareError as error:
             self.failure = self.failure or str(error)
+            # The run ends by `failure`; until then the thrusts commanded, without moments.
             return command * [1.0, 0.0, 0.0, 0.0]
         # The speed of a rotor follows the output, its thrust the square of the speed. The packet has
         # the rotors in the order of (56).

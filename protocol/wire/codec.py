@@ -176,7 +176,8 @@ _ENCODER = msgspec.msgpack.Encoder(enc_hook=_pack)
 _WITHOUT_ARRAYS = msgspec.msgpack.Encoder(enc_hook=_pack_without_arrays)
 _NOTHING = 1  # bytes of None
 _LARGEST_FLOAT = "e+308"  # in the text of a bound of `Finite`
-# Bytes by which the header of the list of a plan's fields is longer for its last one.
+# Bytes by which the header of the list of a plan's fields is longer for its last one: with it the list
+# has 16 entries, its kind among them, and headers are of 1 byte up to 15 entries, then of 3.
 _LAST_FIELD = 2
 _DECODER: Any = msgspec.msgpack.Decoder(reduce(or_, CLASSES.values()), ext_hook=_unpack_array)
 _HEADER_DECODER = msgspec.msgpack.Decoder(Header)

@@ -15,7 +15,7 @@ _KIND = "_TRANSPORT_COMPLETE"
 _BASH = "complete_bash"
 _WORDS = "COMP_WORDS"
 _PLACE = "COMP_CWORD"
-# The key whose value is completed, of which the completed word has no part.
+# The key, where bash asks for its value alone.
 _KEY = "_TRANSPORT_COMPLETE_KEY"
 
 
@@ -33,6 +33,7 @@ def rejoin_settings() -> None:
     except ValueError:  # an open quotation mark
         return
     place = int(os.environ[_PLACE])
+    # The cursor is at the sign or right behind it: bash replaces the value alone.
     is_split = "=" in words[place - 1 : place + 1]
     joined, place = _rejoined(words, place)
     key, sign, value = joined[place].partition("=")

@@ -105,6 +105,7 @@ def plan(options: ComparisonOptions, *, simulated_before: bool = False) -> Compa
     distinct = _distinct(cells.values())
     experiment = comparison.experiment(distinct, options.gust_mps)
 
+    # The points in still air, which `comparison.experiment` lists first.
     measurement = Experiment(name="processor time", points=experiment.points[: len(distinct)])
     maneuver = comparison.QUICK_MEASUREMENT if options.quick else comparison.MANEUVER
     repeats = comparison.QUICK_REPEATS if options.quick else comparison.REPEATS

@@ -118,7 +118,7 @@ def draw_parts(
 
 
 def _draw_label(axes: Any, label: Label, pose: Pose) -> Any:
-    """Draw a text, which faces the reader; return it."""
+    """Draw a text beside its frame, in inertial directions: a heading does not turn it; return it."""
     x, y, _ = label.position + pose[0]
     colour = np.array(label.colour) / BRIGHTEST
     style = {"fontsize": 8.0, "color": colour, "weight": "bold"}

@@ -141,7 +141,8 @@ class Drawing:
     def moving(self, scene: Scene) -> Iterator[Lines]:
         """Yield the lines of a scene except the actual paths.
 
-        After a new target these are those of the reference, too.
+        The first call after a new target also renews `fixed`, and yields the reference once: a
+        drawing has one reader.
         """
         targets = len(self._builder.setup.maneuver.targets)
         if targets != self._targets:

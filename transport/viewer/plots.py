@@ -146,7 +146,7 @@ class Plots:
             self._set_scales(number)
 
     def _set_scales(self, number: int) -> None:
-        """Set the axes of a plot: fixed ones, as those of uPlot's own do not stand gaps."""
+        """Set fixed axes of a plot: those of uPlot would include the values that stand for gaps."""
         history = self._builder.history
         axis = [-SPAN_S, 0.0]
         if self._whole:
