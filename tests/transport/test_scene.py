@@ -3,6 +3,7 @@
 And the shapes and colours it is drawn with.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from tests.support import runs
 from tests.support.logs import record_run
 from transport.model.arrays import Array
 from transport.scene.bodies import payload_points
-from transport.scene.drawing import Drawing
+from transport.scene.drawing import TEAM, Drawing
 from transport.scene.history import RunHistory
 from transport.scene.parts import Lines, Mesh
 from transport.scene.scene import SceneBuilder
@@ -170,3 +171,29 @@ def test_parts_are_where_the_scene_is(distributed: SceneBuilder, tick: int) -> N
         assert all(
             np.linalg.norm(flown_I - place_I, axis=1).min() < ROUNDING for place_I in scene.uavs_I
         )
+
+
+def test_a_link_is_drawn_as_its_half_at_the_receiver(distributed: SceneBuilder) -> None:
+    """It begins at the receiver's UAV and ends halfway to the sender's."""
+    drawing, scene = Drawing(distributed), distributed.at(20)
+    origin, _ = drawing.poses(scene)[TEAM]
+    (links,) = (part for part in drawing.moving(scene) if part.name == "links")
+    assert len(links.segments) == len(scene.links) == 12
+    for (sender, receiver, _), (near, far) in zip(scene.links, links.segments, strict=True):
+        of_sender, of_receiver = scene.uavs_I[sender - 1], scene.uavs_I[receiver - 1]
+        np.testing.assert_allclose(near + origin, of_receiver, atol=ROUNDING)
+        np.testing.assert_allclose(far + origin, (of_sender + of_receiver) / 2.0, atol=ROUNDING)
+
+
+def test_a_released_uav_is_not_drawn(distributed: SceneBuilder) -> None:
+    """It has neither frame nor rod nor thrust; the others keep theirs."""
+    drawing = Drawing(distributed)
+    scene = replace(distributed.at(20), released=(2,))
+    frames = drawing.poses(scene).keys()
+    assert {"uav1", "uav3", "uav4", "rod1", "rod3", "rod4"} <= frames
+    assert not {"uav2", "rod2"} & frames
+
+    origin, _ = drawing.poses(scene)[TEAM]
+    (thrust,) = (part for part in drawing.moving(scene) if part.name == "thrust")
+    feet_I = thrust.segments[::5, 0] + origin
+    np.testing.assert_allclose(feet_I, np.delete(scene.uavs_I, 1, axis=0), atol=ROUNDING)
