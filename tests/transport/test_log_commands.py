@@ -149,13 +149,13 @@ def test_tables_hold_the_bits(flight: tuple[Path, list[Message]], tmp_path: Path
 
 
 def test_numbers_of_a_class_take_no_column_of_others() -> None:
-    """One named as another column stands beside it."""
+    """One named as another column stands beside it, also where that name is taken."""
     note = Note(
         sender="agent2", incarnation=0, sequence=0, tick=7, agent=2, problem="",
-        names=("tick", "gap"), values=np.array([3.5, 4.5]),
+        names=("tick", "gap", "own_tick"), values=np.array([3.5, 4.5, 5.5]),
     )  # fmt: skip
     (row,) = tables(logs.log_of([note]), 0.05)["note"]
-    assert (row["tick"], row["own_tick"], row["gap"]) == (7, 3.5, 4.5)
+    assert (row["tick"], row["own_tick"], row["gap"], row["own_own_tick"]) == (7, 3.5, 4.5, 5.5)
 
 
 @pytest.mark.parametrize("form", ["--csv", "--parquet"])

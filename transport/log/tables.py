@@ -102,9 +102,13 @@ def tables(
 
 
 def _beside(row: Row, spread: Row) -> Row:
-    """Return a row with further columns; those whose names it has are preceded by `own_`."""
-    renamed = {f"own_{name}" if name in row else name: value for name, value in spread.items()}
-    return row | renamed
+    """Return a row with further columns; `own_` precedes names that are there already."""
+    whole = dict(row)
+    for name, value in spread.items():
+        while name in whole:
+            name = f"own_{name}"
+        whole[name] = value
+    return whole
 
 
 def _cell(value: Any) -> Any:
