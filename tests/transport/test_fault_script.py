@@ -81,6 +81,10 @@ class Run:
         """Apply due faults and answer requests."""
         self._script.work()
 
+    def has_killed(self) -> bool:
+        """Return whether the script has ended the process."""
+        return self._script.has_killed(cast("Any", self.child))
+
     def ask(self, action: str, target: str) -> None:
         """Ask for a fault as an operator does."""
         answers: list[Any] = []
@@ -137,6 +141,19 @@ def test_in_lockstep_a_stopped_agent_returns_once_off_the_roster(
     run.work()
     assert not run.child.is_stopped
     assert run.notes == [("stopped", "script"), ("continued", "script")]
+
+
+def test_a_kill_by_script_is_known_before_the_recorder_has_any_tick() -> None:
+    """On a busy machine a process is dead before the recorder has its tick; a second end is no kill."""
+    run = Run("{at_s=0.3,target='agent2',do='kill'}", seen=-1)
+    assert not run.has_killed()
+    for killed, note in ((True, ("killed", "script")), (False, ("ended by SIGKILL", "unknown"))):
+        run.child.code = -signal.SIGKILL
+        run.ended = [run.child]
+        run.work()
+        assert run.notes[-1] == note
+        assert run.has_killed() is killed
+        run.child = Child(is_stopped=False)
 
 
 def test_a_kill_is_over_once_its_process_has_been_restarted() -> None:

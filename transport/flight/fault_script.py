@@ -57,6 +57,7 @@ class FaultScript:
         self._stops: dict[str, tuple[Fault, float]] = {}
         # When the return of a process became due that had not left yet, steady clock, s.
         self._overdue_since_s: dict[Fault, float] = {}
+        self._killed: list[Child] = []  # by the script
         # Processes that an operator has stopped.
         self._stopped_by_person: set[str] = set()
         # Agents that the script has continued, and that are not on the roster again.
@@ -78,6 +79,10 @@ class FaultScript:
             request = self._recorder.requests.get()
             request.reply(self._answer(request))
 
+    def has_killed(self, child: Child) -> bool:
+        """Return whether the script has ended a process, as noted by `work`."""
+        return any(killed is child for killed in self._killed)
+
     def _next_faults(self) -> Iterator[Fault]:
         """Yield the next scripted fault of each process: one that is not due delays no other."""
         targets = dict.fromkeys(fault.target for fault in self._pending)
@@ -97,6 +102,7 @@ class FaultScript:
             self._recorder.note(child.name, f"ended by {signal.Signals(-code).name}", "unknown")
             return
         self._kills.remove(kills[0])
+        self._killed.append(child)
         self._recorder.note(child.name, _NOTES["kill"], "script", kills[0].tick)
 
     def _note_stop(self, fault: Fault) -> None:

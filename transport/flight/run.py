@@ -319,10 +319,13 @@ def _watch(
             if harness is None or recorder.control is not None or recorder.started_s is not None:
                 continue
             for child in harness.ended():
-                # A run may end within its first ticks: its messages can reach the recorder after a
-                # process has ended.
+                # A run may end, or kill a process by script, within its first ticks: its messages can
+                # reach the recorder after a process has ended.
                 ended_s = min(ended_s, time.monotonic())
-                if child.code not in _ORDERLY_ENDS or time.monotonic() - ended_s > _CATCH_UP_S:
+                is_orderly = child.code in _ORDERLY_ENDS
+                is_scripted = faults is not None and faults.has_killed(child)
+                is_late = time.monotonic() - ended_s > _CATCH_UP_S
+                if is_late or not (is_orderly or is_scripted):
                     raise _ended_early(child)
 
 

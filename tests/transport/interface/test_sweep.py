@@ -1,6 +1,7 @@
 """`transport.sweep`: every combination once, results independent of workers, tables and figures."""
 
 import csv
+import gc
 import os
 import signal
 import threading
@@ -150,14 +151,18 @@ def test_an_interrupt_ends_a_sweep(tmp_path: Path) -> None:
     """Ctrl-C raises KeyboardInterrupt; finished runs are kept in the folder."""
     long = transport.Scenario("paper", phases=[{**PHASES[0], "duration_s": 1e3}])
     compile_functions(4)
-    # Python ignores one whose handler raises while an object is collected: a second follows.
-    timers = [threading.Timer(at_s, os.kill, (os.getpid(), signal.SIGINT)) for at_s in (1.0, 60.0)]
+    # Python ignores one whose handler raises while an object is collected: a second follows, long
+    # before the run ends by itself.
+    gc.collect()
+    timers = [threading.Timer(at_s, os.kill, (os.getpid(), signal.SIGINT)) for at_s in (1.0, 8.0)]
     for timer in timers:
         timer.start()
-    with pytest.raises(KeyboardInterrupt):
-        transport.sweep(
-            long, {"delay_s": [0.0]}, workers=1, folder=tmp_path / "sweep", progress=False
-        )
-    for timer in timers:
-        timer.cancel()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            transport.sweep(
+                long, {"delay_s": [0.0]}, workers=1, folder=tmp_path / "sweep", progress=False
+            )
+    finally:
+        for timer in timers:
+            timer.cancel()
     assert (tmp_path / "sweep" / "results.jsonl").exists()
