@@ -37,7 +37,8 @@ def hover(
 
     Rod tensions are of least norm: (18). `thrusts` gives the thrusts of some UAVs, N, by 0-based
     number. Their rods must be vertical; their tensions are T = (f - m g) (e . k), (51) for f = 0.
-    Raises: ParameterError: no rod tensions balance the payload, or a UAV would have to push down.
+    Raises: ParameterError: no rod tensions balance the payload, a UAV would have to push down, or the
+        rod of a given thrust is not vertical.
     Source: docs/equations.md (18)-(19), (51).
     """
     down = np.array([0.0, 0.0, 1.0])
@@ -84,6 +85,9 @@ def _balancing_tensions(
     free = np.setdiff1d(np.arange(system.N), given)
     # T = (f - m g) (e . k) on a vertical rod; (51) for f = 0.
     for i in given:
+        if e[i, 0] != 0.0 or e[i, 1] != 0.0:
+            problem = f"expected a vertical rod, got {e[i].tolist()}"
+            raise ParameterError(f"no hover with a given thrust of UAV{i + 1}: {problem}")
         own_weight = system.uavs[i].mass * system.gravity
         tensions[i] = (thrusts[i] - own_weight) * e[i, 2]
     # The others have the least norm: (18).

@@ -62,8 +62,9 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["PAYLOAD_TRANSPORT_ACTIVE"] = register
     config.add_cleanup(lambda: shutil.rmtree(register, ignore_errors=True))
     if not hasattr(config, "workerinput"):
-        assert config.cache is not None
-        os.environ["PAYLOAD_TRANSPORT_CACHE"] = str(config.cache.mkdir("models"))
+        cache = getattr(config, "cache", None)  # absent with -p no:cacheprovider
+        models = f"{register}/models" if cache is None else str(cache.mkdir("models"))
+        os.environ["PAYLOAD_TRANSPORT_CACHE"] = models
         from transport.model import compiled, native  # noqa: F401 - the import compiles
 
         compiled.compile_functions(4)

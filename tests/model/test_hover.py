@@ -149,3 +149,21 @@ def test_attachments_on_one_side_are_refused(
     system = System(payload=Payload(mass=3.0, inertia=[0.5, 0.5, 0.5]), uavs=uavs)
     with pytest.raises(ParameterError, match=text):
         hover(system)
+
+
+def test_given_thrusts_are_those_of_the_equilibrium() -> None:
+    """The UAVs whose thrusts are free hold the rest; a UAV without thrust loads its rod with its weight."""
+    system = ring_system(np.random.default_rng(2100), 6)
+    free = hover(system).u[::INPUTS]
+    given = {1: float(free[1]) + 0.5, 4: 0.0}
+    at = hover(system, None, given)
+    assert np.abs(Model(system).derivative(at.x, at.u)).max() < AT_REST
+    assert at.u[::INPUTS][[1, 4]] == pytest.approx([given[1], 0.0], rel=FORCE_RATIO_TOLERANCE)
+    assert at.tensions[4] == pytest.approx(-system.uavs[4].mass * system.gravity)
+
+
+def test_a_given_thrust_on_a_tilted_rod_is_refused() -> None:
+    """Along a tilted rod no thrust follows from the tension alone; the UAV and its rod are named."""
+    system = ring_system(np.random.default_rng(2200), 4)
+    with pytest.raises(ParameterError, match="given thrust of UAV3: expected a vertical rod, got "):
+        hover(system, spread_rods(system, 2.0), {2: 20.0})

@@ -117,6 +117,30 @@ def test_the_law_before_a_target_stays_and_is_new_after_it(name: str) -> None:
         assert np.allclose(laws[0].uncorrected, laws[1].uncorrected, rtol=0.0, atol=1e-9)  # type: ignore[union-attr]
 
 
+def test_a_target_completes_the_law_of_a_team_whose_gains_are_under_way() -> None:
+    """A target right after a death: the gains are those of a team that had all of them before it."""
+    run = runs.ready("eight")
+    owned = list(range(run.system.N))
+    at_once, by_parts = (
+        Controller(run.model, run.hover, run.settings, owned, run.reference.sampled).regulation
+        for _ in range(2)
+    )
+    death, since = 38, 40
+    at_once.form({2}, (), ())
+    by_parts.form({2}, (), (), since=death)
+    assert not by_parts.advance(death)
+    assert not by_parts.advance(death + 1), "the gains are known: nothing is completed"
+    unfinished = by_parts.gain(since)
+
+    led = run.after([message(run, since, points_m=[[0.5, 0.0, -10.0]])])
+    assert by_parts.follow(led.reference.sampled)
+    assert not at_once.follow(led.reference.sampled)
+    for k in (death, since - 1, since, since + 20, since + 200):
+        np.testing.assert_array_equal(by_parts.gain(k), at_once.gain(k))
+    assert (by_parts.gain(since) != unfinished).any()
+    assert not by_parts.advance(since), "nothing is under way after the target"
+
+
 @pytest.mark.parametrize(
     ("given", "problem"),
     [

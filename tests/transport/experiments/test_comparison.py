@@ -14,7 +14,7 @@ import pytest
 
 from tests.support.results import here
 from tests.support.runs import ticks
-from transport.experiments import comparison
+from transport.experiments import comparison, comparison_report
 from transport.experiments.cases import NUMBERS, Case, Result, cases_of
 from transport.experiments.comparison import (
     CENTRALIZED,
@@ -123,6 +123,44 @@ def test_diverged_runs_are_not_compared() -> None:
     assert curve.cost_range(0.07, 0.08) == (math.inf, math.inf)
     assert (curve.cost_range(0.04, 0.06) or (0.0, 0.0))[1] == math.inf
     assert curve.cost_ratios(0.05) == pytest.approx([1.2, 1.1, 1.2])
+
+
+def test_the_table_has_every_number_in_the_unit_of_its_column() -> None:
+    """A row of curves.csv, whose numbers all differ, as it is shown."""
+    row: comparison.Row = {
+        "weather": GUSTS,
+        "controller": PAPER,
+        "kept": STEPS,
+        "flights": 3,
+        "completed": 2,
+        "period_s": 0.025,
+        "horizon": 40,
+        "cost_mean": 0.0012345,
+        "cost_ratio": 1.2345,
+        "cost_ratio_ci95": 0.0678,
+        "attitude_max_deg": 3.456,
+        "swing_m": 0.4567,
+        "cpu_step_ms": 1.987,
+        "cpu_agent_s_per_s": 0.3456,
+        "cpu_team_s_per_s": 1.3824,
+    }
+    shown = comparison_report.Compared(curves=[], curve_rows=[row], verdict_rows=[]).table
+    columns = {str(column.header): list(column.cells) for column in shown.columns}
+    assert columns == {
+        "weather": [GUSTS],
+        "controller": [PAPER],
+        "horizon\nkept": [STEPS],
+        "done": ["2/3"],
+        "T_s\n(ms)": ["25.0"],
+        "N_p": ["40"],
+        "cost\n(1e-3)": ["1.234"],
+        "cost over\ncentralized": ["1.234 ±0.068"],
+        "attitude\n(deg)": ["3.46"],
+        "swing\n(m)": ["0.457"],
+        "CPU step\n(ms)": ["1.99"],
+        "agent\n(s/s)": ["0.346"],
+        "team\n(s/s)": ["1.382"],
+    }
 
 
 @pytest.mark.slow
