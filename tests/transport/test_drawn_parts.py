@@ -32,7 +32,7 @@ def from_above(parts: list[Part], poses: dict[str, Pose]) -> Drawn:
     axes = Figure().add_subplot()
     draw_parts(axes, parts, poses, above=True, width=1.0)
     (faces,) = (found for found in axes.collections if isinstance(found, PolyCollection))
-    corners = np.array([path.vertices[:3] for path in faces.get_paths()])
+    corners = np.array([np.asarray(path.vertices)[:3] for path in faces.get_paths()])
     return Drawn(corners, np.asarray(faces.get_facecolor()))
 
 
@@ -63,8 +63,9 @@ def test_parts_are_drawn_in_the_poses_of_their_frames() -> None:
     r_I = np.array([1.0, -2.0, -3.0])
     ends = np.array([[[0.3, 0.0, 0.0], [0.0, 0.2, 0.1]]])
     body = cube("body", 0.0, RED)
-    parts = [lines("rod", "body", "", 3.0, [(GREEN, ends)]), body, cube("absent", 0.0, BLUE)]
-    drawn = from_above(list(parts), {"body": (r_I, R)})
+    rod_lines = lines("rod", "body", "", 3.0, [(GREEN, ends)])
+    parts: list[Part] = [rod_lines, body, cube("absent", 0.0, BLUE)]
+    drawn = from_above(parts, {"body": (r_I, R)})
     vertices = (body.vertices @ R.T + r_I)[:, :2]
     nearest = np.linalg.norm(drawn.faces[:, :, None] - vertices, axis=-1).min(axis=-1)
     assert len(drawn.faces) == len(body.faces)
@@ -75,8 +76,8 @@ def test_parts_are_drawn_in_the_poses_of_their_frames() -> None:
     (rod,) = (found for found in axes.collections if isinstance(found, LineCollection))
     (segment,) = rod.get_segments()
     np.testing.assert_allclose(segment, [(r_I + R @ end)[:2] for end in ends[0]], atol=ROUNDING_M)
-    assert rod.get_linewidths() == [2.0 * 3.0]
-    np.testing.assert_array_equal(rod.get_colors()[0][:3], [0.0, 1.0, 0.0])
+    assert np.asarray(rod.get_linewidth()) == [2.0 * 3.0]
+    np.testing.assert_array_equal(np.asarray(rod.get_edgecolor())[0, :3], [0.0, 1.0, 0.0])
 
 
 def test_a_label_stands_beside_its_frame_and_does_not_turn_with_it() -> None:
@@ -88,7 +89,7 @@ def test_a_label_stands_beside_its_frame_and_does_not_turn_with_it() -> None:
     space: Any = figure.add_subplot(1, 2, 2, projection="3d")
     no_lines = Lines("none", "body", "", 1.0, np.zeros((0, 2, 3)), np.zeros((0, 3)))
     for axes in (above, space):
-        parts = [label, no_lines, cube("body", 0.0, RED)]
+        parts: list[Part] = [label, no_lines, cube("body", 0.0, RED)]
         draw_parts(axes, parts, {"body": turned}, above=axes is above, width=1.0)
     (text,) = above.texts
     assert text.get_text() == "UAV7"
