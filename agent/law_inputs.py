@@ -14,7 +14,7 @@ _KEPT = 2 * WINDOW
 class _Saved:
     x: bytes  # of the estimate
     forces: bytes
-    version: object  # of the control law
+    gain_source: object  # of the control law
     inputs: Array | None
 
 
@@ -43,18 +43,20 @@ class LawInputs:
         """
         x_bytes = x.tobytes()
         forces_bytes = b"" if forces is None else forces.tobytes()
-        version = self._regulation.version
+        gain_source = self._regulation.current.gain_source
         saved = self._saved.get(tick)
         if (
             saved is not None
-            and saved.version is version
+            and saved.gain_source is gain_source
             and saved.x == x_bytes
             and saved.forces == forces_bytes
         ):
             return saved.inputs
 
         inputs = self._regulation.inputs(x, self._X_ref[tick], forces, tick)
-        self._saved[tick] = _Saved(x=x_bytes, forces=forces_bytes, version=version, inputs=inputs)
+        self._saved[tick] = _Saved(
+            x=x_bytes, forces=forces_bytes, gain_source=gain_source, inputs=inputs
+        )
         if len(self._saved) > _KEPT:
             del self._saved[min(self._saved)]
         return inputs

@@ -22,7 +22,8 @@ class Clock:
 
     Attributes:
         is_realtime: Whether ticks open at their deadlines.
-        waiting_since_ns: Start of the barrier timeout.
+        waiting_since_ns: Start of the barrier timeout, or of the wait for agents that faults bring
+            back; the coordinator sets it as well.
         plant_ns: Time at which the plant answered, or was first asked for the next interval.
     """
 
@@ -63,7 +64,9 @@ class Clock:
     def excuse_absence(self, tick: int, wake_ns: int | None, now_ns: int) -> None:
         """Restart all timeouts if the coordinator woke up late: answers may still have to be read.
 
-        At most once in a tick: a process that is always late must still notice lost agents.
+        Late is measured from the due time `wake_ns`, or from the last call where that was later: a
+        coordinator that is busy with a queue of answers was not away.
+        At most once while `tick` is open: a process that is always late must still notice lost agents.
         """
         called_ns = self._called_ns
         self._called_ns = now_ns
@@ -99,8 +102,10 @@ class Clock:
         if plan.tick == tick:
             self._owed_since_ns.pop(plan.agent, None)
         else:
+            # A late plan: its agent still owes one for the open tick, but is slow, not silent.
             self._owed_since_ns[plan.agent] = now_ns
 
+        # Not used in lockstep, where a tick may be due at 0.
         deadline_ns = self.due_ns(plan.tick + 1)
         self._overrun_ns = max(self._overrun_ns, now_ns - deadline_ns)
 
@@ -134,12 +139,12 @@ class Clock:
     def may_close(self, tick: int, missing: set[int], now_ns: int, *, last: bool) -> bool:
         """Return whether the open tick may be closed.
 
-        In lockstep the last one closes with its last answer.
+        In lockstep the last tick closes with its last answer.
         """
         is_due = now_ns >= self.due_ns(tick + 1) or (last and not self.is_realtime)
         return is_due and not self.waits_for(missing)
 
-    def overrun(self, tick: int, missing: set[int], now_ns: int) -> str:
+    def judge_overruns(self, tick: int, missing: set[int], now_ns: int) -> str:
         """Count the deadlines missed in a tick that closes; return why they end the run, or ""."""
         self._overruns += len(missing)
         settings = self._settings

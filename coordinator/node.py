@@ -1,6 +1,6 @@
 """The coordinator as a state machine.
 
-Opens tick k + 1 when all agents have answered tick k, or at its deadline.
+It opens tick k + 1 when all agents have answered tick k, or at its deadline.
 
 `coordinator.clock` has the difference between lockstep and real time. Agents that are gone or do
 not answer are taken off the roster; those that return with a higher incarnation are put on it again
@@ -38,7 +38,7 @@ from transport.protocol.wire.messages import (
 from transport.protocol.wire.names import COORDINATOR, PLANT
 from transport.protocol.wire.node import Outbox
 
-# Outcomes of runs that reach their end, by exit code; a run with another code was aborted.
+# Outcomes of runs that are not aborted, by exit code; a run with another code was aborted.
 _OUTCOMES = {0: "completed", EXIT_DIVERGED: "diverged", EXIT_FAILED: "failed"}
 
 
@@ -66,6 +66,7 @@ class CoordinatorNode:
         state: State of the run.
         tick: The open tick, -1 before the first.
         finished: The message that ends the run, once it has ended.
+        publish_ns: Time that its process has spent publishing, 0: only plans report it.
     """
 
     name = COORDINATOR
@@ -103,7 +104,7 @@ class CoordinatorNode:
             return None
         if self.state is State.HELD:
             return self._clock.hold_ends_ns
-        if self._lacks_last_state or self._clock.waits_for(self._missing):
+        if self._lacks_state or self._clock.waits_for(self._missing):
             return self._clock.expires_ns
         return self._clock.due_ns(self.tick + 1)
 
@@ -147,8 +148,8 @@ class CoordinatorNode:
         silent = self._clock.silent(self._roster.members, self._missing, now_ns)
         if silent:
             return self._drop_silent(silent, now_ns)
-        if expired and self._lacks_last_state:
-            reason = f"plant did not answer tick {self.tick} in time"
+        if expired and self._lacks_state:
+            reason = f"plant did not answer tick {self._plant_tick + 1} in time"
             return self._stop(EXIT_UNREACHABLE, reason)
         return self._advance(now_ns)
 
@@ -161,9 +162,14 @@ class CoordinatorNode:
         return self.tick + 1 == self._ticks
 
     @property
-    def _lacks_last_state(self) -> bool:
-        """Whether the plant's last state is missing, without which the record is not complete."""
-        return self._is_last and self._plant_tick < self.tick
+    def _lacks_state(self) -> bool:
+        """Whether the plant's state is missing without which the open tick cannot be closed.
+
+        The last one completes the record; on a radio, positions one tick old say who hears whom.
+        """
+        if self._is_last:
+            return self._plant_tick < self.tick
+        return self._air is not None and not self._air.may_open(self.tick + 1)
 
     @property
     def _missing(self) -> set[int]:
@@ -205,7 +211,7 @@ class CoordinatorNode:
         self._failed_steps.count(plan)
         if plan.tick == self.tick:
             self._answered[plan.agent] = plan.shared
-            if self._air is not None:
+            if self._air is not None:  # in lockstep only: no plan is late
                 self._air.send(plan)
         self._clock.answer(plan, self.tick, now_ns)
 
@@ -274,7 +280,7 @@ class CoordinatorNode:
     def _drop_silent(self, silent: set[int], now_ns: int) -> Sequence[Message]:
         """Take agents that have not answered in time off the roster."""
         # An agent that is behind in a negotiation blocks the others: drop it alone and restart
-        # their timeout.
+        # their timeout, which is that of lockstep (real time takes no negotiation).
         iterations = self._setup.scenario.controller.negotiation_iterations
         iterations_left = {agent: self._negotiating.get(agent, iterations) for agent in silent}
         most_left = max(iterations_left.values())
@@ -328,20 +334,22 @@ class CoordinatorNode:
             return self._stop(EXIT_DIVERGED, self._divergence)
 
         may_close = self._clock.may_close(self.tick, self._missing, now_ns, last=self._is_last)
-        air_is_ready = self._is_last or self._air is None or self._air.may_open(self.tick + 1)
-        if not may_close or self._lacks_last_state or not air_is_ready:
+        if not may_close or self._lacks_state:
             return ()
         if not is_diverged and not self._is_last and self._roster.due_back(self.tick + 1):
             self._hold(now_ns)
             return ()
 
-        overrun = self._clock.overrun(self.tick, self._missing, now_ns)
-        if overrun:
-            return self._stop(EXIT_OVERRUN, overrun)
+        too_late = self._clock.judge_overruns(self.tick, self._missing, now_ns)
+        if too_late:
+            return self._stop(EXIT_OVERRUN, too_late)
         if self._is_last:
             return self._end()
         opened = self._open(now_ns)
-        return [*opened, *self._advance(now_ns)] if is_diverged else opened
+        if not is_diverged:
+            return opened
+        # Tick p + 1 is open now: the run ends.
+        return [*opened, *self._advance(now_ns)]
 
     def _hold(self, now_ns: int) -> None:
         """Wait for the agents that scripted faults bring back at the next tick."""

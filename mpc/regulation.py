@@ -1,4 +1,10 @@
-"""The present control law of a team: how it changes with the team and with the reference."""
+"""The present control law of a team: how it changes with the team and with the reference.
+
+A hover reference is followed by gains about hover, with a preview of what is ahead. A flat one, a
+`Track`, is followed by a regulator along it, the `Tracker`. A backward `Recursion` computes its
+gains in parts while the team flies; until it is ready, a provisional law holds. The whole team is
+the one without deaths and failures.
+"""
 
 from collections.abc import Collection
 from dataclasses import replace
@@ -22,8 +28,8 @@ from transport.mpc.tracking import Recursion
 class WholeTeam:
     """The law of the team without deaths and failures.
 
-    UAVs without plans follow the motion that this team would fly. With a flat reference they follow the
-    reference itself, so `law` has no `tracker`, the regulator along it.
+    UAVs without plans follow the motion that this team would fly. Along a flat reference they follow
+    the reference itself: no gains of this team are needed for that, and `law` has no `tracker`.
 
     Raises: FeedbackError: the settings need a regulator and none stabilises the team.
     """
@@ -68,15 +74,11 @@ class Regulation:
         *,
         since: int | None = None,
     ) -> None:
-        """Change to the law of a `Team`: equations.md (45), (50), (51).
+        """Change to the law of a `Team` of `gone`, `off` and `released`: equations.md (45), (50), (51).
 
-        Args:
-            gone: UAVs without an agent, 0-based.
-            off: UAVs whose motors are off.
-            released: Those of them that are cut off their rods.
-            since: Present instant. With a flat reference a provisional law holds from then on, until
-                `advance` returns true: the regulator along it takes several ticks to compute. None:
-                the final law is computed at once.
+        `since` is the present instant. With a flat reference a provisional law holds from then on,
+        until `advance` returns true: the regulator along it takes several ticks to compute. Without
+        `since` the final law is computed at once.
         """
         team = Team(frozenset(gone), frozenset(off), frozenset(released))
         self.current = self._law_of(team, self.current, since)
@@ -101,7 +103,9 @@ class Regulation:
         """Return the recursion of a team along the present reference.
 
         A team that was formed before goes on with its recursion, of which a part may be computed,
-        also where another law held in between.
+        also where another law held in between: gains follow backwards from the end of the
+        reference, whatever held before them. `follow` forgets the recursions, which are along one
+        reference.
         Otherwise the law before holds until the given instant; without one the gains are those
         along the whole reference, as an agent has them that starts in mid-run.
         """
@@ -118,7 +122,8 @@ class Regulation:
     def advance(self, instant: int) -> bool:
         """Continue the recursion of a new team at an instant.
 
-        Return whether its result holds from this instant on, in all agents.
+        Return whether its result holds from this instant on, in all agents: false while it is under
+        way, and where none is.
         """
         if self._advancing is None:
             return False
@@ -132,7 +137,8 @@ class Regulation:
     def follow(self, reference: Sampled) -> bool:
         """Follow a reference with a further target, from that target's instant on.
 
-        Return as `advance`: a recursion that is under way is completed.
+        A recursion that is under way is completed first. Return whether there was one: its result
+        holds from now on, as where `advance` returns true.
         """
         if reference.change is None:
             return False
@@ -167,11 +173,6 @@ class Regulation:
     def fail_safe(self) -> FailSafe:
         """The fail-safe of the present team."""
         return self.current.fail_safe
-
-    @property
-    def version(self) -> object:
-        """The same object as long as its gains are; a target may change the feedforward."""
-        return self.current.gain_source
 
     def law(
         self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0

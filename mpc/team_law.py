@@ -59,7 +59,10 @@ class TeamLaw:
 
     @property
     def gain_source(self) -> Regulator | Tracker | None:
-        """The part that has the gains: the same object as long as these are the same."""
+        """The part that has the gains: the same object (`is`) as long as these are the same.
+
+        The feedforward may change with a target all the same.
+        """
         return self.about_hover.regulator if self.tracker is None else self.tracker
 
     def over(

@@ -193,6 +193,22 @@ def test_a_frozen_agent_is_taken_off_the_roster() -> None:
     assert node.tick - tick > 30
 
 
+def test_a_coordinator_that_falls_behind_loses_a_frozen_agent_all_the_same() -> None:
+    """Each message takes it longer than a period: it is later and later, but was never away."""
+    run, node = realtime(CONTINUE)
+    now_ns = START_NS
+    handling_ns = 80 * MS
+    sent: list[Message] = []
+    while not sent and now_ns < START_NS + 2 * BARRIER_NS:
+        for event in [*answers(run, node.tick, (1, 2, 3)), plant_state(run, node.tick)]:
+            now_ns += handling_ns
+            node.receive(event, now_ns)
+        sent = [message for message in node.poll(now_ns) if isinstance(message, Roster)]
+    assert now_ns - due(node.tick) > S, "it has not fallen behind"
+    assert len(sent) == 1
+    assert due(0) + BARRIER_NS <= now_ns <= due(0) + BARRIER_NS + 8 * handling_ns
+
+
 def test_a_frozen_agent_that_returns_has_the_whole_timeout() -> None:
     """A new start of an agent owes its answer since it joined, not since the last one was lost."""
     run, node = realtime(CONTINUE)

@@ -90,12 +90,16 @@ def test_along_a_flat_reference_to_way_points() -> None:
     assert found["error_m"] < 0.02
 
 
+@pytest.mark.parametrize("gone", [(), (2,)], ids=["all", "a death"])
 @pytest.mark.parametrize("name", ["resilient", "eight"])
-def test_the_law_before_a_target_stays_and_is_new_after_it(name: str) -> None:
+def test_the_law_before_a_target_stays_and_is_new_after_it(
+    name: str, gone: tuple[int, ...]
+) -> None:
     """Control law and reference are bit for bit the old ones before a target, those of the whole path after it."""
     run = runs.ready(name, HOVER % 9.0, "maneuver.profile=smooth")
     owned = list(range(run.system.N))
     controller = Controller(run.model, run.hover, run.settings, owned, run.reference.sampled)
+    controller.without(gone)
     x, c = run.X_ref[40] + 1e-3, np.zeros((10, run.system.m))
     law = controller.law(x, run.X_ref[30:40], c, None, 30)
     led = run.after([message(run, 40, points_m=[[0.5, 0.0, -10.0]])])
@@ -105,10 +109,13 @@ def test_the_law_before_a_target_stays_and_is_new_after_it(name: str) -> None:
     assert law is not None
     assert again is not None
     assert (again.uncorrected == law.uncorrected).all()
+    if gone and not run.reference.is_flat:
+        return  # its UAV follows the team's motion until then, which did not know of the target
     # A controller that knows the path from its start has the same law after the target.
     target = message(run, 40, points_m=[[0.5, 0.0, -10.0]])
     whole = Setup.of(run.scenario, name).after([target])
     other = Controller(whole.model, whole.hover, whole.settings, owned, whole.reference.sampled)
+    other.without(gone)
     for start in (40, 60, 100, 150):
         laws = [
             of.law(x, led.X_ref[start : start + 10], c, None, start) for of in (controller, other)
@@ -139,6 +146,24 @@ def test_a_target_completes_the_law_of_a_team_whose_gains_are_under_way() -> Non
         np.testing.assert_array_equal(by_parts.gain(k), at_once.gain(k))
     assert (by_parts.gain(since) != unfinished).any()
     assert not by_parts.advance(since), "nothing is under way after the target"
+
+
+def test_a_team_that_is_whole_again_after_a_target_follows_the_new_path() -> None:
+    """Its gains were known along the old path; those along the new one are computed."""
+    run = runs.ready("eight")
+    owned = list(range(run.system.N))
+    target = message(run, 40, points_m=[[0.5, 0.0, -10.0]])
+    led = run.after([target])
+    one, before, whole = (
+        Controller(of.model, of.hover, of.settings, owned, of.reference.sampled).regulation
+        for of in (run, run, led)
+    )
+    one.form({2}, (), ())
+    one.follow(led.reference.sampled)
+    one.form((), (), ())
+    for k in (40, 60, 100, 150):
+        np.testing.assert_allclose(one.gain(k), whole.gain(k), rtol=0.0, atol=1e-9)
+    assert np.abs(one.gain(60) - before.gain(60)).max() > 1e-3
 
 
 @pytest.mark.parametrize(
