@@ -1,5 +1,6 @@
 """Faults of a script, with the processes and the recorder of a run in place of real ones."""
 
+import math
 import signal
 from queue import SimpleQueue
 from types import SimpleNamespace
@@ -11,42 +12,53 @@ from tests.support import runs
 from transport.flight.fault_script import FaultScript
 from transport.flight.harness import Harness
 from transport.flight.recorder import Recorder
+from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE
 from transport.protocol.wire.messages import Request
 
 STOP = "{at_s=0.3,target='coordinator',do='stop'},{at_s=1.2,target='coordinator',do='continue'}"
 STOPPED_S = 0.9
+SECOND_STOP = (
+    "{at_s=1.5,target='coordinator',do='stop'},{at_s=1.8,target='coordinator',do='continue'}"
+)
+SECOND_STOPPED_S = 0.3
 AGENT_STOP = "{at_s=0.3,target='agent2',do='stop'},{at_s=0.5,target='agent2',do='continue'}"
 AGENT_KILL = "{at_s=0.3,target='agent2',do='kill'},{at_s=0.5,target='agent2',do='restart'}"
+PLANT_STOP = "{at_s=0.3,target='plant',do='stop'},{at_s=0.5,target='plant',do='continue'}"
+STOP_TICK = 6
 RETURN_TICK = 10
 PATIENCE_S = 10.0  # longer than a process that is due to leave is waited for
 
 
 class Child:
-    """A process that can be stopped and continued."""
+    """A process that can be stopped, continued and killed."""
 
     name = "agent2"
     code: int | None = None
-    incarnation = 0
     is_noted = False
 
-    def __init__(self, *, is_stopped: bool) -> None:
+    def __init__(self, incarnation: int = 0, *, is_stopped: bool = False) -> None:
+        self.incarnation = incarnation
         self.is_stopped = is_stopped
 
     def signal(self, number: int) -> bool:
-        """Stop at SIGSTOP; take any other signal as one that continues."""
+        """Stop at SIGSTOP, continue at SIGCONT, end at SIGKILL; return whether the process ran."""
+        if self.code is not None:
+            return False
         self.is_stopped = number == signal.SIGSTOP
+        if number == signal.SIGKILL:
+            self.code = -number
         return True
 
-    def wait(self, _timeout_s: float) -> None:
-        """End by the signal before."""
-        self.code = -signal.SIGKILL
+    def wait(self, _timeout_s: float) -> int | None:
+        """Return the exit code at once: a killed process has ended."""
+        return self.code
 
 
 class Run:
     """A run with a script and one process, which the test stops in place of the script's fault."""
 
     def __init__(self, script: str, *settings: str, seen: int, is_stopped: bool = False) -> None:
-        self.child = Child(is_stopped=is_stopped)
+        self.children = [Child(is_stopped=is_stopped)]
         self.notes: list[tuple[str, str]] = []
         self.now_s = 0.0
         self.recorder = SimpleNamespace(
@@ -56,11 +68,10 @@ class Run:
             requests=SimpleQueue[Request](),
             note=self._note,
         )
-        self.ended: list[Child] = []
         harness = SimpleNamespace(
-            ended=lambda: self.ended,
+            ended=lambda: [child for child in self.children if child.code is not None],
             child=lambda _: self.child,
-            mesh=("coordinator", "agent2"),
+            mesh=("coordinator", "plant", "agent2"),
             start=self._start,
         )
         run = runs.ready(
@@ -70,9 +81,13 @@ class Run:
             run, cast("Harness", harness), cast("Recorder", self.recorder), lambda: self.now_s
         )
 
+    @property
+    def child(self) -> Child:
+        """The process that was started last."""
+        return self.children[-1]
+
     def _start(self, _target: str, incarnation: int) -> None:
-        self.child = Child(is_stopped=False)
-        self.child.incarnation = incarnation
+        self.children.append(Child(incarnation))
 
     def _note(self, _target: str, what: str, origin: str, *_: Any) -> None:
         self.notes.append((what, origin))
@@ -85,14 +100,28 @@ class Run:
         """Return whether the script has ended the process."""
         return self._script.has_killed(cast("Any", self.child))
 
-    def ask(self, action: str, target: str) -> None:
-        """Ask for a fault as an operator does."""
+    def answer(self, action: str, target: str) -> dict[str, Any]:
+        """Ask for a fault as an operator does; return the answer."""
         answers: list[Any] = []
         self.recorder.requests.put(
             Request("fault", {"do": action, "target": target}, answers.append)
         )
         self.work()
-        assert "error" not in answers[0]
+        answer: dict[str, Any] = answers[0]
+        return answer
+
+    def ask(self, action: str, target: str) -> None:
+        """Ask for a fault that must be applied."""
+        assert "error" not in self.answer(action, target)
+
+
+def continued_agent() -> Run:
+    """Return a run in which the script has just continued an agent that is off the roster."""
+    run = Run(AGENT_STOP, seen=RETURN_TICK, is_stopped=True)
+    run.work()
+    run.work()
+    assert run.notes == [("stopped", "script"), ("continued", "script")]
+    return run
 
 
 @pytest.mark.parametrize("seen", [2, 4, 5])
@@ -122,6 +151,77 @@ def test_a_stop_by_a_person_is_not_that_of_the_script() -> None:
     assert run.notes[1:] == [("continued", "person"), ("stopped", "script")]
 
 
+@pytest.mark.parametrize(("seen", "is_noted"), [(STOP_TICK - 2, False), (STOP_TICK - 1, True)])
+def test_a_stopped_process_is_at_its_stop_from_the_tick_before_on(
+    seen: int, is_noted: bool
+) -> None:
+    """An agent may read its message of tick 6 before the recorder sees that tick, not that of tick 5."""
+    run = Run(AGENT_STOP, seen=seen, is_stopped=True)
+    run.work()
+    assert run.notes == [("stopped", "script")] * is_noted
+
+
+def test_a_plant_that_a_person_has_stopped_is_not_at_its_stop_in_the_tick_before() -> None:
+    """The script would continue such a plant, which then stops at its tick and never returns."""
+    run = Run(PLANT_STOP, seen=STOP_TICK - 1)
+    run.ask("stop", "plant")
+    run.work()
+    assert run.notes == [("stopped", "person")]
+
+
+def test_a_return_by_script_ends_a_stop_by_a_person() -> None:
+    """A coordinator stopped by the script and by a person is continued: its next stop is the script's.
+
+    The wait for the return from that stop begins with it.
+    """
+    run = Run(f"{STOP},{SECOND_STOP}", seen=2, is_stopped=True)
+    run.work()
+    run.ask("stop", "coordinator")
+    run.now_s += STOPPED_S + 0.01
+    run.work()
+    run.child.is_stopped = True
+    run.work()
+    assert run.notes == [
+        ("stopped", "script"),
+        ("stopped", "person"),
+        ("continued", "script"),
+        ("stopped", "script"),
+    ]
+
+    run.now_s += SECOND_STOPPED_S - 0.01
+    run.work()
+    assert run.child.is_stopped
+    run.now_s += 0.02
+    run.work()
+    assert not run.child.is_stopped
+
+
+@pytest.mark.parametrize("speed", [0.0, 1.0, 2.0])
+def test_a_stop_of_the_coordinator_lasts_its_time_at_the_pace_of_the_run(speed: float) -> None:
+    """0.9 s of scenario time are 0.45 s at speed 2; a run without a pace waits as at speed 1."""
+    run = Run(STOP, f"clock.speed={speed}", seen=4, is_stopped=True)
+    run.work()
+    wait_s = STOPPED_S / (speed or 1.0)
+    run.now_s = wait_s - 0.01
+    run.work()
+    assert run.child.is_stopped
+    run.now_s = wait_s + 0.01
+    run.work()
+    assert not run.child.is_stopped
+
+
+def test_an_agent_returns_once_the_tick_before_is_open() -> None:
+    """The coordinator opens the tick of a return once the agent is ready, so that tick is too late."""
+    run = Run(AGENT_STOP, seen=RETURN_TICK - 2, is_stopped=True)
+    run.work()
+    run.now_s = math.inf
+    run.work()
+    assert run.child.is_stopped
+    run.recorder.tick = RETURN_TICK - 1
+    run.work()
+    assert not run.child.is_stopped
+
+
 @pytest.mark.parametrize(
     ("clock", "is_awaited"),
     [(("clock.mode=lockstep",), True), (("clock.mode=realtime", "clock.speed=1.0"), False)],
@@ -149,11 +249,10 @@ def test_a_kill_by_script_is_known_before_the_recorder_has_any_tick() -> None:
     assert not run.has_killed()
     for killed, note in ((True, ("killed", "script")), (False, ("ended by SIGKILL", "unknown"))):
         run.child.code = -signal.SIGKILL
-        run.ended = [run.child]
         run.work()
         assert run.notes[-1] == note
         assert run.has_killed() is killed
-        run.child = Child(is_stopped=False)
+        run.children.append(Child())
 
 
 def test_a_kill_is_over_once_its_process_has_been_restarted() -> None:
@@ -165,6 +264,139 @@ def test_a_kill_is_over_once_its_process_has_been_restarted() -> None:
     assert run.notes == [("restarted", "script")]
 
     run.child.code = -signal.SIGKILL
-    run.ended.append(run.child)
     run.work()
     assert run.notes[1:] == [("ended by SIGKILL", "unknown")]
+
+
+def test_a_kill_by_a_person_is_noted_once() -> None:
+    """The end of a process that an operator has killed is no second event of unknown cause."""
+    run = Run(AGENT_STOP, seen=2)
+    run.ask("kill", "agent2")
+    run.work()
+    assert run.notes == [("killed", "person")]
+
+
+@pytest.mark.parametrize("seen", [2, STOP_TICK], ids=["before its stop", "while stopped"])
+def test_the_script_does_not_continue_an_agent_that_a_person_has_killed(seen: int) -> None:
+    """Killed before its stop, it does not execute that either; the next actions of the script are possible."""
+    run = Run(AGENT_STOP, seen=seen)
+    run.ask("kill", "agent2")
+    executed = [*run.notes]
+    for tick in (STOP_TICK, RETURN_TICK, RETURN_TICK + 1):
+        run.recorder.tick = tick
+        run.work()
+    assert run.notes == executed
+    assert executed[-1] == ("killed", "person")
+    assert (("stopped", "script") in executed) == (seen == STOP_TICK)
+    assert len(run.children) == 1
+
+
+def test_a_restart_by_a_person_replaces_stop_and_return_of_the_script() -> None:
+    """An agent killed before its stop and restarted after it has neither stopped nor been continued."""
+    run = Run(AGENT_STOP, seen=2)
+    run.ask("kill", "agent2")
+    run.recorder.tick = STOP_TICK + 1
+    run.ask("restart", "agent2")
+    run.recorder.tick = RETURN_TICK
+    run.work()
+    run.now_s += PATIENCE_S
+    run.work()
+    assert run.notes == [("killed", "person"), ("restarted", "person")]
+
+
+def test_the_script_does_not_continue_an_agent_that_a_person_has_continued() -> None:
+    """The stop has ended before its time: the script notes no second return."""
+    run = Run(AGENT_STOP, seen=STOP_TICK, is_stopped=True)
+    run.ask("continue", "agent2")
+    run.recorder.tick = RETURN_TICK
+    run.work()
+    run.now_s += PATIENCE_S
+    run.work()
+    assert run.notes == [("stopped", "script"), ("continued", "person")]
+
+
+def test_the_script_restarts_an_agent_that_a_person_has_killed() -> None:
+    """A restart needs no running process; the kill by the script before it was not executed."""
+    run = Run(AGENT_KILL, seen=2)
+    run.ask("kill", "agent2")
+    run.recorder.tick = RETURN_TICK
+    run.work()
+    assert run.notes == [("killed", "person"), ("restarted", "script")]
+    assert run.child.incarnation == 1
+
+
+def test_a_continued_agent_without_connections_is_restarted() -> None:
+    """An agent stopped for 12 s at speed 1 ends when it is continued: its return is a restart, once."""
+    run = continued_agent()
+    run.child.code = EXIT_UNREACHABLE
+    run.work()
+    assert run.notes[2:] == [("restarted", "script")]
+    assert run.child.incarnation == 1
+
+    run.child.code = EXIT_UNREACHABLE
+    run.work()
+    assert len(run.children) == 2
+
+
+@pytest.mark.parametrize("code", [0, EXIT_INTERRUPTED])
+def test_a_continued_agent_that_ends_for_another_reason_is_not_restarted(code: int) -> None:
+    """An agent ends with 0 after the run, and with 130 by a signal of an operator."""
+    run = continued_agent()
+    run.child.code = code
+    run.work()
+    assert len(run.children) == 1
+
+
+def test_a_continued_agent_that_a_person_kills_is_not_restarted() -> None:
+    """The kill is newer than the return."""
+    run = continued_agent()
+    run.ask("kill", "agent2")
+    run.work()
+    assert len(run.children) == 1
+
+
+def test_a_continued_agent_that_was_on_the_roster_again_is_not_restarted() -> None:
+    """Its return has succeeded: a later loss of its connections has another cause."""
+    run = continued_agent()
+    run.recorder.members = frozenset({"agent2"})
+    run.work()
+    run.recorder.members = frozenset()
+    run.child.code = EXIT_UNREACHABLE
+    run.work()
+    assert len(run.children) == 1
+
+
+def test_no_agent_is_restarted_after_the_end_of_the_run() -> None:
+    """Agents lose their connections at the end, too."""
+    run = continued_agent()
+    run.recorder.control = object()
+    run.child.code = EXIT_UNREACHABLE
+    run.work()
+    assert len(run.children) == 1
+
+
+def test_a_continued_coordinator_is_not_restarted() -> None:
+    """The run ends with the coordinator."""
+    run = Run(STOP, seen=4, is_stopped=True)
+    run.work()
+    run.now_s += STOPPED_S + 0.01
+    run.work()
+    run.child.code = EXIT_UNREACHABLE
+    run.work()
+    assert len(run.children) == 1
+
+
+@pytest.mark.parametrize("target", ["coordinator", "plant"])
+def test_only_agents_are_restarted_by_hand(target: str) -> None:
+    """A restart of plant or coordinator is refused before the process is killed."""
+    run = Run(AGENT_STOP, seen=2)
+    problem = f"expected an agent to restart, as a run ends with its {target}"
+    assert run.answer("restart", target) == {"error": f"target: {problem}"}
+    assert run.child.code is None
+    assert run.notes == []
+
+
+def test_a_request_before_the_first_tick_is_answered_with_tick_0() -> None:
+    """The recorder notes such a fault at tick 0."""
+    run = Run(AGENT_STOP, seen=-1)
+    assert run.answer("stop", "agent2") == {"tick": 0}

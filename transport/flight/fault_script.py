@@ -15,6 +15,7 @@ from transport.flight.harness import Child, Harness
 from transport.flight.recorder import Recorder
 from transport.protocol.scenario.faults import OF_UAVS, Fault
 from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.protocol.wire.messages import CONTINUED, FaultOrigin, Request
 from transport.protocol.wire.names import COORDINATOR, PLANT
 
@@ -25,9 +26,13 @@ _SIGNALS = {
     "restart": signal.SIGKILL,
 }
 _NOTES = {"kill": "killed", "stop": "stopped", "continue": CONTINUED, "restart": "restarted"}
+_RESTART = "start"  # name of a restart in the script; operators and the tables above say "restart"
 
-# Longest wait for a process to end by itself, or after SIGKILL, wall time, s.
+# Longest wait for a process to end or stop at its fault, or to end after SIGKILL, wall time, s.
 _LEAVE_S = 3.0
+
+# Processes with which a run ends; no tick opens while one of them is stopped.
+_ESSENTIAL = (COORDINATOR, PLANT)
 
 
 class FaultScript:
@@ -54,6 +59,7 @@ class FaultScript:
         self._pending = [fault for fault in of_processes if fault.do != "kill"]
 
         # The newest scripted stop of a process, and the steady-clock time at which it was seen, s.
+        # It stays after the return of the process, until the next stop.
         self._stops: dict[str, tuple[Fault, float]] = {}
         # When the return of a process became due that had not left yet, steady clock, s.
         self._overdue_since_s: dict[Fault, float] = {}
@@ -106,43 +112,71 @@ class FaultScript:
         self._recorder.note(child.name, _NOTES["kill"], "script", kills[0].tick)
 
     def _note_stop(self, fault: Fault) -> None:
-        """Note a stop once its tick is open, or the process is seen to have stopped for it."""
-        # The coordinator stops before it opens the tick, and frozen it sends nothing more: the
-        # recorder sees neither that tick nor, on a busy machine, those just before.
+        """Note a stop once its tick is open, or the process is seen to have stopped for it.
+
+        A process that has ended before has not executed its stop, which is dropped.
+        """
+        child = self._harness.child(fault.target)
         is_open = self._recorder.tick >= fault.tick
-        is_frozen_unseen = (
-            fault.target == COORDINATOR and COORDINATOR not in self._stopped_by_person
-        )
-        may_have_stopped = is_frozen_unseen or self._recorder.tick >= fault.tick - 1
-        if is_open or (may_have_stopped and self._harness.child(fault.target).is_stopped):
-            self._pending.remove(fault)
-            self._stops[fault.target] = fault, self._now_s()
-            self._recorder.note(fault.target, _NOTES["stop"], "script", fault.tick)
+        has_stopped = self._may_stop_unseen(fault) and child.is_stopped
+        if not is_open and not has_stopped:
+            return
+
+        self._pending.remove(fault)
+        if child.code is not None:
+            return
+        self._stops[fault.target] = fault, self._now_s()
+        self._recorder.note(fault.target, _NOTES["stop"], "script", fault.tick)
+
+    def _may_stop_unseen(self, fault: Fault) -> bool:
+        """Return whether a stopped process may be at its fault, whose tick the recorder lacks."""
+        if fault.target in self._stopped_by_person:
+            return False
+
+        # The coordinator stops before it opens the tick, and frozen it sends nothing more: the
+        # recorder sees neither that tick nor, on a busy machine, those just before. So there is no
+        # tick to wait for.
+        if fault.target == COORDINATOR:
+            return True
+
+        # Other processes may read the message at which they stop before the recorder reads that of
+        # the tick. It has then seen the tick before, or will: the coordinator has sent both.
+        return self._recorder.tick >= fault.tick - 1
 
     def _bring_back(self, fault: Fault) -> None:
-        """Continue or restart a process if that is due and the process has left."""
+        """Continue or restart a process if that is due and the process has left.
+
+        A process that is not stopped is not continued: it has ended, has not executed its stop, or an
+        operator has continued it.
+        """
         if not self._is_due(fault) or not self._has_left(fault):
             return
         self._pending.remove(fault)
-        if fault.do == "continue" and fault.target not in self._recorder.members:
-            self._continued.add(fault.target)
-        self._do(fault.target, "restart" if fault.do == "start" else "continue", "script")
-        # A kill that has not ended the process by now never will: a later end is not of the script.
+        if fault.do == _RESTART:
+            self._do(fault.target, "restart", "script")
+        elif self._harness.child(fault.target).is_stopped:
+            self._do(fault.target, "continue", "script")
+            if fault.target not in _ESSENTIAL:
+                self._continued.add(fault.target)
+
+        # A kill that is not noted by now was not executed: the process had ended before, or was off
+        # the roster and received no measurement of that tick. A later end is not of the script.
         self._kills = [kill for kill in self._kills if not _is_before(kill, fault)]
 
     def _restart_disconnected(self) -> None:
-        """Start continued agents anew that have ended because their connections were closed.
+        """Restart continued agents that have ended because their connections were closed.
 
         A connection survives a stop of some seconds of wall time: without this, the pace of a run
         would decide whether an agent returns. Its state is the same as after a return in place.
+        An agent that has ended for another reason, as by a kill, is not restarted.
         """
         self._continued -= self._recorder.members
-        self._continued -= {COORDINATOR, PLANT}
+        if self._recorder.control is not None:
+            return
         for target in sorted(self._continued):
-            child = self._harness.child(target)
-            if child.code is not None and self._recorder.control is None:
+            if self._harness.child(target).code == EXIT_UNREACHABLE:
                 self._continued.remove(target)
-                self._harness.start(target, child.incarnation + 1)
+                self._do(target, "restart", "script")
 
     def _is_due(self, fault: Fault) -> bool:
         """Return whether the tick before that of a return is open, or its wait is over."""
@@ -151,7 +185,7 @@ class FaultScript:
             return True
 
         # No tick opens while coordinator or plant is stopped: only their return waits by the clock.
-        if fault.target not in (COORDINATOR, PLANT) or fault.target not in self._stops:
+        if fault.target not in _ESSENTIAL or fault.target not in self._stops:
             return False
         stop, seen_s = self._stops[fault.target]
         speed = self._setup.scenario.clock.speed or 1.0  # an unpaced run waits as in real time
@@ -165,8 +199,9 @@ class FaultScript:
           that would be of no effect, or take part of its last tick.
         - In lockstep a stopped agent has to be off the roster, too: its answer to the tick at which it
           stopped would still count.
-        - A process that has neither ended nor stopped after 3 s will not: it was off the roster at the
-          tick of its fault.
+        - A process that has neither ended nor stopped after 3 s will not: an agent that was off the
+          roster at the tick of its fault received no measurement of that tick, at which it would have
+          executed the fault.
         """
         child = self._harness.child(fault.target)
         is_gone = child.code is not None
@@ -186,6 +221,7 @@ class FaultScript:
     def _answer(self, request: Request) -> dict[str, Any]:
         """Apply a fault that an operator asks for; return the answer."""
         if request.what != "fault":
+            # The bus has answered requests for health.
             return {"error": f"what: expected fault or health, got {request.what[:40]!r}"}
 
         action = str(request.given.get("do", ""))
@@ -193,19 +229,16 @@ class FaultScript:
         for key, got, allowed in (("do", action, _NOTES), ("target", target, self._harness.mesh)):
             if got not in allowed:
                 return {"error": f"{key}: expected one of {', '.join(allowed)}, got {got!r}"}
-        if action == "restart" and not target.startswith("agent"):
+        if action == "restart" and target in _ESSENTIAL:
             problem = f"expected an agent to restart, as a run ends with its {target}"
             return {"error": f"target: {problem}"}
 
         if not self._do(target, action, "person"):
             return {"error": f"{target} is not running"}
-        self._stopped_by_person.discard(target)
-        if action == "stop":
-            self._stopped_by_person.add(target)
-        return {"tick": self._recorder.tick}
+        return {"tick": max(self._recorder.tick, 0)}  # as in the note
 
     def _do(self, target: str, action: str, origin: FaultOrigin) -> bool:
-        """Apply a fault and note it; return whether the process was there."""
+        """Apply a fault and note it; return False if its process has ended, except for a restart."""
         child = self._harness.child(target)
         was_running = child.signal(_SIGNALS[action])
         if action == "restart":
@@ -216,6 +249,10 @@ class FaultScript:
         elif not was_running:
             return False
         child.is_noted |= action == "kill"
+
+        self._stopped_by_person.discard(target)
+        if action == "stop":  # asked for by an operator: a scripted stop is an act of the process
+            self._stopped_by_person.add(target)
         self._recorder.note(target, _NOTES[action], origin)
         return True
 
