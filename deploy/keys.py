@@ -1,6 +1,6 @@
 """Keys of a deployment.
 
-An authority and a certificate for each name. Hosts get their own part by `deploy.hosts`.
+An authority and a certificate for each name. Hosts get their own part by `deploy.folders`.
 """
 
 import ipaddress
@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from transport.deploy.hosts import DeployError
+from transport.deploy.errors import DeployError
 from transport.protocol.network.security import AUTHORITY
 from transport.protocol.wire.keys import OPERATOR, RECORDER, ROUTER, WATCHER
 

@@ -40,8 +40,11 @@ NEW = re.compile(r"In the new file `([\w/.]+)`")
 NAMED = re.compile(r"`([a-z_]+/[\w/]+\.(?:py|md))`")
 SEEN = re.compile(r"`(\w+)`")
 
-# A link as the scenario describes it, then a run in memory over such links.
+# A link as the scenario describes it, a run in memory over such links, and the option, which takes
+# whole numbers and lacks nothing but a run.
 IMPAIRMENT = """
+from typer.testing import CliRunner
+from transport.cli.main import app
 from transport.protocol.scenario.file import find_scenario, read_scenario
 from transport.protocol.scenario.setup import Setup
 from transport.flight.memory import simulate
@@ -55,6 +58,11 @@ assert lost == [0, 3, 6, 9, 12, 14, 16, 18], lost
 reports = []
 assert simulate(setup, reports.append).outcome == "completed"
 assert sum(getattr(message, "lost", 0) for message in reports) > 0
+
+for value, problem in {"3": "no active run in nowhere", "2.5": "--lose-every"}.items():
+    arguments = ["link", "set", "--lose-every", value, "--run", "nowhere"]
+    errors = CliRunner().invoke(app, arguments).stderr
+    assert problem in errors, errors
 """
 
 # The key of a scenario, rows about the present state and along a reference, and their effect.

@@ -9,7 +9,7 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from transport.deploy.hosts import DeployError
+from transport.deploy.errors import DeployError
 from transport.deploy.keys import AUTHORITY_KEY, LOOPBACK, make_certificates
 from transport.protocol.network.endpoints import first_exposed
 from transport.protocol.network.security import AUTHORITY, Security, SecurityError

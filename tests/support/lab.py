@@ -25,15 +25,11 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from transport.deploy.hosts import (
-    DeployError,
-    Host,
-    Inventory,
-    Placement,
-    command,
-    placements,
-    render,
-)
+from transport.deploy.errors import DeployError
+from transport.deploy.folders import render
+from transport.deploy.inventory import Host, Inventory
+from transport.deploy.placements import Placement, placements
+from transport.deploy.units import command
 from transport.protocol.network.endpoints import process_names
 from transport.protocol.network.parent import ENVIRONMENT, python
 from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario

@@ -1,10 +1,14 @@
 """Inventories and the folders rendered from them."""
 
 import json
+import shlex
 import shutil
 import subprocess
 import tomllib
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
@@ -13,16 +17,14 @@ from tests.support.keyrings import keyring
 from tests.support.results import here
 from tests.support.runs import setup
 from transport.cli.main import app
-from transport.deploy.hosts import (
-    DeployError,
-    Inventory,
-    command,
-    placements,
-    read_inventory,
-    render,
-)
-from transport.protocol.network.endpoints import process_names
+from transport.deploy.errors import DeployError
+from transport.deploy.folders import render
+from transport.deploy.inventory import Inventory, read_inventory
+from transport.deploy.placements import placements
+from transport.deploy.units import command
+from transport.protocol.network.endpoints import Endpoints, endpoints_of, process_names
 from transport.protocol.scenario.file import read_scenario
+from transport.protocol.wire.keys import ROUTER
 
 RUN = setup()
 PROCESSES = process_names(RUN.scenario)
@@ -42,6 +44,8 @@ runs = ["agent3", "agent4"]
 """
 STAR = MESH.replace('"recorder"]', '"recorder", "router"]')
 SIDES = STAR.replace('"agent4"]', '"agent4", "router"]')
+# The processes of `ground` use the router of the other side.
+CROSSED = SIDES.replace('name = "ground"', 'name = "ground"\nrouter = "remote"')
 
 
 def inventory(text: str, folder: Path) -> Inventory:
@@ -61,6 +65,24 @@ def places(text: str, folder: Path) -> dict[str, tuple[str, list[str], list[str]
         )
         for placement in placements(inventory(text, folder), PROCESSES, "tls")
     }
+
+
+def network(folder: Path) -> dict[str, Any]:
+    """Return the section `network` in the scenario of a host's folder."""
+    section: dict[str, Any] = tomllib.loads((folder / "scenario.toml").read_text())["network"]
+    return section
+
+
+def command_line(folder: Path, process: str) -> list[str]:
+    """Return the command of a unit in a host's folder, in words."""
+    unit = (folder / "systemd" / f"transport-{process}.service").read_text()
+    (line,) = [line for line in unit.splitlines() if line.startswith("ExecStart=")]
+    return shlex.split(line.removeprefix("ExecStart="))
+
+
+def values(words: list[str], option: str) -> list[str]:
+    """Return the values of an option in a command line."""
+    return [value for name, value in pairwise(words) if name == option]
 
 
 def test_a_mesh(tmp_path: Path) -> None:
@@ -88,6 +110,72 @@ def test_routers(tmp_path: Path) -> None:
     assert sides["remote/router"] == ("router", ["tls/[::]:7447"], [at])
     assert sides["remote/agent3"] == ("client", [], [there])
     assert sides["ground/agent1"] == ("client", [], [at])
+    crossed = places(CROSSED, tmp_path)
+    assert crossed["ground/agent1"] == ("client", [], [there])
+    assert crossed["ground/recorder"] == ("client", [], [there])
+    assert crossed["remote/agent3"] == ("client", [], [there])
+
+
+@pytest.mark.parametrize(
+    "text", [MESH, STAR, SIDES, CROSSED], ids=["mesh", "star", "sides", "crossed"]
+)
+def test_processes_take_the_endpoints_of_their_placement(text: str, tmp_path: Path) -> None:
+    """Unit, scenario and keys of a host's folder give each process the endpoints of its placement."""
+    ready = inventory(text, tmp_path)
+    render(RUN, ready, keyring("one"), tmp_path / "out", in_place=True)
+    for placement in placements(ready, PROCESSES, "tls"):
+        words = command_line(tmp_path / "out" / placement.host.name, placement.process)
+        (scenario,) = values(words, "--scenario")
+        listen, connect = values(words, "--listen"), values(words, "--connect")
+        if placement.process == ROUTER:
+            taken = Endpoints(listen=listen, connect=connect, mode="router")
+        else:
+            taken = endpoints_of(
+                placement.process, read_scenario(Path(scenario)), listen or None, connect or None
+            )
+        assert replace(taken, security=None) == placement.endpoints, placement.process
+
+
+@pytest.mark.parametrize(
+    ("text", "ground", "remote"),
+    [
+        (MESH, None, None),
+        (STAR, "tls/192.0.2.10:7447", "tls/192.0.2.10:7447"),
+        (SIDES, "tls/192.0.2.10:7447", "tls/[2001:db8::7]:7447"),
+        (CROSSED, "tls/[2001:db8::7]:7447", "tls/[2001:db8::7]:7447"),
+        (f"insecure = true\n{MESH}", None, None),
+        (f"insecure = true\n{STAR}", "tcp/192.0.2.10:7447", "tcp/192.0.2.10:7447"),
+    ],
+    ids=["mesh", "star", "sides", "crossed", "open mesh", "open star"],
+)
+def test_the_network_of_each_host(
+    text: str, ground: str | None, remote: str | None, tmp_path: Path
+) -> None:
+    """The scenario of a host names address and port to listen on, its keys, and the router of its processes.
+
+    Clients connect by nothing else.
+    """
+    ready = inventory(text, tmp_path)
+    keys = None if ready.insecure else keyring("one")
+    security = {"insecure": True} if ready.insecure else {"keys": "/etc/transport/keys"}
+    folders = render(RUN, ready, keys, tmp_path / "out")
+    addresses = {"192.0.2.10": ground, "::": remote}
+    for folder, (address, router) in zip(folders, addresses.items(), strict=True):
+        found = network(folder)
+        assert found.pop("router", None) == router
+        assert found == {"host": address, "base_port": 7447, **security}
+
+
+def test_the_coordinator_waits_for_a_recorder_of_the_inventory(tmp_path: Path) -> None:
+    """The coordinator is to wait for the recorder if a host runs one: else it would wait in vain."""
+    without = MESH.replace(', "recorder"]', "]")
+    elsewhere = without.replace('"agent4"]', '"agent4", "recorder"]')
+    for number, (text, observers) in enumerate(
+        ((without, []), (MESH, ["recorder"]), (elsewhere, ["recorder"]))
+    ):
+        ready = inventory(text, tmp_path)
+        ground, _ = render(RUN, ready, keyring("one"), tmp_path / str(number))
+        assert values(command_line(ground, "coordinator"), "--observer") == observers
 
 
 @pytest.mark.parametrize(
@@ -135,10 +223,6 @@ def test_each_host_gets_its_own(tmp_path: Path) -> None:
     for folder in (ground, remote):
         scenario = read_scenario(folder / "scenario.toml")
         assert scenario.digest() == RUN.scenario.digest()
-        assert (
-            tomllib.loads((folder / "scenario.toml").read_text())["network"]["keys"]
-            == "/etc/transport/keys"
-        )
         subprocess.run(["sh", "-n", folder / "install.sh"], check=True)
     coordinator = (ground / "systemd" / "transport-coordinator.service").read_text()
     assert (

@@ -508,11 +508,12 @@ def test_a_delay_beyond_the_slider_is_shown_at_its_end(
         ("1, 2", [[1, 2], [3, 4]]),
         ("1 2 | 3", [[1, 2], [3], [4]]),
         ("1|2|3|4", [[1], [2], [3], [4]]),
+        ("1,2/3", [[1, 2], [3], [4]]),
         ("2", [[2], [1, 3, 4]]),
     ],
 )
 def test_groups_of_agents(text: str, groups: list[list[int]]) -> None:
-    """Groups are numbers between bars; agents that are not named are a further group."""
+    """Groups are numbers between bars or slashes; agents that are not named are a further group."""
     assert groups_of(text, [1, 2, 3, 4]) == groups
 
 

@@ -7,7 +7,7 @@ from typer import Option
 
 from transport.cli.options import FormatOption, LargeOption, ScenarioOption, SetOption, read_setup
 from transport.cli.output import Format, show
-from transport.deploy.hosts import read_inventory
+from transport.deploy.inventory import read_inventory
 from transport.protocol.network.endpoints import process_names
 from transport.protocol.wire.keys import ROUTER
 
@@ -63,7 +63,7 @@ def render(
 
     Example: transport deploy render --hosts hosts.toml --keys keys --out deployment
     """
-    from transport.deploy.hosts import render as render_folders
+    from transport.deploy.folders import render as render_folders
 
     setup = read_setup(scenario, settings, allow_large=large)
     inventory = read_inventory(hosts, process_names(setup.scenario))

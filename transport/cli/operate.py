@@ -1,12 +1,12 @@
 """Commands that act on an active run: `status`, `fault`, `link`, `target` and `metrics`."""
 
 import inspect
-import json
-import re
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_origin
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import typer
 from typer import Argument, Option
@@ -15,12 +15,13 @@ from transport.cli.active import ActiveRun
 from transport.cli.lazy import with_options
 from transport.cli.options import FormatOption, ScenarioOption, SetOption, read_setup
 from transport.cli.output import Format, blame, facts, fail, show
+from transport.flight.groups import split_groups
 from transport.flight.signals import take_interrupt
 from transport.protocol.network.endpoints import Endpoints, default_mesh, process_names, security_of
 from transport.protocol.network.session import BusError, Reach, ask
 from transport.protocol.scenario.errors import requested
 from transport.protocol.scenario.keys import key_of, meanings, unit_of
-from transport.protocol.scenario.link_changes import PERFECT, link_change
+from transport.protocol.scenario.link_changes import PERFECT
 from transport.protocol.scenario.link_sections import LinkSection
 from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.named_files import points_of
@@ -29,7 +30,7 @@ from transport.protocol.wire.keys import Keys
 from transport.protocol.wire.names import COORDINATOR, RECORDER
 
 # Numbers in the answer of a process to `health` (docs/protocol.md): name in Prometheus and
-# description. Two only grow.
+# description.
 METRICS = {
     "tick": ("tick", "Newest tick of the process"),
     "memory_bytes": ("memory_bytes", "Resident memory"),
@@ -39,9 +40,13 @@ METRICS = {
     "cpu_s": ("cpu_seconds", "Processor time"),
     "refused": ("refused_messages", "Rejected messages"),
 }
+# Those that only grow while a process runs are counters, all others gauges.
 _GROWING = ("cpu_s", "refused")
 # Timeout after which a process counts as down.
 _TIMEOUT_S = 1.0
+# Processes that are asked at the same time. Prometheus waits 10 s for a reading: one after the other,
+# a few unreachable processes would take longer.
+_AT_ONCE = 16
 _LOOKS_FOR_SIGNALS_S = 0.2
 
 
@@ -49,7 +54,9 @@ _LOOKS_FOR_SIGNALS_S = 0.2
 def status(
     run: ActiveRun,
     process: str | None = Option(
-        None, metavar="PROCESS", help="Process, such as plant, agent1 or recorder."
+        None,
+        metavar="PROCESS",
+        help="Number of an agent, agent1, ..., plant, coordinator or recorder.",
     ),
     output: FormatOption = Format.text,
 ) -> None:
@@ -59,15 +66,15 @@ def status(
 
     Example: transport status --process agent2
     """
-    asked = COORDINATOR if process is None else process
-    answer = run.ask(asked, "status" if process is None else "health", {})
+    asked, kind = (COORDINATOR, "status") if process is None else (_process_name(process), "health")
+    answer = run.ask(asked, kind, {})
     show(output, answer, facts(answer.items()))
 
 
 class Exporter:
-    """Collector of `prometheus_client` that asks every process of a run at each reading."""
+    """Collector of `prometheus_client` that asks processes of a run at each reading."""
 
-    def __init__(self, run: str, places: dict[str, Endpoints]) -> None:
+    def __init__(self, run: str, places: Mapping[str, Endpoints]) -> None:
         self._run = run
         self._places = places
 
@@ -75,21 +82,26 @@ class Exporter:
         """Yield the metrics, as `prometheus_client` expects of a collector."""
         from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
-        answers: dict[str, dict[str, Any]] = {}
-        for name, place in self._places.items():
-            try:
-                reach = Reach(connect=place.connect, security=place.security, timeout_s=_TIMEOUT_S)
-                answer = ask(self._run, reach, name, "health", {})
-                answers[name] = {**answer, "up": 1.0}
-            except BusError:
-                answers[name] = {"up": 0.0}
+        with ThreadPoolExecutor(_AT_ONCE) as pool:
+            readings = dict(zip(self._places, pool.map(self._read, self._places), strict=True))
+
         for key, (metric, text) in {"up": ("up", "1 if the process answers"), **METRICS}.items():
             family = CounterMetricFamily if key in _GROWING else GaugeMetricFamily
             samples = family(f"transport_{metric}", text, labels=["run", "process"])
-            for name, answer in answers.items():
-                if answer.get(key) is not None:
-                    samples.add_metric([self._run, name], float(answer[key]))
+            for name, reading in readings.items():
+                if reading.get(key) is not None:
+                    samples.add_metric([self._run, name], float(reading[key]))
             yield samples
+
+    def _read(self, name: str) -> dict[str, Any]:
+        """Return the health of a process, and `up`: 1, or 0 alone if it does not answer in time."""
+        place = self._places[name]
+        reach = Reach(connect=place.connect, security=place.security, timeout_s=_TIMEOUT_S)
+        try:
+            answer = ask(self._run, reach, name, "health", {})
+        except BusError:
+            return {"up": 0.0}
+        return {**answer, "up": 1.0}
 
 
 def metrics(
@@ -128,7 +140,8 @@ def metrics(
     show(output, {"address": address})
     typer.echo(address, err=True)
     try:
-        # A signal that a thread of the server takes does not wake this one.
+        # Waits for Ctrl-C, and wakes up to see it: a signal that a thread of the server takes does
+        # not end the sleep of this one.
         while True:
             time.sleep(_LOOKS_FOR_SIGNALS_S)
     except KeyboardInterrupt:
@@ -140,7 +153,7 @@ def metrics(
 def process_endpoints(
     scenario: Scenario, connect: Sequence[str] | None = None
 ) -> dict[str, Endpoints]:
-    """Return the endpoints at which to ask each process of a scenario, by name.
+    """Return the endpoints at which to ask each process of a scenario but the recorder, by name.
 
     Given endpoints, in the order of the mesh, replace the default ones.
 
@@ -182,15 +195,15 @@ def fault(
     show(output, answer, f"{action} {target}: done at tick {answer['tick']}")
 
 
-def _options() -> Iterator[inspect.Parameter]:
-    """Yield the options that set the keys of a link."""
+def _link_option_parameters() -> Iterator[inspect.Parameter]:
+    """Yield a parameter for each key of a link that has an option."""
     meaning = meanings(LinkSection)
     for name, field in LinkSection.model_fields.items():
         option = key_of(field).option
         if not option:
             continue
 
-        kind: Any = str if get_origin(field.annotation) is Literal else float
+        kind: Any = _option_type(field.annotation)
         sentence = meaning[name]
         unit = unit_of(name, field)
         after = f", {unit}" if unit else ""
@@ -203,15 +216,34 @@ def _options() -> Iterator[inspect.Parameter]:
         )
 
 
-def _settings(**given: Any) -> dict[str, Any]:
+def _option_type(annotation: Any) -> Any:
+    """Return the type that an option has for a key: that of the key, without None and range.
+
+    A choice of words is text: the section checks it, with an error like those of scenario files.
+    """
+    origin = get_origin(annotation)
+    if origin is Literal:
+        return str
+    if origin is Annotated:
+        return _option_type(get_args(annotation)[0])
+    if origin in {Union, UnionType}:
+        (given,) = (member for member in get_args(annotation) if member is not NoneType)
+        return _option_type(given)
+    return annotation
+
+
+def _given_link_settings(**options: Any) -> dict[str, Any]:
     """Return the keys of a link whose options are given."""
-    return {key: value for key, value in given.items() if value is not None}
+    return {key: value for key, value in options.items() if value is not None}
 
 
-_settings.__signature__ = inspect.Signature(list(_options()))  # type: ignore[attr-defined]
+# Typer sees the keys of `LinkSection` as options; `with_options` passes their values here.
+_given_link_settings.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+    list(_link_option_parameters())
+)
 
 
-@with_options(_settings, ActiveRun)
+@with_options(_given_link_settings, ActiveRun)
 def set_links(
     settings: dict[str, Any],
     run: ActiveRun,
@@ -228,7 +260,8 @@ def set_links(
         None,
         "--between",
         metavar="GROUPS",
-        help="All links between groups of agents, both ways, in place of --from and --to: 1,2/3,4.",
+        help="All links between groups of agents, both ways, in place of --from and --to: 1,2/3,4, "
+        "or '1,2|3,4'.",
     ),
     output: FormatOption = Format.text,
 ) -> None:
@@ -242,7 +275,9 @@ def set_links(
     """
     if not settings:
         fail("expected at least one of --delay, --jitter, --loss, ..., got none")
-    link_change("", "", json.dumps(settings))
+    # An error of a value is told here already, before the run is asked.
+    requested(LinkSection, settings)
+
     changed: dict[str, Any] = {}
     if sender is not None:
         changed["from"] = _process_name(sender)
@@ -271,13 +306,15 @@ def _process_name(end: str) -> str:
 
 
 def _groups(text: str) -> list[list[str]]:
-    """Return the names of agents in groups given as 1,2/3,4; a single group is refused."""
-    if not re.search("[/|]", text):
-        fail(f"--between: expected groups with a slash between them, such as 1,2/3,4, got {text}")
-    return [
-        [_process_name(name.strip()) for name in group.split(",")]
-        for group in re.split("[/|]", text)
-    ]
+    """Return the names of agents in groups, as `split_groups` reads them.
+
+    A single group is refused.
+    """
+    groups = split_groups(text)
+    if len(groups) < 2:
+        expected = "expected groups with a slash or | between them, such as 1,2/3,4"
+        fail(f"--between: {expected}, got {text}")
+    return [[_process_name(agent) for agent in group] for group in groups]
 
 
 @with_options(ActiveRun)
@@ -320,7 +357,7 @@ def target(
             given["times_s"] = times_s
     if speed is not None:
         given["speed_mps"] = speed
-    requested(TargetSection, given)
+    requested(TargetSection, given)  # refused here already, as in `set_links`
 
     answer = run.ask(COORDINATOR, "target", given)
     begin = f"target from tick {answer['tick']} on (t = {answer['t_s']:.2f} s)"

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from transport.flight.groups import split_groups
 from transport.flight.live import Commands
 from transport.protocol.scenario.link_changes import LinkChanges
 from transport.protocol.scenario.link_sections import LinkSection
@@ -136,15 +137,17 @@ class LinkControls:
 
 
 def groups_of(text: str, agents: Sequence[int]) -> list[list[int]]:
-    """Return the groups of agents in a text such as "1, 2 | 3"; the others are a further group.
+    """Return the groups of agents in a text such as "1, 2 | 3", as `split_groups` reads it.
+
+    Agents that are not named are a further group.
 
     Raises: ValueError: no groups of these agents, with what was expected.
     """
     groups = []
     left = list(agents)
-    for part in text.split("|"):
+    for numbers in split_groups(text):
         try:
-            group = [int(number) for number in part.replace(",", " ").split()]
+            group = [int(number) for number in numbers]
             for agent in group:
                 left.remove(agent)
         except ValueError:

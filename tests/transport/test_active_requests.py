@@ -1,0 +1,84 @@
+"""Requests that the commands for an active run send, without a run."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from transport.cli.main import app
+from transport.flight import live
+
+# Ends of a request that is accepted.
+ANSWER = {"tick": 12, "t_s": 0.6}
+GROUPS = {"groups": [["agent1", "agent2"], ["agent3"]], "settings": {"loss": 1.0}}
+
+
+@pytest.fixture
+def sent(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, Any]]:
+    """Return the list of process, kind and content of each request, which the test fills."""
+    requests: list[tuple[str, str, Any]] = []
+
+    def accept(
+        run: str, endpoints: Sequence[str], name: str, what: str, given: Any, keys: Path | None
+    ) -> dict[str, Any]:
+        assert (run, list(endpoints), keys) == ("hover", ["tcp/127.0.0.1:1"], None)
+        requests.append((name, what, given))
+        return ANSWER
+
+    monkeypatch.setattr(live, "request", accept)
+    return requests
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("status", ("coordinator", "status", {})),
+        ("status --process plant", ("plant", "health", {})),
+        ("status --process 2", ("agent2", "health", {})),
+        ("fault kill 2", ("recorder", "fault", {"do": "kill", "target": "agent2"})),
+        ("fault kill agent2", ("recorder", "fault", {"do": "kill", "target": "agent2"})),
+        (
+            "link set --from plant --to 2 --delay 0.1 --distribution normal",
+            (
+                "coordinator",
+                "link",
+                {
+                    "from": "plant",
+                    "to": "agent2",
+                    "settings": {"delay_s": 0.1, "distribution": "normal"},
+                },
+            ),
+        ),
+        ("link set --between 1,2/3 --loss 1", ("coordinator", "link", GROUPS)),
+        ("link set --between 1,2|agent3 --loss 1", ("coordinator", "link", GROUPS)),
+    ],
+)
+def test_requests(
+    words: str, expected: tuple[str, str, Any], sent: list[tuple[str, str, Any]]
+) -> None:
+    """Agents are named by number or name, and groups are divided by a slash or a bar."""
+    arguments = [*words.split(), "--run", "hover", "--connect", "tcp/127.0.0.1:1"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.stderr
+    assert sent == [expected]
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        ("link set --loss 2", "loss: expected a share, at most 1, got 2"),
+        ("link set --distribution empirical", "samples_s: expected measured delays"),
+        ("link set --delay nan", "delay_s: "),
+        ("link set --between 1,2 --loss 1", "--between: expected groups with a slash or |"),
+        ("link set", "expected at least one of --delay"),
+    ],
+)
+def test_refused_without_asking(words: str, problem: str, sent: list[tuple[str, str, Any]]) -> None:
+    """Values that no run accepts are refused before the run is asked."""
+    arguments = [*words.split(), "--run", "hover", "--connect", "tcp/127.0.0.1:1"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 2
+    assert problem in result.stderr
+    assert sent == []
