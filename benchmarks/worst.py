@@ -198,7 +198,7 @@ def ready(names: Sequence[str], runs: int, jobs: int | None, folder: Path) -> st
         row = [
             name,
             ", ".join(case.over),
-            f"{len(result.flown)}",
+            f"{len(result.cases)}",
             f"{result.failures}",
             attitude,
             text,

@@ -33,7 +33,7 @@ import sys
 from contextlib import suppress
 from types import FrameType
 
-from transport.protocol.network.parent import ending_signals
+from transport.protocol.network.parent import FORK_SERVER, ending_signals
 
 TYPE_CHECKING = False  # as `typing` has it, whose import takes as long as all others
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def main() -> "NoReturn":
         os.execve(sys.executable, sys.orig_argv, {**os.environ, "PYTHONUTF8": "1"})  # noqa: S606
     code = 1
     try:
-        if sys.argv[1:2] == ["fork-server"]:
+        if sys.argv[1:2] == [FORK_SERVER]:
             _serve()
         else:
             code = _code_of_command()

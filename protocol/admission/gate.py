@@ -1,6 +1,15 @@
 """The gate of a process or of a reader of a log: all checks of a received message.
 
-docs/protocol.md has the checks and their order.
+The checks, in their order; the first that fails gives the reason (docs/protocol.md):
+
+    form           size, version, kind, fields, and the range of their values
+    sender         the owner of the key, a process of the run, not this process
+    incarnation    the newest start of the sender whose token has arrived
+    place          newer than the last accepted message of its stream
+    plausibility   agents, UAVs, states and inputs of this run
+    moment         of use for the node now
+
+A bundle passes the first two, then each of its messages for this process passes all.
 """
 
 from collections.abc import Callable, Collection, Iterator
@@ -28,9 +37,9 @@ from transport.protocol.wire.node import Outbox, RunShape
 
 # Time between two batches of `Rejected` messages, ns.
 _EVERY_NS = 1_000_000_000
-# Keys whose receiver is remembered, and counts of refusals: a run has fewer, and a sender may invent
-# any.
-_KEYS_KEPT = 1024
+# Limits of memory, as a sender may invent any key or name; a run has fewer.
+_MOST_KEYS = 1024  # of which the gate remembers whether they are for this process
+_MOST_COUNTS = 1024  # of refusals, by sender and reason
 # Stands for all senders without a count of their own.
 OTHERS = "others"
 
@@ -39,8 +48,8 @@ OTHERS = "others"
 class Rejection:
     """Messages of one sender refused for one reason."""
 
-    # According to the messages, or the end of their key where that cannot be read; `OTHERS` for all
-    # further ones.
+    # Sender that the messages name; the end of their key, such as "plan/2", where the header cannot be
+    # read; `OTHERS` once there are too many counts.
     sender: str
     reason: Reason
     example: str  # error of the first of them
@@ -51,7 +60,7 @@ class Rejection:
 class Rejections:
     """Counts of one process, which iteration yields in the order they began.
 
-    Once there are `_KEYS_KEPT`, those of further senders are summed for each reason.
+    Once there are `_MOST_COUNTS`, those of further senders are summed for each reason.
     """
 
     def __init__(self) -> None:
@@ -68,7 +77,7 @@ class Rejections:
     def add(self, sender: str, error: MessageError) -> None:
         """Count a message of a sender, or under a key."""
         key = sender[:MAX_KEY], error.reason
-        if key not in self._entries and len(self._entries) >= _KEYS_KEPT:
+        if key not in self._entries and len(self._entries) >= _MOST_COUNTS:
             key = OTHERS, error.reason
         new = Rejection(*key, str(error)[:MAX_TEXT])
         self._entries.setdefault(key, new).count += 1
@@ -115,8 +124,8 @@ class Gate:
     """Checks of the messages that one process receives.
 
     Without a shape (the run is not known) agents and plausibility are not checked. `check_moment`
-    refuses messages that the node cannot use, None for observers; `unread` are kinds that are
-    handed over as samples.
+    refuses messages that the node cannot use, None for a reader of a log; `unread` are kinds that
+    are handed over as samples.
 
     Attributes:
         rejections: Refused messages.
@@ -144,7 +153,7 @@ class Gate:
         self._relayed = shape is not None and shape.relayed
         self._subscribed = [keys.end(key) for key in keys.subscriptions(name)]
         self._own = {keys.end(key) for key in keys.publications(name)}
-        self._is_mine = lru_cache(maxsize=_KEYS_KEPT)(self._receives)
+        self._is_mine = lru_cache(maxsize=_MOST_KEYS)(self._receives)
 
         self._incarnations: dict[str, int] = {}  # newest announced, by sender
         self._newest: dict[Stream, Newest] = {}
@@ -169,18 +178,26 @@ class Gate:
             yield Accepted(message)
 
     def announce(self, name: str, incarnation: int) -> None:
-        """Refuse messages of other incarnations of a process, as the token of this one is there."""
+        """Note that the token of a start of a process has arrived.
+
+        Messages of its other starts are refused, but for those that `_check_incarnation` names.
+        """
         self._incarnations[name] = max(incarnation, self._incarnations.get(name, 0))
 
     def notices(self, incarnation: int, now_ns: int | None = None) -> list[Rejected]:
-        """Return the notices of refusals to publish.
+        """Return the notices of new refusals to publish, at most one batch a second.
 
-        One batch a second of a monotonic clock; without a time all.
+        Args:
+            incarnation: Start of this process that publishes them.
+            now_ns: Time of a monotonic clock; None at the end, when the last batch does not wait.
         """
         news = [entry for entry in self.rejections if entry.count > entry.reported]
-        if not news or (now_ns is not None and now_ns < self._next_notices_ns):
+        if not news:
             return []
-        self._next_notices_ns = (now_ns or 0) + _EVERY_NS
+        if now_ns is not None:
+            if now_ns < self._next_notices_ns:
+                return []
+            self._next_notices_ns = now_ns + _EVERY_NS
         self._out.incarnation = incarnation
 
         messages = []
@@ -242,7 +259,7 @@ class Gate:
 
         self._newest[stream] = Newest(message.place, message.sequence)
         if not isinstance(message, LinkChange | Target):
-            # A new one is of the tick that is not open yet.
+            # Changes of links and targets have the tick of their effect, which is not open yet.
             self.tick = max(self.tick, message.tick)
         return message
 
@@ -278,8 +295,9 @@ class Gate:
         if is_proposal and message.incarnation > announced:
             return  # the first proposal of a new start, which may overtake its token
         if bundle is not None and message.sender.startswith(AGENT):
-            # Relayed plans come another way than the token of their agent's start: the roster
-            # decides which start they have to be of (`Membership.check`).
+            # Plans and reports, of an agent itself or relayed: relays come another way than the
+            # token of the agent's start. The roster decides which start a plan has to be of
+            # (`check_moment` of the nodes); a report changes no process.
             return
         text = f"{message.kind} of incarnation {message.incarnation}, expected {announced}"
         raise MessageError("wrong_incarnation", text)

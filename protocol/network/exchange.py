@@ -133,7 +133,10 @@ class _CoordinatorExchange(Exchange):
     def flush(self) -> None:
         entries: list[Entry] = []
         for _, answer in sorted(self._answers.items()):
-            entries += zip(answer.keys, answer.parts, strict=True)
+            for key, part in zip(answer.keys, answer.parts, strict=True):
+                # A relay may carry more than an answer, such as a tick: no agent may send one.
+                if answer.may_carry(key):
+                    entries.append((key, part))
         self._answers = {}
         self._send_bundle(wire.Relay, [*entries, *self._kept])
 

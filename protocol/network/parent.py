@@ -11,6 +11,9 @@ PARENT_PIPE = "PAYLOAD_TRANSPORT_PARENT_PIPE"
 # input.
 STANDBY = "PAYLOAD_TRANSPORT_STANDBY"
 
+# First argument of the command that is the fork server (`transport.flight.fork_server`).
+FORK_SERVER = "fork-server"
+
 # One thread for linear algebra per process, and few for Zenoh: a run has more processes than a host
 # has cores. Three that receive: closing the connection to a frozen process blocks one of them for
 # seconds.

@@ -532,8 +532,14 @@ class Bundle(Message, frozen=True, kw_only=True):
     parts: Parts  # encoded messages, in the same order
 
     def may_carry(self, key: str) -> bool:
-        """Return whether a bundle of this kind may carry a message with a key."""
-        beginning = key.split("/", 1)[0]
+        """Return whether this bundle may carry a message with a key.
+
+        A bundle that itself has a key for each agent carries messages of its own agent only.
+        """
+        beginning, _, end = key.partition("/")
+        each = self.route.each
+        if each and end != str(getattr(self, each)):
+            return False
         return any(beginning in (cls.kind, cls.route.unshared_key) for cls in self.carries)
 
 

@@ -19,7 +19,7 @@ from tests.campaigns.harness import Result
 from tests.support.commands import command_of
 from tests.support.commands import wait_for as wait
 from transport.log.run_log import read_log
-from transport.protocol.network.parent import python
+from transport.protocol.network.parent import FORK_SERVER, python
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
 from transport.protocol.wire.messages import Control
 
@@ -32,7 +32,7 @@ TARGETS = (
     "agent2",
     "agent3",
     "agent4",
-    "fork-server",
+    FORK_SERVER,
     REPORT,
     COMMAND,
 )
@@ -111,8 +111,8 @@ def _random_injection(rng: random.Random) -> Injection:
     target, kind = rng.choice(TARGETS), rng.choice(KINDS)
     # The fork server has done its work by the first tick; the command has its handlers a while
     # after its start.
-    is_early = target == "fork-server" or (target != COMMAND and rng.random() < _BEFORE)
-    resumed_s = rng.choice(RESUMED_S[: 3 if target in ("fork-server", REPORT) else 4])
+    is_early = target == FORK_SERVER or (target != COMMAND and rng.random() < _BEFORE)
+    resumed_s = rng.choice(RESUMED_S[: 3 if target in (FORK_SERVER, REPORT) else 4])
     after_s = rng.uniform(0.0, _JOINING_S if is_early or target == REPORT else _LATEST_S)
     return Injection(
         target=target, kind=kind, is_early=is_early, after_s=after_s, resumed_s=resumed_s
@@ -234,9 +234,7 @@ def _name_of(words: list[str]) -> str:
     if after[:1] == ["agent"] and "--id" in after:
         return f"agent{after[after.index('--id') + 1]}"
     known = {"run": COMMAND, "plot": REPORT, "coordinator": "coordinator", "plant": "plant"}
-    return known.get(
-        " ".join(after[:1]), "fork-server" if "fork-server" in words else " ".join(words)
-    )
+    return known.get(" ".join(after[:1]), FORK_SERVER if FORK_SERVER in words else " ".join(words))
 
 
 def _problems(

@@ -87,3 +87,13 @@ def test_the_coordinator_relays_the_answers_with_the_next_tick() -> None:
     assert found == {
         "relay": [*(encode(message) for a in runs.ALL for message in said[a]), encode(runs.tick(4))]
     }
+
+
+def test_the_coordinator_relays_only_what_an_agent_may_answer() -> None:
+    """A tick, or a report of another agent, in an answer reaches no other process."""
+    own = runs.plan(RUN, 2, 3)
+    report = replace(logs.report(RUN, 3, 3), incarnation=runs.INCARNATION)
+    forged = runs.tick(4, answered=(2,))
+    answer = Outbox("agent2", 1).stamp(Answer, tick=3, agent=2, **ends([own, report, forged]))
+    found = sent_by("coordinator", runs.tick(4), received=[(own, answer)])
+    assert found == {"relay": [encode(own), encode(runs.tick(4))]}

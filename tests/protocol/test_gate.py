@@ -1,6 +1,6 @@
 """The gate: size, form, sender, incarnation, order and moment of messages, alone and in bundles; counts of refusals."""
 
-from typing import Any
+from typing import Any, TypeVar
 
 import pytest
 
@@ -11,11 +11,20 @@ from transport.protocol.admission.gate import Gate
 from transport.protocol.wire.codec import MAX_BYTES, encode
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.keys import Keys
-from transport.protocol.wire.messages import Answer, LinkChange, Message, Plan, Relay, Target
+from transport.protocol.wire.messages import (
+    Answer,
+    Bundle,
+    LinkChange,
+    Message,
+    Plan,
+    Relay,
+    Target,
+)
 from transport.protocol.wire.node import Outbox
 
 RUN = setup("controller.horizon=5", ticks(60))
 KEYS = Keys(RUN.scenario.name)
+B = TypeVar("B", bound=Bundle)
 
 
 class Receiver:
@@ -35,13 +44,16 @@ class Receiver:
         return [(entry.sender, entry.reason) for entry in self.gate.rejections]
 
 
-def answer(*parts: Message, agent: int = 2, **changes: Any) -> Answer:
+def bundle_of(kind: type[B], sender: str, *parts: Message, **fields: Any) -> B:
+    """Return a bundle of the first start of its sender that carries messages."""
+    ends = [KEYS.end(KEYS.of(part)) for part in parts]
+    data = [encode(part) for part in parts]
+    return Outbox(sender, 1).stamp(kind, tick=parts[0].tick, keys=ends, parts=data, **fields)
+
+
+def answer(*parts: Message, agent: int = 2) -> Answer:
     """Return an agent's answer that carries messages."""
-    ends, data = [KEYS.end(KEYS.of(part)) for part in parts], [encode(part) for part in parts]
-    bundle = Outbox(f"agent{agent}", 1).stamp(
-        Answer, tick=parts[0].tick, agent=agent, keys=ends, parts=data
-    )
-    return changed(bundle, **changes)
+    return bundle_of(Answer, f"agent{agent}", *parts, agent=agent)
 
 
 def plan(k: int, agent: int = 2, **changes: Any) -> Plan:
@@ -77,6 +89,8 @@ def direct(k: int, **changes: Any) -> Plan:
             "agent2",
             "outside_limits",
         ),
+        # The header can be read, so the sender is not taken from the key.
+        ("plan/3", encode(direct(0, negotiation=-1)), "agent2", "out_of_range"),
     ],
 )
 def test_each_check_has_its_reason(key: str, message: bytes, sender: str, reason: str) -> None:
@@ -145,10 +159,15 @@ def test_proposals_have_their_own_order() -> None:
     assert [reason for _, reason in receiver.reasons()] == ["replayed", "wrong_sender"]
     receiver.gate.announce("agent2", 1)
     assert receiver.hear(plan(1, negotiation=2, incarnation=2))
+    assert not receiver.hear(plan(2, negotiation=2, incarnation=0))
+    assert receiver.reasons()[-1] == ("agent2", "wrong_incarnation")
 
 
 def test_an_announced_start_ends_the_one_before() -> None:
-    """Once the token of a start has appeared, messages of earlier ones are refused, but for relayed plans."""
+    """Once the token of a start has arrived, messages of earlier ones are refused.
+
+    Plans in bundles are not: the roster decides on them. The exception is for agents alone.
+    """
     receiver = Receiver("coordinator")
     for name, incarnation in (("agent2", 2), ("plant", 1), ("plant", 0)):  # the last token is late
         receiver.gate.announce(name, incarnation)
@@ -159,6 +178,31 @@ def test_an_announced_start_ends_the_one_before() -> None:
     assert isinstance(accepted.message, Plan)
     assert isinstance(accepted.bundle, Answer)
     assert receiver.reasons() == [("plant", "wrong_incarnation")]
+
+    plant = Receiver("plant")
+    plant.gate.announce("coordinator", 1)
+    relay = bundle_of(Relay, "coordinator", runs.tick(0), plan(0))
+    accepted_parts = plant.gate.accept(KEYS.of(relay), encode(relay))
+    assert [type(each.message) for each in accepted_parts] == [Plan]
+    assert plant.reasons() == [("coordinator", "wrong_incarnation")]
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_an_answer_carries_messages_of_its_own_agent_only(shared: bool) -> None:
+    """The bundle of one agent with a plan of another is counted against the first; a relay may carry it."""
+    own, other = plan(0, shared=shared), plan(0, agent=3, shared=shared)
+    receiver = Receiver("coordinator")
+    forged = answer(other, own, agent=2)
+    accepted = list(receiver.gate.accept(KEYS.of(forged), encode(forged)))
+    assert [encode(each.message) for each in accepted if isinstance(each.message, Plan)] == [
+        encode(own)
+    ]
+    assert receiver.reasons() == [("agent2", "wrong_sender")]
+
+    plant = Receiver("plant")
+    relay = bundle_of(Relay, "coordinator", other, own)
+    assert len(list(plant.gate.accept(KEYS.of(relay), encode(relay)))) == 2
+    assert plant.reasons() == []
 
 
 def test_bundles_are_opened() -> None:

@@ -1,10 +1,15 @@
 """Processes of the fork server behave like started ones."""
 
+import ctypes
+import errno
 import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -14,10 +19,11 @@ import pytest
 from tests.support.commands import command, command_of, wait_for
 from transport.cli.options import read_setup
 from transport.cli.processes import Prepared
-from transport.flight import harness
+from transport.flight import fork_server, harness
 from transport.flight.fork_server import ForkServer
 from transport.flight.harness import Child, start_child
 from transport.mpc.regulation import Regulation
+from transport.protocol.network.parent import FORK_SERVER
 
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="processes are forked on Linux alone"
@@ -35,6 +41,7 @@ LONELY = (
     "--listen",
     "tcp/127.0.0.1:0",
 )
+_PR_GET_CHILD_SUBREAPER = 37  # <sys/prctl.h>
 
 
 @pytest.fixture
@@ -117,6 +124,20 @@ def test_place_of_its_own(begin: Begin, server: ForkServer) -> None:
     assert killed.wait(20.0) == -signal.SIGKILL
 
 
+def adopts_orphans() -> bool:
+    """Return whether orphaned descendants of this process become its children."""
+    adopts = ctypes.c_int()
+    assert ctypes.CDLL(None).prctl(_PR_GET_CHILD_SUBREAPER, ctypes.byref(adopts), 0, 0, 0) == 0
+    return bool(adopts.value)
+
+
+def test_orphans_are_adopted_until_the_server_is_closed(server: ForkServer) -> None:
+    """A program that simulates a run gets the orphans of its other parts during the run only."""
+    assert adopts_orphans()
+    server.close()
+    assert not adopts_orphans()
+
+
 def test_orphans_end(begin: Begin, server: ForkServer) -> None:
     """Forked processes end when their parent's pipe closes, also after the end of the server."""
     child = begin("agent.log", *LONELY)
@@ -127,19 +148,132 @@ def test_orphans_end(begin: Begin, server: ForkServer) -> None:
     assert child.wait(20.0) == 4
 
 
-@pytest.mark.parametrize("what", ["another system", "dead"])
+# Starts a server, prints its id and waits for its end.
+PARENT = (
+    "import time; from transport.flight.fork_server import ForkServer; server = ForkServer();"
+    "print(server._process.pid, flush=True); time.sleep(600)"
+)
+
+
+def status(pid: int) -> str:
+    """Return the status of a process; that of a zombie if it has gone."""
+    with suppress(psutil.NoSuchProcess):
+        return str(psutil.Process(pid).status())
+    return str(psutil.STATUS_ZOMBIE)
+
+
+def test_a_stopped_server_ends_with_its_parent() -> None:
+    """The end of the parent continues the server, which then sees that its socket is closed."""
+    with subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE) as parent:
+        assert parent.stdout is not None
+        pid = int(parent.stdout.readline())
+        try:
+            # With its title it waits for requests, and watches its parent.
+            assert wait_for(lambda: command_of(str(pid)) == ["transport", FORK_SERVER])
+            os.kill(pid, signal.SIGSTOP)
+            assert wait_for(lambda: status(pid) == psutil.STATUS_STOPPED)
+        finally:
+            parent.kill()
+        try:
+            assert wait_for(lambda: status(pid) == psutil.STATUS_ZOMBIE, 20.0)
+        finally:
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+
+
+# Starts a process as the server does, with a process in between that ends late. The new process
+# prints whether its parent is this program, and this program prints its id, in any order.
+STARTED = """
+import os, sys, time
+from transport.flight import fork_server
+
+def end_late(code, end=os._exit):
+    sys.stdout.flush()
+    time.sleep(0.5)
+    end(code)
+
+os._exit = end_late
+fork_server._adopt_orphans(True)
+own = os.getpid()
+request = {"arguments": [], "environment": {}}
+pid = fork_server._started(request, [0, 1], lambda: print("own" if os.getppid() == own else "other"))
+print(pid)
+if pid:
+    os.waitpid(pid, 0)
+"""
+# The same, where no process is left for the new one.
+NONE_LEFT = f"""
+import os
+
+def fork(fork=os.fork, first=os.getpid()):
+    if os.getpid() != first:
+        raise OSError("no process left")
+    return fork()
+
+os.fork = fork
+{STARTED}
+"""
+
+
+def output_of(code: str) -> tuple[list[str], str]:
+    """Return the lines and the errors that a program prints."""
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return ran.stdout.split(), ran.stderr
+
+
+def test_a_process_begins_as_a_child_of_the_one_that_asked() -> None:
+    """It does not watch the process in between, whose end would continue it if it had been stopped."""
+    words, errors = output_of(STARTED)
+    assert "own" in words
+    assert "other" not in words
+    assert errors == ""
+
+
+def test_a_fork_that_fails_gives_no_process() -> None:
+    """The process in between ends; only the server goes on."""
+    assert output_of(NONE_LEFT) == (["0"], "")
+
+
+def test_threads_share_a_server(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs that threads start at the same time have one server."""
+
+    class SlowServer:
+        def __init__(self) -> None:
+            time.sleep(0.05)
+
+    servers: list[ForkServer] = []
+    monkeypatch.setattr(fork_server, "_servers", servers)
+    monkeypatch.setattr(fork_server, "ForkServer", SlowServer)
+    with ThreadPoolExecutor(4) as threads:
+        list(threads.map(lambda _: fork_server.fork_server(), range(4)))
+    assert len(servers) == 1
+
+
+def no_process(*_: object, **__: object) -> None:
+    """Fail as a start does where no process is left."""
+    raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+
+@pytest.mark.parametrize("what", ["another system", "not started", "dead", "large environment"])
 def test_without_server(
     what: str, begin: Begin, server: ForkServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Processes are started as programs where fork is impossible, and where the server does not answer."""
-    pid = server._process.pid
-    if what == "another system":
+    if what in ("another system", "not started"):
+        server.close()
         with monkeypatch.context() as system:
-            system.setattr(sys, "platform", "darwin")
+            if what == "another system":
+                system.setattr(sys, "platform", "darwin")
+            else:
+                system.setattr(subprocess, "Popen", no_process)
             elsewhere = ForkServer()
+        assert not adopts_orphans()
         monkeypatch.setattr(harness, "fork_server", lambda: elsewhere)
-    else:
-        os.kill(pid, signal.SIGKILL)
+    elif what == "dead":
+        os.kill(server._process.pid, signal.SIGKILL)
+    else:  # longer than a request; Linux has 128 KiB for each variable
+        for name in ("FIRST", "SECOND"):
+            monkeypatch.setenv(name, "x" * 100_000)
     child = begin("out.log", "--version")
     assert not is_forked(child)
     assert child.wait(60.0) == 0

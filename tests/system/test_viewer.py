@@ -37,14 +37,14 @@ from transport.protocol.network.parent import PARENT_PIPE
 from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder
-from transport.viewer.playback import Playback
 from transport.viewer.viewer import Viewer, open_viewer
 
 # A climb of half a metre moves the payload by at least this, m.
 SEEN_M = 0.2
 PIXELS = 0.002  # share of pixels that change when the team moves
-LAST_S = 1.45  # last recorded instant of the short run of 1.5 s
-CUT = 0.6
+LAST_TICK = 29  # last recorded tick of the short run of 1.5 s, whose period is 0.05 s
+LAST_S = 1.45  # its time
+CUT = 0.6  # share of the log that is left
 OTHER_LOOPBACK = "127.0.0.2"  # an address of this host on which the viewer does not listen
 
 
@@ -89,7 +89,7 @@ def test_a_recorded_run_is_shown(recorded: Path, window: Browser) -> None:
         assert wait_for(lambda: "hover" in (window.text() or ""))
         before, pixels, plots = viewer.shown, window.pixels(), window.plots()
         window.press(LAST_S, END)
-        assert wait_for(lambda: viewer.shown is not None and viewer.shown.tick == 29)
+        assert wait_for(lambda: viewer.shown is not None and viewer.shown.tick == LAST_TICK)
         assert wait_for(lambda: "climb" in (window.text() or ""))
         assert before is not None
         assert viewer.shown is not None
@@ -116,31 +116,36 @@ def test_a_cut_log_is_shown(
     with shown(tmp_path) as viewer:
         assert lost in viewer.notice
         assert lost in capfd.readouterr().err
-        viewer.playback.seek(29)
-        assert wait_for(lambda: viewer.shown is not None and 5 < viewer.shown.tick < 29)
+        viewer.playback.seek(LAST_TICK)
+        assert wait_for(lambda: viewer.shown is not None and 5 < viewer.shown.tick < LAST_TICK)
 
 
-def test_no_frame_of_a_live_run_without_a_browser(recorded: Path, tmp_path: Path) -> None:
-    """A browser that connects gets the newest frame; the end of the run is shown in any case."""
+def test_without_a_page_a_live_run_has_no_frame_but_the_last(
+    recorded: Path, tmp_path: Path
+) -> None:
+    """Without a page no frame is made, which saves processor time, except the last one of the run.
+
+    A page that connects gets the newest frame.
+    """
     data, log = (recorded / "run.mcap").read_bytes(), tmp_path / "run.mcap"
     log.write_bytes(data[: round(CUT * len(data))])
     builder = SceneBuilder(setup_of(recorded), RunHistory(setup_of(recorded)))
+    # The id stands for `transport run`; the viewer itself, unlike `live.read`, does not look for it.
     running = LiveRun(run="nowhere", endpoints={}, pid=os.getpid())
 
-    def seen() -> bool:
+    def updated_tick() -> int | None:
+        """Let the viewer read the log; return the tick of its newest frame, None without one."""
         viewer.update()
-        return viewer.shown is not None
+        return None if viewer.shown is None else viewer.shown.tick
 
     with Viewer(builder, port=0, tail=LogTail(log), live=running) as viewer:
-        assert not seen()
-        assert builder.history.last > 0
+        assert updated_tick() is None
+        assert 0 < builder.history.last < LAST_TICK
         with connected_pages(viewer.address, 1):
-            assert wait_for(seen)
-            assert viewer.shown is not None
-            assert viewer.shown.tick == builder.history.last < 29
+            assert wait_for(lambda: updated_tick() == builder.history.last)
         with log.open("ab") as growing:
             growing.write(data[round(CUT * len(data)) :])
-        assert wait_for(lambda: seen() and viewer.shown is not None and viewer.shown.tick == 29)
+        assert wait_for(lambda: updated_tick() == LAST_TICK)
         assert viewer.notice.startswith("the run has ended: ")
 
 
@@ -151,6 +156,7 @@ def test_a_viewer_that_waits_ends_with_its_parent(tmp_path: Path) -> None:
         arguments, stdin=subprocess.PIPE, env={**os.environ, PARENT_PIPE: "1"}
     ) as viewer:
         assert viewer.stdin is not None
+        # `PARENT_PIPE` says that the input is a pipe from the parent, which closes with its end.
         viewer.stdin.close()
         assert viewer.wait(PATIENCE_S) == EXIT_UNREACHABLE
 
@@ -191,25 +197,6 @@ def test_the_command_listens_here_alone_until_ctrl_c(recorded: Path) -> None:
         output, errors = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, output) == (0, ""), errors
     assert "Traceback" not in errors
-
-
-def test_playback_pauses_plays_and_follows() -> None:
-    """Paused playback stays, playing advances at its speed and stops at the end, following shows the newest tick."""
-    playback = Playback(0.05, follows=False)
-    assert playback.advance(1.0, 0, 100) == 0
-    playback.toggle()
-    assert playback.advance(1.0, 0, 100) == 20
-    playback.speed = 2.0
-    assert playback.advance(1.0, 0, 100) == 60
-    assert playback.advance(9.0, 0, 100) == 100
-    assert not playback.playing
-    playback.toggle()  # from the beginning again
-    assert playback.advance(0.1, 3, 100) == 4
-    playback.follow(True)
-    assert [playback.advance(0.1, 3, last) for last in (101, 105)] == [101, 105]
-    playback.seek(50)
-    assert playback.advance(1.0, 3, 110) == 50
-    assert (playback.follows, playback.playing) == (False, False)
 
 
 def test_what_cannot_be_shown_is_refused(tmp_path: Path, recorded: Path) -> None:

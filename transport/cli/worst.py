@@ -113,7 +113,7 @@ def _in_words(result: SearchResult, folder: Path) -> str:
         lines.append(f"{evaluation.robustness:6.2f}  {case}")
         lines += textwrap.wrap(one.candidate.in_words(), _WIDTH, **_INDENTED)
 
-    failures = f"{result.failures} of {len(result.flown)} cases fail"
+    failures = f"{result.failures} of {len(result.cases)} cases fail"
     if result.refused:
         reason = result.refused[0].evaluation.reason
         lines += [

@@ -26,22 +26,24 @@ from typing import IO, Any, NoReturn
 import psutil
 import setproctitle
 
-from transport.protocol.network.parent import ENVIRONMENT, PARENT_PIPE, python
+from transport.protocol.network.parent import ENVIRONMENT, FORK_SERVER, PARENT_PIPE, python
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
 
-# First argument of the command that is the server (`transport.__main__`).
-_FORK_SERVER = "fork-server"
+# Longest request, most of which is the environment. The server receives a part of a longer one and
+# ends with an error: processes are then started by Popen.
 _REQUEST_BYTES = 128 * 1024
 _ANSWER_S = 20.0  # time for an answer: the imports take 1 s
 _PR_SET_CHILD_SUBREAPER = 36  # <sys/prctl.h>
 _servers: list["ForkServer"] = []  # of this process: one at most
+_servers_lock = threading.Lock()  # threads may start runs at the same time
 
 
 def fork_server() -> "ForkServer":
     """Return the server of this process; the first call starts it."""
-    if not _servers:
-        _servers.append(ForkServer())
-    return _servers[0]
+    with _servers_lock:
+        if not _servers:
+            _servers.append(ForkServer())
+        return _servers[0]
 
 
 @atexit.register
@@ -50,14 +52,16 @@ def close_fork_server() -> None:
 
     A later call of `fork_server` starts another.
     """
-    while _servers:
-        _servers.pop().close()
+    with _servers_lock:
+        while _servers:
+            _servers.pop().close()
 
 
 class ForkServer:
     """Client of the server process, which starts to import at once.
 
-    Forked processes outlive the server.
+    Forked processes outlive the server. Until the server is closed, all orphaned descendants of this
+    process become its children (`PR_SET_CHILD_SUBREAPER`), also those of other parts of the program.
     """
 
     def __init__(self) -> None:
@@ -65,21 +69,10 @@ class ForkServer:
         self._socket: socket.socket | None = None
         if sys.platform != "linux" or not _adopt_orphans(True):
             return
-
-        self._socket, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._socket.settimeout(_ANSWER_S)
-        # A stopped server notices its parent's end.
-        environment = {**ENVIRONMENT, **os.environ, PARENT_PIPE: "1"}
-        with other:
-            self._process = subprocess.Popen(
-                [*python("transport"), _FORK_SERVER, str(other.fileno())],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                pass_fds=[other.fileno()],
-                env=environment,
-                start_new_session=True,  # Ctrl-C is handled by this process
-            )
+        try:
+            self._socket, self._process = _launched()
+        except OSError:
+            _adopt_orphans(False)  # the server only saves time: processes are started by Popen
 
     def start(
         self, arguments: Sequence[str], stdin: int, output: IO[bytes], extra: Mapping[str, str]
@@ -95,8 +88,8 @@ class ForkServer:
                     files = [stdin, output.fileno()]
                     return _forked(self._socket, arguments, environment, files)
             except (OSError, ValueError, psutil.Error):
-                # The server only saves time: without it, or without a current folder, the process
-                # is started anew. One that it has forked but not announced ends with its input.
+                # Without an answer, or a current folder, the process is started anew. One that the
+                # server has forked but not announced ends with its input.
                 self.close()
 
         return psutil.Popen(
@@ -118,6 +111,33 @@ class ForkServer:
             _adopt_orphans(False)
 
 
+def _launched() -> tuple[socket.socket, subprocess.Popen[bytes]]:
+    """Start a server process; return the socket for its requests and the process.
+
+    Raises: OSError: there is no file, no memory or no process left for it.
+    """
+    requests, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    requests.settimeout(_ANSWER_S)
+    # A stopped server is continued by the end of this process (`wake_with_its_end`), and ends as
+    # its socket is closed.
+    environment = {**ENVIRONMENT, **os.environ, PARENT_PIPE: "1"}
+    with other:
+        try:
+            process = subprocess.Popen(
+                [*python("transport"), FORK_SERVER, str(other.fileno())],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                pass_fds=[other.fileno()],
+                env=environment,
+                start_new_session=True,  # Ctrl-C is handled by this process
+            )
+        except OSError:
+            requests.close()
+            raise
+    return requests, process
+
+
 def _forked(
     server: socket.socket,
     arguments: Sequence[str],
@@ -131,8 +151,8 @@ def _forked(
         "folder": str(Path.cwd()),
     }
     socket.send_fds(server, [json.dumps(request).encode()], files)
-    answer = server.recv(64)
-    return psutil.Process(int(answer))
+    pid = int(server.recv(64))
+    return psutil.Process(pid)  # an error for the id 0 of a fork that has failed
 
 
 def _adopt_orphans(adopt: bool) -> bool:
@@ -141,16 +161,17 @@ def _adopt_orphans(adopt: bool) -> bool:
 
 
 def serve(
-    own: socket.socket, prepare: Callable[[list[str]], None], command: Callable[[], NoReturn]
+    requests: socket.socket, prepare: Callable[[list[str]], None], command: Callable[[], NoReturn]
 ) -> None:
     """Serve requests until the socket is closed: prepare and fork a process for each.
 
     The process runs the command.
     """
-    # Before the environment moves: titles use its memory.
-    setproctitle.setproctitle(f"transport {_FORK_SERVER}")
+    # Titles are written over the memory of arguments and environment, which setproctitle finds at its
+    # first call: before `_become` gives the environment other memory.
+    setproctitle.setproctitle(f"transport {FORK_SERVER}")
     while True:
-        content, descriptors, _, _ = socket.recv_fds(own, _REQUEST_BYTES, 2)
+        content, descriptors, _, _ = socket.recv_fds(requests, _REQUEST_BYTES, 2)
         if not content:
             return
 
@@ -161,7 +182,7 @@ def serve(
         gc.collect()
         gc.freeze()  # a collection after the fork would copy shared memory
 
-        own.send(b"%d" % _started(request, descriptors, command))
+        requests.send(b"%d" % _started(request, descriptors, command))
         for descriptor in descriptors:
             os.close(descriptor)
 
@@ -169,16 +190,23 @@ def serve(
 def _started(
     request: Mapping[str, Any], descriptors: list[int], command: Callable[[], NoReturn]
 ) -> int:
-    """Fork twice, so that the process that sent the request adopts the new one; return its id."""
+    """Fork twice, so that the process that sent the request adopts the new one; return its id.
+
+    The id is 0, which no process has, if the second fork fails.
+    """
     reads, writes = os.pipe()
     between = os.fork()
     if between == 0:
-        own = os.getpid()
-        pid = os.fork()
+        id_between = os.getpid()
+        try:
+            pid = os.fork()
+        except OSError:
+            os._exit(1)  # the error must not run up through `serve` in this process
         if pid == 0:
-            # Once it watches its parent, the end of this one would continue it if it were stopped
-            # by then.
-            while os.getppid() == own:
+            # The command lets the end of its parent continue it (`wake_with_its_end`). Begun beside
+            # the process in between, it would be continued by the end of that one, although a
+            # script or a user may just have stopped it.
+            while os.getppid() == id_between:
                 time.sleep(1e-4)
             _become(request, descriptors[0], descriptors[1], command)
         os.write(writes, b"%d" % pid)
@@ -187,7 +215,8 @@ def _started(
     os.close(writes)
     os.waitpid(between, 0)
     with os.fdopen(reads, "rb") as pipe:
-        return int(pipe.read() or b"0")
+        answer = pipe.read()
+    return int(answer) if answer else 0
 
 
 def _become(

@@ -69,7 +69,8 @@ def fly(
     Args:
         scenario: Scenario file, name of one that comes with the package, or a `Scenario`.
         settings: Changes by dotted key; list entries count from 1.
-        processes: Start a process for each agent, the plant and the coordinator.
+        processes: Start a process for each agent, the plant and the coordinator. On Linux, orphaned
+            descendants of this process become its children during the run (docs/python.md).
         folder: Run folder to create; by default none in memory, and runs/<time>-<scenario> with
             processes.
         progress: Show the progress on standard error.

@@ -51,14 +51,14 @@ class Worst:
         write(Path(folder), self.result)
 
     def __repr__(self) -> str:
-        return f"<Worst: {len(self.result.flown)} cases, {self.result.failures} of them fail>"
+        return f"<Worst: {len(self.result.cases)} cases, {self.result.failures} of them fail>"
 
     def __str__(self) -> str:
         minimal = self.result.minimal
         if minimal is None:
             worst = self.result.worst
             value = self.result.problem.objective.in_words(worst.evaluation.value)
-            cases = len(self.result.flown)
+            cases = len(self.result.cases)
             return f"no case of {cases} fails; the worst: {value}: {worst.candidate.in_words()}"
         return "\n".join(in_words(minimal))
 

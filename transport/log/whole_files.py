@@ -8,6 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
+# End of the name of a file that is not complete, which a kill leaves.
+PARTIAL = ".partial"
+
 
 def write_csv(path: Path, rows: Iterable[Mapping[str, Any]], columns: Sequence[str]) -> None:
     """Write a table atomically; floats are written by repr, which reads back as the same bits."""
@@ -26,7 +29,7 @@ def write_whole(path: Path, content: bytes) -> None:
 @contextmanager
 def atomic_file(path: Path) -> Iterator[BinaryIO]:
     """Open a file that gets its name only when it is complete."""
-    partial = path.with_name(path.name + ".partial")
+    partial = path.with_name(path.name + PARTIAL)
     with partial.open("wb") as file:
         yield file
     os.replace(partial, path)

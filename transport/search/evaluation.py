@@ -41,11 +41,13 @@ class Evaluation:
     passed_s: float | None = None
 
     @staticmethod
-    def of(tree: dict[str, Any]) -> "Evaluation":
+    def of(tree: Any) -> "Evaluation":
         """Return an evaluation from a line of JSON, in which an infinite value is null.
 
         Raises: TypeError: the line is none.
         """
+        if not isinstance(tree, dict):
+            raise TypeError(f"expected an object, got {type(tree).__name__}")
         value = math.inf if tree.get("value") is None else tree["value"]
         return Evaluation(**{**tree, "value": value})
 

@@ -6,7 +6,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 from transport.flight.progress import ConsoleProgress
 from transport.search.candidate import Candidate
 from transport.search.evaluation import Problem
-from transport.search.search import Flown
+from transport.search.search import Case
 
 
 class SearchProgress(ConsoleProgress):
@@ -21,14 +21,14 @@ class SearchProgress(ConsoleProgress):
             TextColumn("{task.description}"),
         )
         self._problem = problem
-        self._worst: Flown | None = None
+        self._worst: Case | None = None
         self._task = self._bar.add_task("searching", total=budget)
 
-    def show(self, one: Flown) -> None:
+    def show(self, case: Case) -> None:
         """Count a case; say it where it is the worst so far."""
-        if self._worst is None or one.evaluation.robustness < self._worst.evaluation.robustness:
-            self._worst = one
-            self.say(self._line(one))
+        if self._worst is None or case.evaluation.robustness < self._worst.evaluation.robustness:
+            self._worst = case
+            self.say(self._line(case))
         self._bar.update(self._task, advance=1, description=self._line(self._worst))
 
     def shrinking(self, candidate: Candidate, evaluations: int) -> None:
@@ -37,9 +37,9 @@ class SearchProgress(ConsoleProgress):
         text = f"shrinking: {events}: {candidate.in_words()}"
         self._bar.update(self._task, description=text)
 
-    def _line(self, one: Flown) -> str:
-        evaluation = one.evaluation
+    def _line(self, case: Case) -> str:
+        evaluation = case.evaluation
         value = self._problem.objective.in_words(evaluation.value)
         end = f" at {evaluation.failed_s:g} s" if evaluation.failed else ""
         state = "FAILS" if evaluation.failed else f"robustness {evaluation.robustness:.2f}"
-        return f"case {one.number}: {state}{end}, {value}"
+        return f"case {case.number}: {state}{end}, {value}"

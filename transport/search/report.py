@@ -23,7 +23,7 @@ from transport.protocol.wire.messages import Message
 from transport.report.column import column_panels
 from transport.report.style import RC, save
 from transport.search.events import Death, Event, Silence, TargetEvent
-from transport.search.search import Flown, Minimal, SearchResult
+from transport.search.search import Case, Minimal, SearchResult
 
 SCENARIO, FIGURE, SUMMARY = "minimal.toml", "minimal.png", "summary.json"
 _SHOWN = 10  # cases of the table
@@ -62,30 +62,30 @@ def summary(result: SearchResult) -> dict[str, Any]:
         "objective": objective.measure,
         "limit": objective.limit,
         "without_events": result.without_events.value,
-        "cases": len(result.flown),
+        "cases": len(result.cases),
         "failures": result.failures,
         "refused": len(result.refused),
         "first_failure": result.first_failure,
-        "worst": [_row(one) for one in ranked(result)],
+        "worst": [_row(case) for case in ranked(result)],
         "minimal": None if result.minimal is None else _minimal(result.minimal),
         "machine": machine(),
     }
 
 
-def ranked(result: SearchResult) -> list[Flown]:
+def ranked(result: SearchResult) -> list[Case]:
     """Return the worst cases, the worst first."""
-    order = sorted(result.flown, key=lambda one: one.order)
+    order = sorted(result.cases, key=lambda case: case.order)
     return order[:_SHOWN]
 
 
-def _row(one: Flown) -> dict[str, Any]:
+def _row(case: Case) -> dict[str, Any]:
     return {
-        "case": one.number,
-        "robustness": round(one.evaluation.robustness, 3),
-        "value": one.evaluation.value,
-        "outcome": one.evaluation.outcome,
-        "end_s": one.evaluation.end_s,
-        "events": one.candidate.in_words(),
+        "case": case.number,
+        "robustness": round(case.evaluation.robustness, 3),
+        "value": case.evaluation.value,
+        "outcome": case.evaluation.outcome,
+        "end_s": case.evaluation.end_s,
+        "events": case.candidate.in_words(),
     }
 
 

@@ -11,6 +11,7 @@ import orjson
 
 from transport.experiments.cases import ExperimentError, refused
 from transport.experiments.workers import Workers
+from transport.log.whole_files import PARTIAL, write_whole
 from transport.protocol.scenario.errors import ScenarioError
 from transport.search.candidate import Candidate
 from transport.search.evaluation import REFUSED, Evaluation, Problem
@@ -21,12 +22,15 @@ from transport.search.space import Space
 EVALUATIONS = "evaluations.jsonl"
 _IDENTITY = "search.json"
 
+# Evaluates candidates, in any order.
+Fly = Callable[[Problem, Sequence[Candidate]], Iterable[Evaluation]]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Flown:
-    """A candidate with its evaluation, and when in the search it was flown."""
+class Case:
+    """A candidate with its evaluation; one that the scenario refuses was not simulated."""
 
-    number: int  # from 1
+    number: int  # place in the search, from 1
     candidate: Candidate
     evaluation: Evaluation
 
@@ -38,7 +42,7 @@ class Flown:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Minimal:
-    """The proof: a minimal case that fails, and whether perfect information would have saved it."""
+    """The minimal case with its evaluation, and the verdict of perfect information."""
 
     problem: Problem  # perhaps with a smaller team
     whole_team: int  # UAVs of the scenario that was searched
@@ -53,32 +57,36 @@ class SearchResult:
 
     problem: Problem
     without_events: Evaluation
-    flown: Sequence[Flown]
+    cases: Sequence[Case]
     minimal: Minimal | None  # None: no case has failed
 
     @property
-    def worst(self) -> Flown:
-        """Return the case of least robustness; of equal ones the first that was flown."""
-        return min(self.flown, key=lambda one: one.order)
+    def worst(self) -> Case:
+        """Return the case of least robustness; of equal ones the first."""
+        return min(self.cases, key=lambda case: case.order)
 
     @property
     def first_failure(self) -> int | None:
-        """Return the number of the first case that failed."""
-        return next((one.number for one in self.flown if one.evaluation.failed), None)
+        """Return the number of the first case that failed; None if none did."""
+        return next((case.number for case in self.cases if case.evaluation.failed), None)
 
     @property
     def failures(self) -> int:
         """Return how many cases failed."""
-        return sum(one.evaluation.failed for one in self.flown)
+        return sum(case.evaluation.failed for case in self.cases)
 
     @property
-    def refused(self) -> Sequence[Flown]:
-        """Return the cases that the scenario refuses, which are not flown."""
-        return [one for one in self.flown if one.evaluation.outcome == REFUSED]
+    def refused(self) -> Sequence[Case]:
+        """Return the cases that the scenario refuses."""
+        return [case for case in self.cases if case.evaluation.outcome == REFUSED]
 
 
 class Evaluations:
     """Evaluations by key; with a folder each is written at once, and earlier ones are read.
+
+    A folder that is resumed does not notice changed code: neither the key of an evaluation nor the
+    identity of a search has the version of this package or the content of a user's class. A search
+    with changed code needs a new folder.
 
     Raises: ExperimentError: the folder has another search or other files, or cannot be written.
     """
@@ -101,7 +109,7 @@ class Evaluations:
         if kept and not kept.endswith(b"\n"):
             self._file.write(b"\n")  # the next line does not continue one that a kill has cut
         for line in kept.splitlines():
-            with suppress(ValueError, TypeError):  # such a case is flown again
+            with suppress(ValueError, TypeError):  # such a case is evaluated again
                 evaluation = Evaluation.of(orjson.loads(line))
                 self._by_key[evaluation.key] = evaluation
 
@@ -110,7 +118,7 @@ class Evaluations:
         if self._file is not None:
             self._file.close()
 
-    def of(self, problem: Problem, candidates: Sequence[Candidate], fly: "Fly") -> list[Evaluation]:
+    def of(self, problem: Problem, candidates: Sequence[Candidate], fly: Fly) -> list[Evaluation]:
         """Return the evaluations of candidates, flying those that are missing."""
         missing = {
             problem.key(candidate): candidate
@@ -129,23 +137,21 @@ def _identify(folder: Path, identity: dict[str, Any]) -> None:
     """Note the search in its folder, or check that the folder belongs to it."""
     file = folder / _IDENTITY
     text = orjson.dumps(identity, option=orjson.OPT_SORT_KEYS | orjson.OPT_INDENT_2)
-    if not any(folder.iterdir()):
-        file.write_bytes(text)
+    content = {path.name for path in folder.iterdir()}
+    if content <= {_IDENTITY + PARTIAL}:  # nothing, or the part that a kill has left
+        write_whole(file, text)
     elif not file.exists() or file.read_bytes() != text:
         raise refused("--out", "a new folder, or one of the same search", str(folder))
 
 
 class Progress(Protocol):
-    """What is told of a search while it runs."""
+    """Display of a search while it runs."""
 
-    def show(self, one: Flown) -> None:
-        """Tell a case that was flown."""
+    def show(self, case: Case) -> None:
+        """Tell a case and its evaluation."""
 
     def shrinking(self, candidate: Candidate, evaluations: int) -> None:
         """Tell the minimal case so far, and how many evaluations it took."""
-
-
-Fly = Callable[[Problem, Sequence[Candidate]], Iterable[Evaluation]]
 
 
 def flying(workers: Workers) -> Fly:
@@ -163,14 +169,18 @@ class Search:
 
     problem: Problem
     space: Space
-    budget: int  # cases to fly
+    budget: int  # cases to evaluate, at least one
     seed: int = 0
     until_failure: bool = False  # end with the first batch that has a failure
+
+    def __post_init__(self) -> None:
+        if self.budget < 1:
+            raise refused("budget", "a number >= 1", self.budget)
 
     def run(
         self, evaluations: Evaluations, fly: Fly, progress: Progress, at_once: int = 1
     ) -> SearchResult:
-        """Fly the budget, then shrink the worst case if it has failed.
+        """Evaluate the cases of the budget, then shrink the worst one if it has failed.
 
         at_once: cases that shrinking flies at a time, by which the result does not change.
 
@@ -181,12 +191,12 @@ class Search:
 
         if without_events.failed:
             words = self.problem.objective.in_words(without_events.value)
-            problem = f"expected a scenario that holds its limit without events, got {words}"
-            raise ScenarioError(self.problem.base.source, "", problem)
+            text = f"expected a scenario that holds its limit without events, got {words}"
+            raise ScenarioError(self.problem.base.source, "", text)
 
-        flown = list(self._cases(evaluations, fly, progress))
-        self._check_flown(flown)
-        worst = min(flown, key=lambda one: one.order)
+        cases = list(self._cases(evaluations, fly, progress))
+        _check_simulated(cases)
+        worst = min(cases, key=lambda case: case.order)
         minimal = None
         if worst.evaluation.failed:
 
@@ -200,36 +210,25 @@ class Search:
             minimal = self._minimal(shrinker, evaluate)
 
         return SearchResult(
-            problem=self.problem, without_events=without_events, flown=flown, minimal=minimal
+            problem=self.problem, without_events=without_events, cases=cases, minimal=minimal
         )
 
     def _minimal(self, shrinker: Shrinker, evaluate: Evaluate) -> Minimal:
-        """Return the proof that a minimal case is.
-
-        The case with perfect information is flown here, in this process, and not kept among the
-        evaluations: it is another scenario, and flown once.
-        """
+        """Return the result of a shrinking that has ended."""
         problem, candidate = shrinker.problem, shrinker.candidate
         return Minimal(
             problem=problem,
             whole_team=len(self.problem.base.scenario.system.uav),
             candidate=candidate,
             evaluation=evaluate(problem, [candidate])[0],
-            beyond_physics=problem.with_perfect_information(candidate).failed,
+            beyond_physics=shrinker.beyond_physics,
         )
 
-    def _check_flown(self, flown: Sequence[Flown]) -> None:
-        """Refuse a space of which the scenario refuses every case."""
-        if all(one.evaluation.outcome == REFUSED for one in flown):
-            problem = f"expected cases that can be flown, got {len(flown)} refused"
-            first = flown[0].evaluation.reason
-            raise ScenarioError("bounds", "", f"{problem}, the first by {first}")
-
-    def _cases(self, evaluations: Evaluations, fly: Fly, progress: Progress) -> Iterator[Flown]:
+    def _cases(self, evaluations: Evaluations, fly: Fly, progress: Progress) -> Iterator[Case]:
         """Yield the cases of the budget, in whole batches.
 
-        The optimiser is told all points that it has been asked for, so the last batch is flown even
-        if it goes beyond the budget.
+        The optimiser is told all points that it has been asked for, so the last batch is evaluated
+        even if it goes beyond the budget.
         """
         optimiser = Optimiser(self.space.layout, seed=self.seed)
         number = 0
@@ -242,15 +241,23 @@ class Search:
             failed = False
             for candidate, evaluation in zip(candidates, results, strict=True):
                 number += 1
-                one = Flown(number=number, candidate=candidate, evaluation=evaluation)
-                progress.show(one)
-                yield one
+                case = Case(number=number, candidate=candidate, evaluation=evaluation)
+                progress.show(case)
+                yield case
                 failed = failed or evaluation.failed
             if failed and self.until_failure:
                 return
 
 
-def random_search(search: Search, evaluations: Evaluations, fly: Fly) -> Iterator[Flown]:
+def _check_simulated(cases: Sequence[Case]) -> None:
+    """Refuse a space of which the scenario refuses every case."""
+    if all(case.evaluation.outcome == REFUSED for case in cases):
+        text = f"expected cases that can be flown, got {len(cases)} refused"
+        first = cases[0].evaluation.reason
+        raise ScenarioError("bounds", "", f"{text}, the first by {first}")
+
+
+def random_search(search: Search, evaluations: Evaluations, fly: Fly) -> Iterator[Case]:
     """Yield the cases of plain random search with the same budget: what a search has to beat."""
     rng = np.random.default_rng(search.seed)
 
@@ -259,4 +266,4 @@ def random_search(search: Search, evaluations: Evaluations, fly: Fly) -> Iterato
         candidates = [search.space.candidate(point) for point in points]
         results = evaluations.of(search.problem, candidates, fly)
         for number, pair in enumerate(zip(candidates, results, strict=True), first + 1):
-            yield Flown(number=number, candidate=pair[0], evaluation=pair[1])
+            yield Case(number=number, candidate=pair[0], evaluation=pair[1])

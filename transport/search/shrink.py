@@ -18,7 +18,11 @@ Progress = Callable[[Candidate, int], None]
 
 
 class Shrinker:
-    """State of one shrinking: the minimal case so far, and how many evaluations it took."""
+    """State of one shrinking: the minimal case so far, and how many evaluations it took.
+
+    Attributes:
+        beyond_physics: Whether perfect information does not save the minimal case; known after `run`.
+    """
 
     def __init__(
         self,
@@ -33,6 +37,7 @@ class Shrinker:
         self.problem = problem
         self.candidate = candidate
         self.evaluations = 0
+        self.beyond_physics = False
         self._evaluate = evaluate
         self._progress = progress
         self._at_once = at_once
@@ -87,21 +92,19 @@ class Shrinker:
         """Replace the team by the smallest one with which the case is the same.
 
         It fails, by its events, and perfect information saves the smaller team as it does the whole
-        one, or neither.
+        one, or neither. Cases with perfect information are of another scenario: they are simulated
+        in this process, and not among the evaluations.
         """
         whole = self.problem
-        teams = list(self.candidate.smaller_teams(whole.base))
-        if not teams:
-            return
-        is_beyond_physics = whole.with_perfect_information(self.candidate).failed
+        self.beyond_physics = whole.with_perfect_information(self.candidate).failed
 
-        for base in teams:
+        for base in self.candidate.smaller_teams(whole.base):
             self.problem = replace(whole, base=base)
             fails_by_events = self._holds_without_events()
             if not fails_by_events or self._first_failing([self.candidate]) is None:
                 continue
             verdict = self.problem.with_perfect_information(self.candidate)
-            if verdict.failed == is_beyond_physics:
+            if verdict.failed == self.beyond_physics:
                 self._progress(self.candidate, self.evaluations)
                 return
         self.problem = whole

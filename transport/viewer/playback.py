@@ -44,7 +44,7 @@ class Playback:
         self.playing = not (self.playing or self.follows)
         self.follows = False
         if self.playing and self._tick >= self._last:
-            self._tick = 0.0
+            self._tick = 0.0  # a log may begin later: `advance` goes on from its first tick
 
     def follow(self, wanted: bool) -> None:
         """Follow the live run, or pause."""

@@ -3,10 +3,11 @@
 import json
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+import orjson
 import pytest
 
 import transport
@@ -28,9 +29,9 @@ from transport.search.candidate import Base, Candidate
 from transport.search.evaluation import REFUSED, Evaluation, Problem
 from transport.search.events import Death, Gusts, Silence
 from transport.search.objective import Objective
-from transport.search.optimiser import Layout, Optimiser
+from transport.search.optimiser import BATCH, Layout, Optimiser
 from transport.search.report import summary
-from transport.search.search import Evaluations, Flown, Search
+from transport.search.search import Case, Evaluations, Search, SearchResult, random_search
 from transport.search.space import Space, read_bounds
 
 FILE = SCENARIOS / "resilient.toml"
@@ -41,7 +42,7 @@ WINDOW_S = (6.0, 7.0)  # the planted fault: a silence that begins here, while ag
 class Quiet:
     """Progress without a display."""
 
-    def show(self, one: Flown) -> None:
+    def show(self, case: Case) -> None:
         """Tell nothing."""
 
     def shrinking(self, candidate: Candidate, evaluations: int) -> None:
@@ -84,11 +85,15 @@ class SmallTeamsFail(Planted):
         return replace(found, robustness=-0.1, outcome="failed")
 
 
+@dataclass(frozen=True, kw_only=True)
 class SmallTeamsBeyondPhysics(Planted):
     """The same, where perfect information does not save teams of less than four."""
 
+    verdicts: list[int] = field(default_factory=list)  # sizes of the teams with it
+
     def with_perfect_information(self, candidate: Candidate) -> Evaluation:
         """Return that the centralized controller survives with the whole team alone."""
+        self.verdicts.append(len(self.base.scenario.owned))
         if len(self.base.scenario.owned) == 4:
             return super().with_perfect_information(candidate)
         return self.evaluate(candidate)
@@ -169,13 +174,17 @@ def test_a_minimal_case_fails_by_its_events() -> None:
 
 
 def test_a_minimal_case_keeps_the_verdict_of_the_whole_team() -> None:
-    """A smaller team that perfect information does not save is not the case of the whole one."""
+    """A smaller team that perfect information does not save is not the case of the whole one.
+
+    The verdict is simulated once for each team. The events name agent 3, so the smallest has three.
+    """
     whole = search(160)
     problem = SmallTeamsBeyondPhysics(base=whole.problem.base, objective=whole.problem.objective)
     minimal = replace(whole, problem=problem).run(Evaluations(None, {}), fly, Quiet()).minimal
     assert minimal is not None
     assert len(minimal.problem.base.scenario.owned) == 4
     assert not minimal.beyond_physics
+    assert problem.verdicts == [4, 3]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,7 +208,7 @@ def test_refused_cases_are_counted_and_a_space_without_others_is_refused() -> No
     base, objective = whole.problem.base, whole.problem.objective
     some = Refusing(base=base, objective=objective, earliest_s=8.0)
     result = replace(whole, problem=some).run(Evaluations(None, {}), fly, Quiet())
-    assert 0 < len(result.refused) < len(result.flown)
+    assert 0 < len(result.refused) < len(result.cases)
     assert summary(result)["refused"] == len(result.refused)
 
     every = Refusing(base=base, objective=objective, earliest_s=30.0)
@@ -250,6 +259,84 @@ def test_a_folder_of_another_search_is_refused(tmp_path: Path) -> None:
     Evaluations(tmp_path / "out", {"seed": 0}).close()
     with pytest.raises(ExperimentError, match="one of the same search"):
         Evaluations(tmp_path / "out", {"seed": 1})
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "notes.txt").touch()
+    with pytest.raises(ExperimentError, match="one of the same search"):
+        Evaluations(tmp_path / "other", {"seed": 0})
+
+
+def test_a_folder_of_a_search_killed_at_its_start_is_new(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The name of the search is in its folder as a whole or not at all; a part of it refuses nothing."""
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("os.replace", killed)
+        with pytest.raises(KeyboardInterrupt):
+            Evaluations(tmp_path, {"seed": 0})
+    assert list(tmp_path.iterdir()) != []
+    assert not (tmp_path / "search.json").exists()
+    Evaluations(tmp_path, {"seed": 1}).close()
+    Evaluations(tmp_path, {"seed": 1}).close()
+
+
+def test_lines_that_are_no_evaluations_are_skipped(tmp_path: Path) -> None:
+    """A file of evaluations may have any other JSON; the evaluations after it are known."""
+    Evaluations(tmp_path, {}).close()
+    problem = planted()
+    known = problem.evaluate(Candidate(()))
+    lines = [b"[1]", b"1", b"null", b'{"key": "a"}', b'{"other": 1}', orjson.dumps(asdict(known))]
+    (tmp_path / "evaluations.jsonl").write_bytes(b"\n".join(lines) + b"\n")
+    flown, counting = counted()
+    evaluations = Evaluations(tmp_path, {})
+    assert evaluations.of(problem, [Candidate(())], counting) == [known]
+    evaluations.close()
+    assert flown == []
+
+
+def cases_of(*robustness: float) -> SearchResult:
+    """Return the result of a search whose cases have these values of robustness."""
+    nothing = Candidate(())
+    without_events = planted().evaluate(nothing)
+    cases = [
+        Case(number=n, candidate=nothing, evaluation=replace(without_events, robustness=value))
+        for n, value in enumerate(robustness, start=1)
+    ]
+    return SearchResult(problem=planted(), without_events=without_events, cases=cases, minimal=None)
+
+
+def test_the_worst_case_and_the_first_failure() -> None:
+    """Of equal ones the first case is the worst, also in the table; only a failure is the first failure."""
+    result = cases_of(0.5, -0.1, -0.4, -0.4, 0.2)
+    assert result.worst.number == 3
+    assert [row["case"] for row in summary(result)["worst"]] == [3, 4, 2, 5, 1]
+    assert (result.first_failure, result.failures) == (2, 3)
+    assert cases_of(0.5, 0.2).first_failure is None
+
+
+def test_a_search_until_a_failure_ends_with_its_batch() -> None:
+    """Batches before the failure are not the last."""
+    whole = search(400).run(Evaluations(None, {}), fly, Quiet())
+    assert whole.first_failure is not None
+    assert whole.first_failure > BATCH
+    batches = math.ceil(whole.first_failure / BATCH)
+    ended = search(400, until_failure=True).run(Evaluations(None, {}), fly, Quiet())
+    assert ended.cases == whole.cases[: batches * BATCH]
+
+
+def test_random_search_counts_its_cases() -> None:
+    """Cases are numbered across batches, as in a search, whose number of runs they are compared with."""
+    cases = list(random_search(search(3 * BATCH), Evaluations(None, {}), fly))
+    assert [case.number for case in cases] == list(range(1, 3 * BATCH + 1))
+
+
+def test_a_search_without_cases_is_refused() -> None:
+    """The budget is at least one case."""
+    with pytest.raises(ExperimentError, match="budget: expected a number >= 1, got 0"):
+        search(0)
 
 
 def test_the_minimal_case_has_the_two_events_of_the_coincidence() -> None:
