@@ -6,8 +6,8 @@ Equations, scenario keys, links and command lines that they name exist.
 import re
 import shlex
 import subprocess
+import textwrap
 import tomllib
-from collections.abc import Iterator
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -23,32 +23,40 @@ from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.errors import Reason
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = (
-    "model",
-    "mpc",
-    "protocol",
-    "agent",
-    "plant",
-    "coordinator",
-    "deploy",
-    "transport",
-    "benchmarks",
-    "tests",
+# Folders with sources that cite equations, and the endings of such files.
+FOLDERS = (
+    *("model", "mpc", "protocol", "agent", "plant", "coordinator", "deploy", "transport"),
+    *("benchmarks", "tests", "docs", "examples", "scenarios", "vehicles"),
 )
-DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+ENDINGS = {".py", ".c", ".toml", ".ipynb", ".json"}
+DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
+HISTORY = ROOT / "CHANGELOG.md"  # also names options that are gone
 EQUATIONS = ROOT / "docs" / "equations.md"
 SCENARIO = ROOT / "docs" / "scenario.md"
 KEYS = ROOT / "docs" / "keys.md"
 
-# A citation is the document's name, as text or as a link, and then numbers and ranges; or one
-# number "in" it.
-NUMBERS = r"\(\d+[a-z]?\)(?:-\(\d+[a-z]?\))?"
-CITATION = re.compile(
-    rf"equations\.md\)?\s+({NUMBERS}(?:,\s+{NUMBERS})*)|({NUMBERS}) (?:of|in) docs/equations\.md"
-)
-RANGE = re.compile(r"\((\d+)([a-z]?)\)(?:-\((\d+)[a-z]?\))?")
+# Sources cite equations by numbers in brackets alone: so any such number is one, but for arguments
+# of calls (a name before the bracket), numbers beside another one in a cell, (2p)^m, and years.
+CITATION = re.compile(r"(?<![\w\])])(?<!\d )\(([1-9]\d{0,2}[a-z]?)\)(?!\^)")
 
-FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+# Parts of documents that other programs than docs/figures.py renew, or that a test compares.
+OTHER_PARTS: list[tuple[str, str, tuple[str, ...]]] = [
+    ("docs/arena.md", "docs/arena_page.py", ("tasks", "networks", "results")),
+    ("docs/bring-your-own.md", "docs/algorithm_figures.py", ("ready algorithms",)),
+    ("docs/guarantees.md", "benchmarks/silence.py", ("bench: silence",)),
+    ("docs/guarantees.md", "benchmarks/worst.py", ("together", "ready")),
+    ("docs/performance.md", "benchmarks/__main__.py", ("step", "solvers", "parts", "loop")),
+    ("docs/performance.md", "benchmarks/peers/__main__.py", ("bench: peers",)),
+    ("docs/python.md", "tests/test_getting_started.py", ("series",)),
+    ("docs/radio.md", "benchmarks/radio/__main__.py", ("deferral", "validation")),
+    ("docs/radio.md", "benchmarks/radio/computation.py", ("computation",)),
+    ("docs/radio.md", "benchmarks/radio/plan_bytes.py", ("bytes",)),
+    ("docs/vehicles.md", "benchmarks/estimates.py", ("bench: estimates",)),
+    ("docs/worst.md", "benchmarks/worst.py", ("planted",)),
+]
+
+# A fenced block: indentation, as within an entry of a list, language, and text.
+FENCE = re.compile(r"^([ ]*)```(\w*)\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
 CODE_SPAN = re.compile(r"`([^`\n]+)`")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 SETTING = re.compile(r"[a-z_]+(\.\w+)+ ?= ?\S.*")
@@ -59,30 +67,49 @@ def prose(document: Path) -> str:
     return FENCE.sub("", document.read_text(encoding="utf-8"))
 
 
+def blocks(document: Path) -> list[tuple[str, str]]:
+    """Language and text of each fenced block of a document."""
+    found = FENCE.findall(document.read_text(encoding="utf-8"))
+    return [(language, textwrap.dedent(text)) for _, language, text in found]
+
+
 def tags() -> list[str]:
     """Numbers of the equations, in order."""
     return re.findall(r"\\tag\{(\w+)\}", EQUATIONS.read_text(encoding="utf-8"))
 
 
-def cited(text: str) -> Iterator[str]:
-    """Every equation a text cites, ranges spelled out."""
-    for behind, ahead in CITATION.findall(text):
-        for first, letter, last in RANGE.findall(behind or ahead):
-            yield from (
-                (str(n) for n in range(int(first), int(last) + 1)) if last else (first + letter,)
-            )
+def cited(text: str) -> list[str]:
+    """Every equation that a text cites."""
+    return CITATION.findall(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"),
+    [
+        ("docs/equations.md (22)-(24z)", ["22", "24z"]),
+        ("[(b)](equations.md#silence) (31z)", ["31z"]),
+        ("docs/equations.md (1) and (99)", ["1", "99"]),
+        ("docs/equations.md, (99)", ["99"]),
+        ("docs/equations.md (12),\n    # (13a); paper (2)", ["12", "13a", "2"]),
+        ("# x' = f: (56)", ["56"]),
+        ("/* [A - I, B]: (15b). */", ["15b"]),
+        ("f(3), x[1](2), 101 (105) ms, (1 - (2p)^m), Autom. Control 58 (2013), payload (0)", []),
+    ],
+)
+def test_citations_are_found(text: str, numbers: list[str]) -> None:
+    """A citation is a number in brackets, also at the end of a range and without the document's name."""
+    assert cited(text) == numbers
 
 
 def test_cited_equations_exist() -> None:
-    """Whatever a docstring or document cites as docs/equations.md (n), or as a range of such, has a tag there."""
+    """Each number that a source or document cites, alone or at an end of a range, has a tag in docs/equations.md."""
     known = set(tags())
-    sources = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
-    found = 0
+    files = [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*"))]
+    sources = [path for path in files if path.suffix in ENDINGS and path != Path(__file__)]
+    assert ROOT / "model" / "kernels.c" in sources
     for path in [*sources, *DOCUMENTS]:
         for number in cited(path.read_text(encoding="utf-8")):
             assert number in known, f"{path.relative_to(ROOT)} cites equation ({number})"
-            found += 1
-    assert found > 50  # the search does find citations
 
 
 def test_equations_are_numbered_without_gaps() -> None:
@@ -93,7 +120,8 @@ def test_equations_are_numbered_without_gaps() -> None:
     numbers = tags()
     plain = [int(tag) for tag in numbers if tag.isdecimal()]
     assert plain == list(range(1, len(plain) + 1))
-    assert f"(1)-({plain[-1]})" in EQUATIONS.read_text(encoding="utf-8")
+    opening, _, _ = EQUATIONS.read_text(encoding="utf-8").partition("\n## ")
+    assert f"(1)-({plain[-1]})" in opening
     assert len(set(numbers)) == len(numbers)
     assert {tag[:-1] for tag in numbers if not tag.isdecimal()} <= {str(n) for n in plain}
 
@@ -101,13 +129,9 @@ def test_equations_are_numbered_without_gaps() -> None:
 def test_scenario_examples_are_valid() -> None:
     """TOML in docs/scenario.md and docs/keys.md, put after the paper's scenario, makes one that can be flown."""
     for document in (SCENARIO, KEYS):
-        blocks = [
-            text
-            for language, text in FENCE.findall(document.read_text(encoding="utf-8"))
-            if language == "toml"
-        ]
-        assert blocks
-        for block in blocks:
+        examples = [text for language, text in blocks(document) if language == "toml"]
+        assert examples
+        for block in examples:
             tree = tomllib.loads(PAPER.read_text(encoding="utf-8") + "\n" + block)
             Setup.of(validate(tree, document.name), document.name)
 
@@ -141,35 +165,59 @@ def test_relative_links_resolve(document: Path) -> None:
         )
 
 
-def test_measured_tables_have_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A document has markers for each part that its program or a benchmark renews, and no others.
-
-    All runs are scenarios.
-    """
+@pytest.fixture
+def docs_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Import modules of the folder docs."""
     monkeypatch.syspath_prepend(ROOT / "docs")
+
+
+@pytest.mark.usefixtures("docs_on_path")
+def test_measured_runs_are_scenarios() -> None:
+    """All runs of measured tables are scenarios."""
     pages: dict[str, Any] = import_module("measured_pages").PAGES
     rows = [runs for tables in pages.values() for table in tables for runs in table.rows.values()]
     for run in {run for runs in rows for run in runs if run}:
         run.point().read()
-    experiments = import_module("results_page").EXPERIMENTS
-    page_of = import_module("results_page").page_of
-    derived = import_module("results_page").DERIVED
-    for document, tables in pages.items():
-        names = ["origin", *(table.name for table in tables)]
-        names += [name for name in experiments if page_of(name).name == document]
-        names += [one.name for one in derived if one.document.name == document]
-        names += ["deferral", "validation", "computation", "bytes"] * (document == "radio.md")
-        names += ["together", "ready"] * (document == "guarantees.md")
-        text = (ROOT / "docs" / document).read_text(encoding="utf-8")
-        begun = re.findall(r"^<!-- (\w+) -->$", text, re.MULTILINE)
-        assert sorted(begun) == sorted(names), document
-        assert re.findall(r"^<!-- end of (\w+) -->$", text, re.MULTILINE) == begun, document
+
+
+@pytest.mark.usefixtures("docs_on_path")
+def test_measured_parts_have_a_place() -> None:
+    """A document has markers for each part that its program or a benchmark renews, and no others."""
+    pages: dict[str, Any] = import_module("measured_pages").PAGES
+    results_page = import_module("results_page")
+
+    parts: dict[Path, list[str]] = {document: [] for document in DOCUMENTS}
+    for page, tables in pages.items():
+        parts[ROOT / "docs" / page] += ["origin", *(table.name for table in tables)]
+    for name in results_page.EXPERIMENTS:
+        parts[results_page.page_of(name)].append(name)
+    for derived in results_page.DERIVED:
+        parts[derived.document].append(derived.name)
+    for page, program, names in OTHER_PARTS:
+        is_bench = program == "benchmarks/__main__.py"
+        parts[ROOT / page] += [f"bench: {name}" if is_bench else name for name in names]
+
+    for document, expected in parts.items():
+        text = document.read_text(encoding="utf-8")
+        markers = re.findall(r"^<!-- (?!keys of )(.+) -->$", text, re.MULTILINE)
+        begun = [marker for marker in markers if not marker.startswith("end of ")]
+        assert sorted(begun) == sorted(expected), document
+        if document != KEYS:  # with markers of its own, of docs/reference_page.py
+            assert markers == [one for name in begun for one in (name, f"end of {name}")], document
+
+
+@pytest.mark.parametrize(("page", "program", "names"), OTHER_PARTS)
+def test_programs_name_their_parts(page: str, program: str, names: tuple[str, ...]) -> None:
+    """The program that renews a part has the name of its markers, as a text or in the markers themselves."""
+    source = (ROOT / program).read_text(encoding="utf-8")
+    for name in names:
+        assert f'"{name}"' in source or f"<!-- {name} -->" in source, (page, program)
 
 
 def command_lines(document: Path) -> list[list[str]]:
     """Arguments of every line `transport ...` in the fenced blocks of a document."""
-    blocks = "\n".join(text for _, text in FENCE.findall(document.read_text(encoding="utf-8")))
-    lines = blocks.replace("\\\n", " ").splitlines()
+    text = "\n".join(text for _, text in blocks(document))
+    lines = text.replace("\\\n", " ").splitlines()
     return [shlex.split(line, comments=True)[1:] for line in lines if line.startswith("transport ")]
 
 
@@ -208,34 +256,34 @@ def every_option() -> set[str]:
     return options_of(*every_command(root()))
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "document", [path for path in DOCUMENTS if path != HISTORY], ids=lambda path: path.name
+)
 def test_commands_in_text_exist(document: Path) -> None:
     """`transport ...` within a sentence names commands and options that exist, `--option ...` one of some command."""
     for span in CODE_SPAN.findall(prose(document)):
         words = span.split()
-        if (
-            words[0] == "transport" and len(words) > 1 and not words[1].isupper()
-        ):  # capitals stand for a value
+        command = words[0] if words else ""
+        is_value = len(words) > 1 and words[1].isupper()  # capitals stand for a value
+        if command == "transport" and len(words) > 1 and not is_value:
             found, names, _ = command_of(words[1:])
             assert names or words[1].startswith("--"), f"{document.name}: {span}"
             known = options_of(found)
-        elif words[0].startswith("--"):
+        elif command.startswith("--"):
             known = every_option()
         else:
             continue
-        assert {word for word in words if word.startswith("--")} <= known, (
-            f"{document.name}: {span}"
-        )
+        options = {word for word in words if word.startswith("--")}
+        assert options <= known, f"{document.name}: {span}"
 
 
 def test_help_shows_whole_sentences() -> None:
     """The lists of commands in `--help` cut nothing off on a terminal of 80 columns."""
+    blanks = 8  # before and between the columns, and at the right
     for group in every_command(root()):
         if not isinstance(group, TyperGroup):
             continue
-        room = (
-            80 - 8 - max(map(len, group.commands))
-        )  # 8: blanks before and between the columns, and at the right
+        room = 80 - blanks - max(map(len, group.commands))
         for name, command in below(group).items():
             assert not command.get_short_help_str(room).endswith("..."), name
 

@@ -31,25 +31,28 @@ from transport.plant.firmware.process import (
     executable,
     virtual_time,
 )
-from transport.plant.firmware.tuning import SETTINGS, largest_rates_rads, rotors_of, tuning
+from transport.plant.firmware.tuning import (
+    IDLE,
+    IDLE_THROTTLE_US,
+    SETTINGS,
+    largest_rates_rads,
+    rotors_of,
+    tuning,
+)
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.plant_sections import RotorsSection
 from transport.protocol.scenario.setup import Setup
 
-# Output of the motors when armed, and the channel of the throttle from there to full, us, as
-# `SETTINGS` say.
-_IDLE = 0.055
-_THROTTLE_US = (1050, 2000)
-# What the throttle loses on its way to the outputs, us, as the firmware truncates several times:
-# 0.6 to 2.8, in the mean this. Without it the thrust is 0.6 % too low, and agents without a sensor
-# at the payload misjudge its motion.
+# Loss of the throttle on its way to the outputs, us, as the firmware truncates several times: 0.8
+# to 2.8 about hover, by `test_the_throttle_makes_up_for_truncation`. Without this term the thrust
+# is 0.4 to 0.9 % too low, and agents without a sensor at the payload misjudge its motion.
 _TRUNCATED_US = 1.9
-# Virtual time before tick 0, s: the receiver hears from here on, arms, raises the throttle, and is
-# ready.
-_HEARS_S = 1.5
-_ARMS_S = 2.6
-_LIFTS_S = 2.8
-_READY_S = 3.5
+# Virtual times before tick 0, s. The firmware arms only if the receiver begins between some 1.5 and
+# 2 s, and has been heard for 0.7 s with the throttle low.
+_HEARS_S = 1.5  # the receiver begins
+_ARMS_S = 2.6  # its switch AUX1 arms
+_LIFTS_S = 2.8  # the throttle rises to hover
+_READY_S = 3.5  # the outputs have settled there: tick 0
 # Channels of the receiver: roll, pitch, throttle, yaw, AUX1.
 _ROLL_PITCH_YAW = [0, 1, 3]
 _THROTTLE = 2
@@ -63,7 +66,7 @@ _HIGH_US = 2000
 class Betaflight:
     """The inner loops of all UAVs as firmwares, called every `step_s`; an `InnerLoop`.
 
-    Outputs that the firmware makes of one state act from the next step on, 1 ms later.
+    Outputs that the firmware makes of one state act from the next step on, `step_s` later.
 
     Raises: ScenarioError: a firmware cannot be started.
     """
@@ -76,7 +79,7 @@ class Betaflight:
         self._model = setup.model
         self._gravity = setup.system.gravity
         self._step_s = step_s
-        self._velocity: Array | None = None
+        self._velocity_I: Array | None = None  # of the UAVs at the last step, (N, 3), m/s
         self.failure = ""
         self._processes: list[Process] = []
         weakref.finalize(self, _end, self._processes)
@@ -104,9 +107,9 @@ class Betaflight:
                 self._processes.append(Process(folder, self._step_s))
             outputs = self._arm(setup.initial_state(), hover)
 
-        idle_or_more = outputs.min(axis=1) >= _IDLE
-        if not idle_or_more.all():
-            raise FirmwareError(f"the firmware of UAV{np.argmin(idle_or_more) + 1} does not arm")
+        is_armed = outputs.min(axis=1) >= IDLE
+        if not is_armed.all():
+            raise FirmwareError(f"the firmware of UAV{np.argmin(is_armed) + 1} does not arm")
 
     def _settings_images(
         self, setup: Setup, rotors: list[RotorsSection], thrusts_N: Array
@@ -142,44 +145,61 @@ class Betaflight:
 
     def reset(self, x: Array) -> None:  # noqa: ARG002
         """Forget the velocity: the state may have jumped."""
-        self._velocity = None
+        self._velocity_I = None
 
     def moments(self, command: Array, x: Array) -> Array:
-        """Return thrust and moments that the rotors of the firmwares give, (N, 4), N and N m."""
+        """Return thrust and moments that the rotors of the firmwares give, (N, 4), N and N m.
+
+        After a failure, which ends the run, the thrusts commanded, without moments.
+        """
+        without_firmware: Array = command * [1.0, 0.0, 0.0, 0.0]
+        # The plant reads `failure` at the end of a sampling period, and a frozen firmware is waited
+        # for for half a minute: it is not asked again in each step until then.
+        if self.failure:
+            return without_firmware
         try:
-            outputs = np.array([process.outputs() for process in self._processes])
-            packets = zip(
-                self._processes,
-                self._sensors(x).tolist(),
-                self._channels(command).tolist(),
-                strict=True,
-            )
-            for process, sensors, channels in packets:
-                process.give(sensors, channels)
+            outputs = self._exchange(command, x)
         except FirmwareError as error:
-            self.failure = self.failure or str(error)
-            # The run ends by `failure`; until then the thrusts commanded, without moments.
-            return command * [1.0, 0.0, 0.0, 0.0]
+            self.failure = str(error)
+            return without_firmware
+
         # The speed of a rotor follows the output, its thrust the square of the speed. The packet has
         # the rotors in the order of (56).
         thrusts = self._rotor_most_N[:, None] * np.clip(outputs, 0.0, 1.0) ** 2
         inputs: Array = np.einsum("nij,nj->ni", self._mixing, thrusts)
         return inputs
 
+    def _exchange(self, command: Array, x: Array) -> Array:
+        """Let the firmwares go on for a step; return their outputs before it, (N, 4).
+
+        Raises: FirmwareError: one has ended, or does not answer.
+        """
+        outputs = np.array([process.outputs() for process in self._processes])
+        packets = zip(
+            self._processes,
+            self._sensors(x).tolist(),
+            self._channels(command).tolist(),
+            strict=True,
+        )
+        for process, sensors, channels in packets:
+            process.give(sensors, channels)
+        return outputs
+
     def _sensors(self, x: Array) -> Array:
         """Return the measurements of each UAV, angular velocity, acceleration, attitude, (N, 10).
 
-        To be called exactly once a step: it keeps the velocity, whose change over the next step is
-        the acceleration.
+        To be called once for each state: the change of velocity since the last call counts as the
+        acceleration over one step. While `_arm` holds a state, its velocity does not change, and
+        one call serves all steps.
         """
         uavs = StateView(x).uavs
-        velocity = self._model.velocities(x)[1:]
-        before = velocity if self._velocity is None else self._velocity
-        self._velocity = velocity
+        velocity_I = self._model.velocities(x)[1:]
+        before_I = velocity_I if self._velocity_I is None else self._velocity_I
+        self._velocity_I = velocity_I
 
         # Specific force f = R^T (dv/dt - g). About forward, left, up it is (f_x, -f_y, -f_z), and
         # the packet has it negated.
-        felt_I = (velocity - before) / self._step_s - [0.0, 0.0, self._gravity]
+        felt_I = (velocity_I - before_I) / self._step_s - [0.0, 0.0, self._gravity]
         attitudes = Rotation.from_euler("ZYX", uavs[:, THETA][:, ::-1])
         felt = attitudes.inv().apply(felt_I) * [-1.0, 1.0, 1.0]
 
@@ -188,12 +208,11 @@ class Betaflight:
 
     def _channels(self, command: Array) -> npt.NDArray[np.int64]:
         """Return the channels of the receivers for commanded thrusts and rates, (N, 16), us."""
-        low, high = _THROTTLE_US
         outputs = np.sqrt(np.clip(command[:, 0] / (4.0 * self._rotor_most_N), 0.0, 1.0))
         channels = np.full((len(command), 16), float(_LOW_US))
-        above_idle = np.maximum((outputs - _IDLE) / (1.0 - _IDLE), 0.0)
-        throttles = (high - low) * above_idle + _TRUNCATED_US
-        channels[:, _THROTTLE] = np.minimum(low + throttles, high)
+        above_idle = np.maximum((outputs - IDLE) / (1.0 - IDLE), 0.0)
+        throttles = (_HIGH_US - IDLE_THROTTLE_US) * above_idle + _TRUNCATED_US
+        channels[:, _THROTTLE] = np.minimum(IDLE_THROTTLE_US + throttles, _HIGH_US)
 
         signs = [1.0, -1.0, 1.0]  # a pitch stick forward, nose down, is positive
         sticks = (_HIGH_US - _MIDDLE_US) * command[:, 1:] / self._rates_rads * signs

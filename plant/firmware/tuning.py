@@ -10,10 +10,14 @@ from transport.plant.actuators import Rotors
 from transport.protocol.scenario.plant_sections import RotorsSection
 from transport.protocol.scenario.setup import Setup
 
+# Output of the motors when armed, and the channel of the throttle from which it rises, us.
+IDLE = 0.055
+IDLE_THROTTLE_US = 1050
+_IDLE_UNIT = 1e-4  # of the setting `motor_idle`
 # Settings of the firmware that are not its defaults, for every UAV. The receiver's channels are
 # body rates as they are, without smoothing or lead: the controllers already plan with the inner
 # loop. AUX1 arms.
-SETTINGS = """\
+SETTINGS = f"""\
 aux 0 0 0 1700 2100 0 0
 set pwr_on_arm_grace = 0
 set small_angle = 180
@@ -22,8 +26,8 @@ set blackbox_device = NONE
 set rc_smoothing = OFF
 set rates_type = ACTUAL
 set simplified_pids_mode = OFF
-set min_check = 1050
-set motor_idle = 550""".splitlines()
+set min_check = {IDLE_THROTTLE_US}
+set motor_idle = {round(IDLE / _IDLE_UNIT)}""".splitlines()
 _AXES = ("roll", "pitch", "yaw")
 # Units of the firmware's gains, per deg/s, deg and deg/s^2 (its flight/pid.h), as shares of full
 # output.

@@ -20,15 +20,22 @@ from transport.model import compiler
 from transport.model.arrays import Array
 from transport.model.rotations import rotation
 from transport.model.state import OMEGA, StateView
-from transport.plant.actuators import checked_firmware
+from transport.plant.actuators import Rotors, checked_firmware
 from transport.plant.firmware import betaflight, process
 from transport.plant.firmware.betaflight import Betaflight
+from transport.plant.firmware.tuning import SETTINGS, rotors_of
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.file import read_scenario
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import PlantState
 
 STEP_S = 1e-3
+# The firmware's throttle: output of the motors when armed, channel of the throttle there and at full
+# output, and loss on the way to the outputs, us.
+IDLE, IDLE_US, FULL_US, TRUNCATED_US = 0.055, 1050, 2000, 1.9
+# A mean loss of the throttle, us, that is none: 0.1 % of the hover thrust.
+UNBIASED_US = 0.35
+ROUNDED_US = 0.5  # by the rounding of a channel
 RATES = ("controller.inputs=rates", "plant.inner_loop=betaflight")
 SHORT: dict[str, Any] = {
     "controller.inputs": "rates",
@@ -112,6 +119,26 @@ def test_hover_is_the_commanded_thrust() -> None:
 
 
 @installed
+def test_the_throttle_makes_up_for_truncation() -> None:
+    """About hover, 0.6 to 1.4 of its thrust, outputs have no mean error.
+
+    The firmware loses 0.8 to 2.8 us of the throttle; a channel is a whole number of microseconds.
+    """
+    run = setup()
+    loop = Betaflight(run, STEP_S)
+    most_N = 4.0 * rotors_of(run)[0].thrust_N[1]
+    lost_us = []
+    for share in np.linspace(0.6, 1.4, 41):
+        command = run.hover.u.reshape(-1, 4) * [share, 0.0, 0.0, 0.0]
+        inputs = [loop.moments(command, run.initial_state()) for _ in range(100)][-1]
+        wanted, found = np.sqrt(np.array([command[0, 0], inputs[0, 0]]) / most_N)
+        lost_us.append((FULL_US - IDLE_US) / (1.0 - IDLE) * (wanted - found) + TRUNCATED_US)
+    assert abs(np.mean(lost_us) - TRUNCATED_US) < UNBIASED_US
+    assert min(lost_us) > 0.8 - ROUNDED_US
+    assert max(lost_us) < 2.8 + ROUNDED_US
+
+
+@installed
 def test_sensors_have_the_signs_of_the_firmware() -> None:
     """At rest: gravity felt along the axes of the attitude, and the rotation of forward-left-up to north-west-up."""
     run, to_flu = setup(), np.diag([1.0, -1.0, -1.0])
@@ -129,7 +156,7 @@ def test_sensors_have_the_signs_of_the_firmware() -> None:
 
 
 class Packets:
-    """A firmware whose outputs are one half, and which keeps what it is given."""
+    """A firmware with given outputs, one half at first, which keeps what it is given."""
 
     started: ClassVar[list["Packets"]] = []
 
@@ -137,10 +164,18 @@ class Packets:
         self.started.append(self)
         self.sensors: Sequence[float] = ()
         self.channels: Sequence[int] | None = None
+        self.given: tuple[float, ...] = (0.5, 0.5, 0.5, 0.5)
+        self.exchanges = 0
 
     def outputs(self) -> tuple[float, ...]:
-        """Return the outputs of the motors."""
-        return (0.5, 0.5, 0.5, 0.5)
+        """Return the outputs of the motors.
+
+        Raises: FirmwareError: there are none.
+        """
+        self.exchanges += 1
+        if not self.given:
+            raise process.FirmwareError("a firmware has not answered")
+        return self.given
 
     def give(self, sensors: Sequence[float], channels: Sequence[int] | None = None) -> None:
         """Keep measurements and channels."""
@@ -209,6 +244,95 @@ def test_a_vehicle_at_rest_feels_its_weight(
         loop.moments(run.hover.u.reshape(-1, 4), x)
     for each in packets:
         assert each.sensors[3:6] == pytest.approx(run.system.gravity * np.array(felt))
+
+
+@pytest.mark.parametrize(
+    ("Theta", "w_x_y_z"),
+    [
+        ([0.4, 0.0, 0.0], [np.cos(0.2), np.sin(0.2), 0.0, 0.0]),
+        ([0.0, 0.4, 0.0], [np.cos(0.2), 0.0, -np.sin(0.2), 0.0]),
+        ([0.0, 0.0, 0.4], [np.cos(0.2), 0.0, 0.0, -np.sin(0.2)]),
+    ],
+    ids=["right wing down", "nose up", "nose right"],
+)
+def test_attitudes_are_those_of_forward_left_up(
+    packets: list[Packets], Theta: list[float], w_x_y_z: list[float]
+) -> None:
+    """The quaternion turns about forward, left, up; angular velocities are about forward, right, down."""
+    run = setup()
+    loop = Betaflight(run, STEP_S)
+    x = run.initial_state()
+    StateView(x).Theta[:] = Theta
+    StateView(x).uavs[:, OMEGA] = [0.1, 0.2, 0.3]
+    loop.moments(run.hover.u.reshape(-1, 4), x)
+    for each in packets:
+        assert each.sensors[6:] == pytest.approx(w_x_y_z)
+        assert each.sensors[:3] == pytest.approx([0.1, 0.2, 0.3])
+
+
+def test_accelerations_are_changes_of_velocity(packets: list[Packets]) -> None:
+    """A velocity that changes within a step is felt, forward negated; one that jumped, after `reset`, is not."""
+    run = setup()
+    loop = Betaflight(run, STEP_S)
+    command, x = run.hover.u.reshape(-1, 4), run.initial_state()
+    loop.moments(command, x)
+    faster = x.copy()
+    StateView(faster).v0_P[:] += [2.0 * STEP_S, 0.0, 0.0]
+    loop.moments(command, faster)
+    assert packets[0].sensors[3:6] == pytest.approx([-2.0, 0.0, -run.system.gravity])
+
+    loop.reset(x)
+    loop.moments(command, x)
+    assert packets[0].sensors[3:6] == pytest.approx([0.0, 0.0, -run.system.gravity])
+
+
+@pytest.mark.parametrize("outputs", [(0.5, 0.5, 0.5, 0.5), (0.6, 0.2, 1.2, -0.1)])
+def test_rotors_push_by_the_square_of_their_outputs(
+    packets: list[Packets], outputs: tuple[float, ...]
+) -> None:
+    """Thrust and moments are those of (56) for thrusts T_max o^2, with outputs o within 0 and 1."""
+    run = setup()
+    loop = Betaflight(run, STEP_S)
+    for each in packets:
+        each.given = outputs
+    found = loop.moments(run.hover.u.reshape(-1, 4), run.initial_state())
+    squares = np.array([{1.2: 1.0, -0.1: 0.0}.get(output, output**2) for output in outputs])
+    for inputs, rotors in zip(found, rotors_of(run), strict=True):
+        expected = Rotors(rotors).mixing @ (rotors.thrust_N[1] * squares)
+        np.testing.assert_allclose(inputs, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_the_throttle_is_the_inverse_of_the_thrust(packets: list[Packets]) -> None:
+    """Channel 3 has the output of the commanded thrust, between idle and full, and what truncation takes."""
+    assert f"set min_check = {IDLE_US}" in SETTINGS
+    assert f"set motor_idle = {IDLE * 1e4:.0f}" in SETTINGS  # in 0.01 %
+    run = setup()
+    loop = Betaflight(run, STEP_S)
+    hover_N, most_N = run.hover.u[0], 4.0 * rotors_of(run)[0].thrust_N[1]
+    above_idle = (np.sqrt(hover_N / most_N) - IDLE) / (1.0 - IDLE)
+    at_hover = round(IDLE_US + (FULL_US - IDLE_US) * above_idle + TRUNCATED_US)
+    channels = []
+    for thrust_N in (0.0, hover_N, most_N, 2.0 * most_N):
+        command = np.full((4, 4), 0.0)
+        command[:, 0] = thrust_N
+        loop.moments(command, run.initial_state())
+        assert packets[0].channels is not None
+        channels.append(packets[0].channels[2])
+    assert channels == [round(IDLE_US + TRUNCATED_US), at_hover, FULL_US, FULL_US]
+
+
+def test_a_frozen_firmware_is_not_asked_again(packets: list[Packets]) -> None:
+    """After a failure, each further step of the period has the commanded thrusts, without an exchange."""
+    run = setup()
+    loop = Betaflight(run, STEP_S)
+    command, x = run.hover.u.reshape(-1, 4).copy(), run.initial_state()
+    command[:, 1:] = 0.5
+    packets[0].given = ()
+    before = packets[0].exchanges
+    for _ in range(3):
+        np.testing.assert_array_equal(loop.moments(command, x), command * [1.0, 0.0, 0.0, 0.0])
+    assert packets[0].exchanges == before + 1
+    assert loop.failure == "a firmware has not answered"
 
 
 @installed

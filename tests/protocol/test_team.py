@@ -1,4 +1,4 @@
-"""Teams of any size: the ring is an equilibrium of equals, four are the paper's, the rest is the template's."""
+"""Teams of any size: the ring is an equilibrium of equals, UAVs and all other keys are the template's."""
 
 import math
 from pathlib import Path
@@ -12,7 +12,17 @@ from transport.model.arrays import Array
 from transport.protocol.scenario.file import ScenarioError, read_scenario
 from transport.protocol.scenario.schema import Scenario, SystemSection
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import FEWEST, Team, given_values, resized, ring
+from transport.protocol.scenario.team import (
+    FEWEST,
+    MOST,
+    AirframeSection,
+    Team,
+    airframe_of,
+    find_vehicle,
+    given_values,
+    resized,
+    ring,
+)
 
 SIZES = [*range(FEWEST, 17), 24]
 NEIGHBOURS_M, GRAVITY = 0.5, 9.81
@@ -25,7 +35,12 @@ ROUNDING, DISTANCE_ROUNDING, SHARE_ROUNDING = 0.5e-6, 2e-6, 1e-5
 
 def system_of(uavs: int) -> SystemSection:
     """Section `system` of a ring."""
-    return SystemSection.model_validate(ring(uavs, GRAVITY))
+    return SystemSection.model_validate(ring(uavs, GRAVITY, papers_airframe()))
+
+
+def papers_airframe() -> AirframeSection:
+    """The UAV of paper.toml."""
+    return airframe_of(read_scenario(PAPER), "paper.toml")
 
 
 def scenario_of(
@@ -127,6 +142,82 @@ def test_ownership(template: str, uavs: int, group: int | None, owned: list[list
     """
     scenario = scenario_of(uavs, SCENARIOS / f"{template}.toml", group)
     assert [list(ids) for ids in scenario.owned] == owned
+
+
+@pytest.mark.parametrize("vehicle", [None, "crazyflie", "racing", "x500"])
+@pytest.mark.parametrize("uavs", [2, 3, 5, 7, 24])
+def test_a_team_of_another_size_keeps_its_uavs(vehicle: str | None, uavs: int) -> None:
+    """Resized twice, a team is that of the vehicle at once: UAVs, distances, payload, controller.
+
+    Distances do not drift with the rounding of the points.
+    """
+    ready = read_scenario(SCENARIOS / "resilient.toml")
+    first = resized(ready, Team(uavs=uavs, vehicle=vehicle), "")
+    again = resized(first, Team(uavs=6), "")
+    at_once = resized(ready, Team(uavs=6, vehicle=vehicle), "")
+    assert again.system == at_once.system
+    assert again.controller == at_once.controller
+
+
+def test_a_team_keeps_the_distance_of_its_template() -> None:
+    """The UAVs of `eight`, of 0.6 kg and 0.5197 m apart, at the least, are as far apart in a larger ring."""
+    larger = scenario_of(6, SCENARIOS / "eight.toml").system
+    first, second = (np.array(uav.rho_m) for uav in larger.uav[:2])
+    assert float(np.linalg.norm(first - second)) == pytest.approx(0.51971, abs=DISTANCE_ROUNDING)
+    assert {uav.mass_kg for uav in larger.uav} == {0.6}
+    assert larger.payload.mass_kg == pytest.approx(6 * 0.3)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "got"),
+    [
+        ("mass_kg", "1.6", "expected 1.5, as of UAV1, or a vehicle for the new team, got 1.6"),
+        ("inertia_kgm2", "[0.03,0.03,0.06]", "expected [0.029, 0.029, 0.055], as of UAV1, or a"),
+        ("rod_length_m", "3.3", "expected 3.2, as of UAV1, or a vehicle for the new team, got 3.3"),
+    ],
+)
+def test_uavs_that_differ_need_a_vehicle(key: str, value: str, got: str) -> None:
+    """A template whose UAVs differ is refused with the first difference; a vehicle replaces them."""
+    template = read_scenario(PAPER, [f"system.uav.3.{key}={value}"])
+    with pytest.raises(ScenarioError) as caught:
+        resized(template, Team(uavs=6), "paper.toml")
+    assert str(caught.value).startswith(f"paper.toml: system.uav.3.{key}: {got}")
+
+    made = resized(template, Team(uavs=6, vehicle="x500"), "paper.toml")
+    assert {uav.mass_kg for uav in made.system.uav} == {2.0}
+
+
+def test_a_single_uav_has_no_distance() -> None:
+    """A template of one UAV is refused: a ring needs the distance of neighbours."""
+    uav = "{id=1,mass_kg=1.5,inertia_kgm2=[1,1,1],rho_m=[0,0,-0.1],rod_length_m=3.0}"
+    template = read_scenario(PAPER, [f"system.uav=[{uav}]", "agents.owned=[[1]]"])
+    with pytest.raises(ScenarioError, match=r"^one\.toml: system\.uav: expected UAVs apart"):
+        resized(template, Team(uavs=3), "one.toml")
+
+
+def test_sizes_out_of_range_are_refused() -> None:
+    """A team has 2 to 256 UAVs and agents of one or more; a ring of one has no finite radius."""
+    for uavs in (FEWEST - 1, MOST + 1):
+        with pytest.raises(ValueError, match=f"uavs: expected 2 to 256, got {uavs}"):
+            Team(uavs=uavs)
+    with pytest.raises(ValueError, match="group: expected at least 1 UAV per agent, got 0"):
+        Team(uavs=4, group=0)
+    with pytest.raises(ValueError, match="N: expected at least 2 UAVs, got 1"):
+        ring(1, GRAVITY, papers_airframe())
+
+
+def test_sources_of_values() -> None:
+    """A replaced value has its new source: vehicles replace vehicles, and payload and name are made anew."""
+    given = Team(uavs=4, vehicle="x500", load_kg=3.0, name="four").origins()
+    vehicle = Team(uavs=4, vehicle="x500").origins()
+    assert Team(uavs=6).origins(given) == vehicle
+
+    lighter = Team(uavs=6, load_kg=2.0).origins(given)
+    assert [one.source for one in lighter if one.key == "system.payload"] == ["load_kg=2"]
+
+    racing = Team(uavs=6, vehicle="racing").origins(vehicle)
+    of_x500 = [one.key for one in racing if one.source == str(find_vehicle("x500"))]
+    assert of_x500 == ["plant.motors.falling_lag_s"]  # which racing.toml does not set
 
 
 def test_what_names_agents_that_are_gone_is_refused(tmp_path: Path) -> None:

@@ -87,6 +87,11 @@ REFUSED = [
         "--from: wide.toml: controller.separation.minimum_m: expected at most 0.500 m (hover), got 0.6",
     ),
     (
+        ("--uavs", "3", "--from", "unequal.toml"),
+        SCENARIO,
+        "unequal.toml: system.uav.2.mass_kg: expected 1.6, as of UAV1, or a vehicle for the new team, got",
+    ),
+    (
         ("--uavs", "3", "--from", "fourth.toml"),
         SCENARIO,
         "fourth.toml: controller.constraint: constraint 'thrust4 <= 40': unknown name 'thrust4'; known: ",
@@ -96,7 +101,7 @@ REFUSED = [
 
 @pytest.fixture(name="folder")
 def folder_with_templates(tmp_path: Path) -> Path:
-    """Return a folder with an empty file and two templates that fit no ring of three."""
+    """Return a folder with an empty file and templates of which no ring of three can be made."""
     paper = PAPER.read_text(encoding="utf-8")
     (tmp_path / "there.toml").touch()
     (tmp_path / "mine.toml").write_text(MINE, encoding="utf-8")
@@ -106,6 +111,8 @@ def folder_with_templates(tmp_path: Path) -> Path:
         .replace("[-0.25, ", "[-0.5, ")
     )
     (tmp_path / "wide.toml").write_text(wide, encoding="utf-8")
+    unequal = paper.replace("mass_kg = 1.5", "mass_kg = 1.6", 1)
+    (tmp_path / "unequal.toml").write_text(unequal, encoding="utf-8")
     (tmp_path / "fourth.toml").write_text(
         paper + '\n[[controller.constraint]]\nexpression = "thrust4 <= 40"\n', encoding="utf-8"
     )

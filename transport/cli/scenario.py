@@ -33,7 +33,7 @@ def new(
         "resilient",
         "--from",
         metavar="SCENARIO",
-        help="Scenario file or name for all but the system.",
+        help="Scenario file or name for all but the size of the team and the payload.",
     ),
     group: int | None = Option(
         None, "--groups", metavar="COUNT", min=1, help="UAVs per agent; default: as in --from."
@@ -41,7 +41,7 @@ def new(
     vehicle: str | None = Option(
         None,
         metavar="NAME",
-        help="crazyflie, x500, racing or a vehicle file; default: the paper's.",
+        help="crazyflie, x500, racing or a vehicle file; default: the UAVs of --from.",
     ),
     load_kg: float | None = Option(
         None,
@@ -60,8 +60,9 @@ def new(
 ) -> None:
     """Write a scenario for a team of any size.
 
-    UAVs in a ring. By default they are the paper's, 0.5 m apart, with 0.75 kg of payload for each.
-    A vehicle brings its mass, inertia, rod, limits, motors and inner loop: docs/vehicles.md.
+    UAVs in a ring. By default they are those of --from, equal and as far apart as there: the
+    paper's in resilient, 0.5 m apart, with 0.75 kg of payload for each. A vehicle brings its mass,
+    inertia, rod, limits, motors and inner loop: docs/vehicles.md.
 
     Example: transport scenario new --uavs 4 --vehicle x500 --load 3.0 --out four.toml
     """

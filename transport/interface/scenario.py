@@ -14,9 +14,9 @@ from transport.protocol.scenario.errors import ScenarioError, hint
 from transport.protocol.scenario.file import find_scenario, read_tree, with_settings
 from transport.protocol.scenario.keys import names_of
 from transport.protocol.scenario.origins import Origin
-from transport.protocol.scenario.schema import Scenario as ScenarioTree
+from transport.protocol.scenario.schema import Scenario as ValidatedScenario
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import FEWEST, MOST, Team, given_values, resized
+from transport.protocol.scenario.team import Team, given_values, resized
 
 _LONGEST_RAMP_S = 3.0  # at the ends of a path with a flat reference
 
@@ -58,7 +58,7 @@ class Section:
             self._owner[self._key_of(name)] = value
 
     def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *type(self._data).model_fields]
+        return [*super().__dir__(), *names_of(type(self._data))]
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Section) and self._data == other._data
@@ -100,7 +100,7 @@ equal to 1, got 1.5
     """
 
     _path: Path
-    _tree: ScenarioTree
+    _validated: ValidatedScenario
     _setup: Setup
     _allow_large: bool
     _origins: tuple[Origin, ...]  # of values that are not those of the file
@@ -117,12 +117,12 @@ equal to 1, got 1.5
         changes = settings_of(settings, short)
         if isinstance(source, Scenario):
             self._path = source._path
-            self._tree = source._tree
+            self._validated = source._validated
             self._setup = source._setup
             self._allow_large = allow_large or source._allow_large
             self._origins = source._origins
             if changes:
-                self._change(given_values(self._tree), changes)
+                self._change(given_values(self._validated), changes)
         else:
             self._path = find_scenario(str(source))
             self._allow_large = allow_large
@@ -131,7 +131,7 @@ equal to 1, got 1.5
 
     def set(self, settings: Settings | None = None, **short: Unpack[ShortSettings]) -> None:
         """Make several changes at once, such as those that are valid only together."""
-        self._change(given_values(self._tree), settings_of(settings, short))
+        self._change(given_values(self._validated), settings_of(settings, short))
 
     def __getitem__(self, key: str) -> Any:
         """Return the value of a dotted key or short name."""
@@ -145,7 +145,7 @@ equal to 1, got 1.5
         N = self._setup.system.N
         agents = len(self._setup.agents)
         sizes = f"{N} UAV{'s' * (N > 1)}, {agents} agent{'s' * (agents > 1)}"
-        return f"Scenario({self._tree.name!r}: {sizes}, {self._setup.maneuver.duration_s:g} s)"
+        return f"Scenario({self._validated.name!r}: {sizes}, {self._setup.maneuver.duration_s:g} s)"
 
     @property
     def file(self) -> Path:
@@ -158,17 +158,23 @@ equal to 1, got 1.5
         return self._setup
 
     @property
-    def validated(self) -> ScenarioTree:
+    def validated(self) -> ValidatedScenario:
         """The scenario as a frozen pydantic model."""
-        return self._tree
+        return self._validated
 
     def tree(self) -> dict[str, Any]:
         """Return the scenario as plain data with every default."""
-        return self._tree.tree()
+        return self._validated.tree()
 
     def digest(self) -> str:
         """Return the fingerprint that `transport validate` prints."""
-        return self._tree.digest()
+        return self._validated.digest()
+
+    def __copy__(self) -> "Scenario":
+        return Scenario(self)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Scenario":
+        return Scenario(self)  # its parts never change: a change of a scenario replaces them
 
     def copy(self, settings: Settings | None = None, **short: Unpack[ShortSettings]) -> "Scenario":
         """Return a copy with changes."""
@@ -183,29 +189,38 @@ equal to 1, got 1.5
         vehicle: "str | PathLike[str] | None" = None,
         load_kg: float | None = None,
     ) -> "Scenario":
-        """Return a scenario with another team, as `team` does.
+        """Return the scenario of a team of another size, in a ring.
 
-        An agent owns `group` UAVs, by default as many as here.
+        UAVs and their distance are those of `vehicle`, or else of this scenario, whose UAVs have to
+        be equal then. The payload is `load_kg`, by default half the mass of the UAVs. An agent owns
+        `group` UAVs, by default as many as the first one here. All other keys stay.
+
+        >>> import transport
+        >>> transport.team(4, vehicle="racing").resized(6).system.uav[5].mass_kg
+        0.752
         """
-        if not FEWEST <= uavs <= MOST:
-            raise ArgumentError(f"uavs: expected {FEWEST} to {MOST}, got {uavs}")
-        if group is not None and group < 1:
-            raise ArgumentError(f"group: expected at least 1 UAV per agent, got {group}")
-
         chosen = None if vehicle is None else str(vehicle)
-        team = Team(uavs=uavs, group=group, name=name, vehicle=chosen, load_kg=load_kg)
-        tree = given_values(resized(self._tree, team, str(self._path)))
+        try:
+            team = Team(uavs=uavs, group=group, name=name, vehicle=chosen, load_kg=load_kg)
+        except ValueError as error:
+            raise ArgumentError(str(error)) from error
 
+        scenario = resized(self._validated, team, str(self._path), self._origins)
         made = Scenario(self)
         try:
-            made._change(tree, [])
+            made._become(given_values(scenario), [])
         except ScenarioError as error:
-            raise team.with_source(error) from error.__cause__
-        made._origins = (*self._origins, *team.origins())
+            raise team.with_source(error, self._origins) from error.__cause__
+        made._origins = team.origins(self._origins)
         return made
 
     def save(self, path: "str | PathLike[str]") -> Path:
-        """Write the scenario, with every default, to a new file; return its path."""
+        """Write the scenario, with every default, to a new file; return its path.
+
+        The file serves in any folder: tables that the scenario named, such as measured delays, are
+        in it as numbers. Own classes and `network.keys` stay names, looked up from the current
+        folder.
+        """
         with Path(path).open("x", encoding="utf-8") as file:
             file.write(tomli_w.dumps(self.tree()))
         return Path(path)
@@ -215,7 +230,7 @@ equal to 1, got 1.5
 
         An empty key is that of the scenario itself.
         """
-        value: Any = self._tree
+        value: Any = self._validated
         for part in filter(None, key.split(".")):
             parts = _parts(value)
             if part not in parts:
@@ -235,21 +250,25 @@ equal to 1, got 1.5
             return tuple(self._shown(f"{key}.{number}") for number in range(1, len(value) + 1))
         return value
 
-    def _change(self, tree: dict[str, Any], changes: list[str]) -> None:
-        """Become the scenario of a tree with changes, or stay as it is if that is refused.
+    def _change(self, given: dict[str, Any], changes: list[str]) -> None:
+        """Become the scenario of given values with changes, or stay as it is if that is refused.
 
         Errors name the changes.
         """
-        source = str(self._path)
         try:
-            scenario = with_settings(tree, changes, source, allow_large=self._allow_large)
-            self._setup = Setup.of(scenario, source)
+            self._become(given, changes)
         except ScenarioError as error:
-            if error.source == source:  # not one of the changes
+            # The error names the file, so a given value is at fault, perhaps of a vehicle or load.
+            if error.source == str(self._path):
                 error = error.traced(self._origins)
             raise error.blaming(changes) from error.__cause__
 
-        self._tree = scenario
+    def _become(self, given: dict[str, Any], changes: list[str]) -> None:
+        """Become the scenario of given values with changes; a refusal leaves it as it is."""
+        source = str(self._path)
+        scenario = with_settings(given, changes, source, allow_large=self._allow_large)
+        self._setup = Setup.of(scenario, source)
+        self._validated = scenario
 
 
 def _parts(value: Any) -> dict[str, Any]:
@@ -279,9 +298,9 @@ def team(
     >>> transport.team(4, vehicle="x500", load_kg=3)
     Scenario('resilient-x500-4': 4 UAVs, 4 agents, 25 s)
 
-    The vehicle is a file, or crazyflie, x500, racing, by default the paper's; the payload has by
-    default half the mass of the UAVs. The base has all other keys: maneuver, controller, network;
-    changes are those of `fly`.
+    The vehicle is a file, or crazyflie, x500, racing; by default UAVs and their distance are those
+    of the base, the paper's in `resilient`. The payload has by default half the mass of the UAVs.
+    The base has all other keys: maneuver, controller, network; changes are those of `fly`.
 
     Raises: ScenarioError: the scenario or a setting is refused. ArgumentError: an argument is.
     """
@@ -292,7 +311,9 @@ def team(
 def path_phase(path: Sequence[Sequence[float]], *, flat: bool) -> dict[str, Any]:
     """Return the phase of a maneuver along rows of time and position, (t_s, x_m, y_m, z_m).
 
-    Times and positions count from the first row.
+    Times and positions count from the first row. Between rows the speed is constant. A flat
+    reference (`maneuver.reference`) needs a smooth path: with `flat` the phase is a spline through
+    the rows.
     """
     try:
         rows = np.asarray(path, dtype=np.float64)

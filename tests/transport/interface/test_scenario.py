@@ -1,5 +1,7 @@
 """A `transport.Scenario` is valid at any time: each change is made as a whole or refused."""
 
+import copy
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,21 @@ def test_a_saved_scenario_is_the_same(tmp_path: Path) -> None:
     assert transport.Scenario(path).digest() == scenario.digest()
     with pytest.raises(FileExistsError):
         scenario.save(path)
+
+
+def test_a_saved_scenario_is_the_same_in_any_folder(tmp_path: Path) -> None:
+    """Tables that a scenario names, relative to its folder, are in the saved file as numbers."""
+    source = tmp_path / "source"
+    source.mkdir()
+    (source / "d.csv").write_text("0.1 0.2", encoding="utf-8")
+    ready = find_scenario("resilient").read_text(encoding="utf-8")
+    measured = '\n[links]\ndistribution = "empirical"\nsamples_s = "d.csv"\n'
+    (source / "mine.toml").write_text(ready + measured, encoding="utf-8")
+
+    scenario = transport.Scenario(source / "mine.toml")
+    moved = transport.Scenario(scenario.save(tmp_path / "moved.toml"))
+    assert moved.links.samples_s == (0.1, 0.2)
+    assert moved.digest() == scenario.digest()
 
 
 CHANGES: list[tuple[str, Any]] = [
@@ -107,6 +124,81 @@ def test_sections_are_attributes() -> None:
     with pytest.raises(transport.ScenarioError, match="unknown key; known: 1, 2, 3, 4"):
         _ = scenario["system.uav.9.mass_kg"]
     assert {"links", "resized"} <= set(dir(scenario))
+
+
+def test_listed_attributes_can_be_read() -> None:
+    """`dir` has the keys of a section as they are read, also `from`, which Python reserves."""
+    scenario = transport.Scenario(
+        "resilient", {"links.override": [{"from": "agent1", "loss": 0.1}]}
+    )
+    link = scenario.links.override[0]
+    listed = set(dir(link))
+    assert {"from", "to", "loss"} <= listed
+    for name in listed:
+        assert name.startswith("_") or hasattr(link, name), name
+    assert getattr(link, "from") == "agent1"
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, transport.Scenario.copy])
+def test_a_copy_is_a_scenario_of_its_own(
+    copied: Callable[[transport.Scenario], transport.Scenario],
+) -> None:
+    """A change of a copy, by its sections, leaves the original as it was, and the other way round."""
+    scenario = transport.Scenario("resilient")
+    other = copied(scenario)
+    other.links.delay_s = 0.2
+    scenario.links.loss = 0.1
+    assert (scenario.links.delay_s, scenario.links.loss) == (0.0, 0.1)
+    assert (other.links.delay_s, other.links.loss) == (0.2, 0.0)
+
+
+def test_large_runs_stay_allowed() -> None:
+    """A copy may be as large as its source, or as its own `allow_large` says."""
+    large = {"plant.step_s": 1e-6}
+    for allowed in (
+        transport.Scenario("resilient", large, allow_large=True),
+        transport.Scenario(transport.Scenario("resilient"), large, allow_large=True),
+    ):
+        for scenario in (allowed.copy(), allowed.resized(3)):
+            scenario.links.delay_s = 0.2
+            assert scenario.plant.step_s == 1e-6
+    with pytest.raises(transport.ScenarioError, match="--allow-large admits more"):
+        transport.Scenario("resilient").copy(large)
+
+
+def test_a_team_of_another_size_keeps_its_vehicle(tmp_path: Path) -> None:
+    """UAVs and limits are of one vehicle; a refused limit names the vehicle's file."""
+    larger = transport.team(4, vehicle="racing").resized(6)
+    assert larger.system == transport.team(6, vehicle="racing").system
+    assert transport.team(4, vehicle="x500", load_kg=3).resized(6).system.uav[5].mass_kg == 2.0
+
+    heavier = {f"system.uav.{number}.mass_kg": 1.6 for number in (1, 2, 3, 4)}
+    assert transport.Scenario("resilient", heavier).resized(6).system.uav[5].mass_kg == 1.6
+
+    file = tmp_path / "weak.toml"
+    file.write_text(
+        "name='weak'\ncontroller.limits.thrust_N=[0.0,15.0]\n"
+        "uav={mass_kg=1.2,inertia_kgm2=[0.01,0.01,0.02],rod_length_m=2.0,spacing_m=0.8}\n",
+        encoding="utf-8",
+    )
+    light = transport.team(4, vehicle=file, load_kg=0.5)
+    with pytest.raises(
+        transport.ScenarioError, match=r"weak\.toml: controller\.limits\.thrust_N: .*hover thrust"
+    ):
+        light.resized(6)
+    with pytest.raises(
+        transport.ScenarioError, match=r"^load_kg=4: controller\.limits\.thrust_N: "
+    ):
+        light.resized(6, load_kg=4.0)
+
+
+def test_sizes_out_of_range_are_arguments() -> None:
+    """Numbers of UAVs are refused as arguments of the call."""
+    scenario = transport.Scenario("resilient")
+    with pytest.raises(transport.ArgumentError, match="uavs: expected 2 to 256, got 1"):
+        scenario.resized(1)
+    with pytest.raises(transport.ArgumentError, match="group: expected at least 1 UAV per agent"):
+        scenario.resized(4, group=0)
 
 
 def test_whole_sections_are_values() -> None:

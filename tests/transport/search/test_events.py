@@ -14,6 +14,7 @@ from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.file import read_scenario
 from transport.protocol.scenario.links import Link
 from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.setup import Setup
 from transport.search.candidate import Base, Candidate
 from transport.search.events import Death, Gusts, Links, Silence, TargetEvent
 from transport.search.space import KINDS, Bounds, Space, read_bounds
@@ -122,6 +123,15 @@ def test_teams_that_the_scenario_does_not_allow_are_left_out() -> None:
     base = Base(scenario=named, source=str(FILE))
     assert list(Candidate(()).smaller_teams(base)) == []
     assert len(list(Candidate(()).smaller_teams(BASE))) > 0
+
+
+def test_smaller_teams_have_the_uavs_of_the_scenario() -> None:
+    """A smaller team of `eight`, whose UAVs are not the paper's, can fly with its limits."""
+    file = SCENARIOS / "eight.toml"
+    base = Base(scenario=read_scenario(file), source=str(file))
+    (smaller,) = Candidate(()).smaller_teams(base)
+    assert [uav.mass_kg for uav in smaller.scenario.system.uav] == [0.6, 0.6]
+    Setup.of(smaller.scenario, str(file))
 
 
 def test_links_that_change_alike_are_one_entry() -> None:
