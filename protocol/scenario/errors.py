@@ -17,6 +17,7 @@ from transport.protocol.scenario.keys import (
     out_of_range,
     section_in,
     short_names,
+    unit_of,
 )
 from transport.protocol.scenario.origins import Origin, source_of
 from transport.protocol.wire.errors import MessageError, TransportError
@@ -40,6 +41,8 @@ _EXPECTED = {
     "too_short": "expected a list of at least {min_length}",
     "too_long": "expected a list of at most {max_length}",
 }
+# Kinds for a value that is no number.
+_NO_NUMBER = ("float_type", "float_parsing")
 _SIMILAR = 0.5  # similarity from which on a known name is offered for a mistyped one
 
 
@@ -217,13 +220,32 @@ def _problem_text(problem: Mapping[str, Any], section: type[BaseModel]) -> str:
         if largest == 1.0 and _LEAST_PERCENT <= value <= _PERCENT:
             return f"expected a share, at most 1, got {value:g}: did you mean {value / _PERCENT:g}?"
 
-    if kind in _EXPECTED:
-        expected = _EXPECTED[kind].format(**problem.get("ctx", {}))
-    else:
-        expected = problem["msg"].replace("Input should be", "expected")
+    expected = _expected(problem, section)
     if isinstance(value, tuple):  # lists of numbers become tuples
         value = list(value)
     return f"{expected[0].lower()}{expected[1:]}, got {_short(repr(value))}"
+
+
+def _expected(problem: Mapping[str, Any], section: type[BaseModel]) -> str:
+    """Return what was expected in place of a value."""
+    kind = problem["type"]
+    if kind in _NO_NUMBER:
+        return _number_in_words(problem, section)
+    if kind in _EXPECTED:
+        return _EXPECTED[kind].format(**problem.get("ctx", {}))
+    text: str = problem["msg"]
+    return text.replace("Input should be", "expected")
+
+
+def _number_in_words(problem: Mapping[str, Any], section: type[BaseModel]) -> str:
+    """Return the number that a key expects, with its unit, in words."""
+    names = names_of(section)
+    keys = [part for part in problem["loc"] if part in names]
+    if not keys:
+        return "expected a number"
+    name = names[keys[-1]]
+    unit = unit_of(name, section.model_fields[name])
+    return f"expected a number in {unit}" if unit else "expected a number"
 
 
 def _short(text: str) -> str:

@@ -58,7 +58,7 @@ REFUSED = [
     (
         ("--uavs", "4", "--vehicle", "mine.toml", "--load", "1"),
         SCENARIO,
-        "mine.toml: controller.limits.moments_Nm.3: expected a valid number, got '0.2'",
+        "mine.toml: controller.limits.moments_Nm.3: expected a number in N m, got '0.2'",
     ),
     (
         ("--uavs", "3", "--out", "there.toml"),

@@ -27,7 +27,7 @@ from transport.experiments.figures import draw
 from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.flight.progress import ConsoleProgress, compile_models
 from transport.flight.run_files import machine
-from transport.log.whole_files import write_csv, write_whole
+from transport.log.whole_files import PARTIAL, write_csv, write_whole
 from transport.protocol.wire.exit_codes import EXIT_FAILED
 
 # Files of a folder: the experiment to which it belongs, and the results.
@@ -97,7 +97,8 @@ def _identify(folder: Path, experiment: str) -> None:
     """Note the experiment in its folder, or check that the folder belongs to it."""
     identity = folder / _IDENTITY
     folder.mkdir(parents=True, exist_ok=True)
-    if not any(folder.iterdir()):
+    content_names = {path.name for path in folder.iterdir()}
+    if content_names <= {_IDENTITY + PARTIAL}:  # nothing, or the part that a kill has left
         write_whole(identity, orjson.dumps({"experiment": experiment}) + b"\n")
 
     content = "other files"

@@ -52,6 +52,15 @@ def test_an_incomplete_line_is_ignored(tmp_path: Path, left: int) -> None:
             results.add(result(added))
 
 
+def test_a_folder_whose_beginning_a_kill_has_cut_is_used(tmp_path: Path) -> None:
+    """A kill while the name of the experiment is written leaves a part of that file, and no results."""
+    (tmp_path / "experiment.json.partial").write_text('{"exper', encoding="utf-8")
+    with opened(tmp_path, "loss") as results:
+        results.add(result("a"))
+    with opened(tmp_path, "loss") as results:
+        assert results.done("a")
+
+
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     """Another experiment's folder, one with other files, and a file are refused with expected and got."""
     expected = "--out: expected a new folder, or one of experiment loss, got"

@@ -212,7 +212,7 @@ def test_whole_sections_are_values() -> None:
 WRONG: list[tuple[dict[str, Any], str]] = [
     (
         {"settings": {"links.delay_s": None}},
-        "links.delay_s=None: expected a valid number, got None",
+        "links.delay_s=None: expected a number in s, got None",
     ),
     ({"source": "resilent"}, "did you mean 'resilient'"),
     ({"source": "missing.toml"}, "no such file"),
