@@ -5,13 +5,17 @@ from functools import cache
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
-from tests.support.runs import recorded, setup, ticks
+from tests.support.runs import ALL, plan, recorded, setup, ticks
+from transport.protocol.radio.frames import Result
 from transport.protocol.radio.slots import frame_lengths
-from transport.protocol.radio.standard import OFDM
+from transport.protocol.radio.standard import MESSAGE_BYTES, OFDM
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.links import Link
-from transport.protocol.scenario.radio_settings import plan_length
+from transport.protocol.scenario.radio_section import RadioSection
+from transport.protocol.scenario.radio_settings import NS_PER_S, plan_length, slot_lengths
+from transport.protocol.scenario.team_radio import TeamRadio
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import (
     NO_NEWS,
@@ -24,10 +28,30 @@ from transport.protocol.wire.messages import (
 )
 
 TICKS = 12
+PERIOD_S = 0.05
+# The radio tells of a tick as the next one opens, and none opens after the last.
+REPORTED_TICKS = TICKS - 1
+AGENTS = len(ALL)
+PAIRS = AGENTS * (AGENTS - 1)  # of sender and receiver
+
+COLLISION = -float(Result.COLLISION)  # in `Airtime.arrivals`
+
 CLOSED_LOOP = "controller.prediction=closed_loop", "controller.received_plans=by_age"
 AT_ONE_INSTANT = "radio={offsets='none',computation_deviation_s=0.0}"
-PERIOD_S = 0.05
-ROUNDING_S = 1e-9
+# A plan occupies the channel for 12.322 ms: its frame of 1474 bytes and 36 bytes of headers takes
+# 12.080 ms at 1 Mb/s, after a preamble of 0.192 ms, and waits 0.050 ms (DIFS) for the channel. Four of
+# them take 49.3 ms; slots have 42 ms of the period of 50 ms, 8 ms are for the computation.
+SLOW = "radio={standard='802.11b',rate_mbps=1.0}"
+AGENTS_OF_A_TICK = 2  # that send with these slots; the others send in the next tick
+
+# Error of the sum of the airtimes relative to it: rounding of seconds as floats.
+ROUNDING = 1e-9
+# Bytes by which plans of a run may be shorter than the longest one: MessagePack encodes small integers
+# shorter.
+SHORTER_BYTES = 7
+# Airtime without the later inputs as a share of that with them: three fifths, preambles and headers
+# included.
+FIRST_INPUT_SHARE = 0.55, 0.62
 
 
 @cache
@@ -43,8 +67,8 @@ def news_of(*settings: str) -> list[Airtime]:
 
 def states_of(*settings: str) -> list[bytes]:
     """Return the plant's states of a short run."""
-    found = [one for one in messages_of(*settings) if isinstance(one, PlantState)]
-    return [state.x.tobytes() for state in found]
+    states = [one for one in messages_of(*settings) if isinstance(one, PlantState)]
+    return [state.x.tobytes() for state in states]
 
 
 def lost_of(*settings: str) -> int:
@@ -116,7 +140,7 @@ def test_slots_deliver_every_plan_within_its_tick() -> None:
     """With slots the radio costs nothing: states have the bits of a run without one."""
     arrivals = np.vstack([one.arrivals for one in news_of("radio={}")])
     decided = arrivals[arrivals != NO_NEWS]
-    assert len(decided) == (TICKS - 1) * 4 * 3
+    assert len(decided) == REPORTED_TICKS * PAIRS
     assert np.all((decided > 0.0) & (decided <= PERIOD_S))
     assert states_of("radio={}") == states_of()
 
@@ -124,19 +148,22 @@ def test_slots_deliver_every_plan_within_its_tick() -> None:
 def test_sends_at_one_instant_deliver_nothing() -> None:
     """Agents that send at one instant lose every plan, and count it."""
     arrivals = np.vstack([one.arrivals for one in news_of(AT_ONE_INSTANT)])
-    assert Counter(arrivals[arrivals != NO_NEWS]) == {-1.0: (TICKS - 1) * 4 * 3}
-    assert lost_of(AT_ONE_INSTANT) == (TICKS - 1) * 4 * 3
+    assert Counter(arrivals[arrivals != NO_NEWS]) == {COLLISION: REPORTED_TICKS * PAIRS}
+    assert lost_of(AT_ONE_INSTANT) == REPORTED_TICKS * PAIRS
     assert states_of(AT_ONE_INSTANT) != states_of()
 
 
 def test_airtime_is_that_of_the_real_messages() -> None:
     """The channel is busy for as long as the encoded plans take."""
     plans = [one for one in messages_of("radio={}") if isinstance(one, Plan)]
+    rate_mbps = RadioSection().rate_mbps
     airtime_ns = sum(
-        OFDM.message_airtime_ns(len(encode(plan)), 6.0) for plan in plans if plan.tick < TICKS - 1
+        OFDM.message_airtime_ns(len(encode(plan)), rate_mbps)
+        for plan in plans
+        if plan.tick < REPORTED_TICKS
     )
     busy_s = sum(one.busy_s for one in news_of("radio={}"))
-    assert busy_s == pytest.approx(airtime_ns / 1e9, rel=ROUNDING_S)
+    assert busy_s == pytest.approx(airtime_ns / NS_PER_S, rel=ROUNDING)
 
 
 def test_plans_that_are_not_shared_take_no_air() -> None:
@@ -144,21 +171,26 @@ def test_plans_that_are_not_shared_take_no_air() -> None:
     sharing = ("radio={}", "controller.share=on_change", "controller.received_states=predicted")
     plans = [one for one in messages_of(*sharing) if isinstance(one, Plan) and one.shared]
     frames = sum(one.transmissions for one in news_of(*sharing))
-    assert frames == sum(plan.tick < TICKS - 1 for plan in plans)
-    assert frames < (TICKS - 1) * 4
+    assert frames == sum(plan.tick < REPORTED_TICKS for plan in plans)
+    assert frames < REPORTED_TICKS * AGENTS
 
 
 def test_each_exchange_of_a_negotiation_takes_air() -> None:
     """Three iterations put three times as many plans on the air, each reported when it ends."""
-    three = ("radio={}", "controller.negotiation_iterations=3", "controller.relaxation=0.25")
+    iterations = 3
+    three = (
+        "radio={}",
+        f"controller.negotiation_iterations={iterations}",
+        "controller.relaxation=0.25",
+    )
     news = news_of(*three)
-    assert Counter(one.negotiation for one in news) == {2: TICKS, 1: TICKS, 0: TICKS - 1}
+    assert Counter(one.negotiation for one in news) == {2: TICKS, 1: TICKS, 0: REPORTED_TICKS}
     proposals = [one for one in news if one.negotiation > 0]
-    assert sum(one.transmissions for one in proposals) == 2 * TICKS * 4
+    assert sum(one.transmissions for one in proposals) == (iterations - 1) * TICKS * AGENTS
     for one in proposals:
-        ends_s = PERIOD_S / 3.0 * (3 - one.negotiation)
+        ends_s = PERIOD_S / iterations * (iterations - one.negotiation)
         heard = one.arrivals[one.arrivals >= 0.0]
-        assert len(heard) == 4 * 3
+        assert len(heard) == PAIRS
         assert np.all(heard <= ends_s)
 
 
@@ -171,12 +203,13 @@ def test_proposals_at_one_instant_are_not_heard() -> None:
 
 def test_links_act_behind_the_radio() -> None:
     """Delay on the air and delay of the link add up before a plan counts."""
-    link = Link(
-        setup("links.delay_s=0.03").scenario.links, "agent1", "agent2", seed=0, period_s=0.05
-    )
-    assert link.usable_ticks(4, 1, 0.01) == [5]
-    assert link.usable_ticks(4, 1, 0.03) == [6]
-    assert link.usable_ticks(4, 1, 0.13) == [8]
+    links = setup("links.delay_s=0.03").scenario.links
+    link = Link(links, "agent1", "agent2", seed=0, period_s=PERIOD_S)
+    tick = 4
+    # Air 10 ms and link 30 ms: before the next tick, 50 ms later.
+    assert link.usable_ticks(tick, 1, 0.01) == [tick + 1]
+    assert link.usable_ticks(tick, 1, 0.03) == [tick + 2]
+    assert link.usable_ticks(tick, 1, 0.13) == [tick + 4]
 
 
 def test_late_computations_make_plans_late() -> None:
@@ -192,17 +225,13 @@ def test_late_computations_make_plans_late() -> None:
     assert 1 not in ages
 
 
-SLOW = "radio={standard='802.11b',rate_mbps=1.0}"  # a plan takes 12.2 ms
-
-
 def test_the_length_of_a_plan_is_known_before_the_run() -> None:
     """Slots are for plans as long as the longest one."""
     run = setup(ticks(TICKS), *CLOSED_LOOP, "radio={}")
     assert run.scenario.radio is not None
     plans = [one for one in messages_of("radio={}") if isinstance(one, Plan)]
-    assert plan_length(run, run.scenario.radio) - max(len(encode(plan)) for plan in plans) in range(
-        8
-    )
+    longest = max(len(encode(plan)) for plan in plans)
+    assert 0 <= plan_length(run, run.scenario.radio) - longest <= SHORTER_BYTES
 
 
 def test_slots_that_do_not_fit_into_a_period_take_turns() -> None:
@@ -211,22 +240,57 @@ def test_slots_that_do_not_fit_into_a_period_take_turns() -> None:
     arrivals = np.vstack([one.arrivals for one in news])
     sent = np.concatenate([one.of_sent() for one in news])
     replaced = np.count_nonzero(arrivals == REPLACED)
-    assert len(sent) == 2 * (TICKS - 1) * 3
+    receivers = AGENTS - 1
+    assert len(sent) == AGENTS_OF_A_TICK * REPORTED_TICKS * receivers
     assert np.all(sent > 0.0)
-    # At the end two plans wait for their turns.
-    assert len(sent) + replaced == (4 * (TICKS - 1) - 2) * 3
-    assert all(one.transmissions == 2 for one in news)
+    # At the end the plans of the other two agents wait for their turns.
+    waiting = AGENTS - AGENTS_OF_A_TICK
+    assert len(sent) + replaced == (AGENTS * REPORTED_TICKS - waiting) * receivers
+    assert all(one.transmissions == AGENTS_OF_A_TICK for one in news)
+
+
+def test_a_slow_plan_takes_as_long_as_stated() -> None:
+    """Slots of all agents do not fit into a period with `SLOW`, those of two do."""
+    slots = slot_lengths(setup(ticks(TICKS), *CLOSED_LOOP, SLOW))
+    assert slots is not None
+    assert slots.plan_s == pytest.approx(12.322e-3)
+    assert slots.slots == AGENTS_OF_A_TICK
+    assert slots.slots * slots.slot_s == pytest.approx(42e-3)
+    assert AGENTS * slots.plan_s > slots.slots * slots.slot_s
 
 
 def test_replaced_plans_are_not_lost() -> None:
-    """The others use the newest plan that was sent, at most three ticks old, and count no loss."""
+    """The others use the newest plan that was sent, at most two ticks old, and count no loss."""
     reports = [one for one in messages_of(SLOW) if isinstance(one, StepReport)]
     assert lost_of(SLOW) == 0
-    assert {age for one in reports if one.tick > 3 for age in one.plan_ages} == {1, 2}
+    # Each agent has sent once by then.
+    for tick in range(AGENTS // AGENTS_OF_A_TICK, TICKS):
+        assert {age for one in reports if one.tick == tick for age in one.plan_ages} == {1, 2}
+
+
+def test_proposals_of_one_window_all_go_on_the_air() -> None:
+    """Only a plan that waits for the turn of its station is replaced by a newer one.
+
+    With a slot in each exchange no plan waits for another one. So a proposal and the plan that
+    follows it are both sent, even if the radio takes in both before it advances.
+    """
+    run = setup(ticks(TICKS), "radio={}", "controller.negotiation_iterations=2")
+    assert run.scenario.radio is not None
+    radio = TeamRadio(run, run.scenario.radio)
+    following = plan(run, 1, 0)
+    proposal = replace(following, negotiation=1)
+    for one in (proposal, following):
+        radio.send(one, ALL)
+    news = radio.advance(1, run.initial_state())
+    assert news["transmissions"] == 2
+    assert sorted(news["exchanges"]) == [0, 1]
+    arrivals = np.array(news["arrivals"])
+    others = arrivals[:, 1:]  # agent 1 is no receiver of its own plans
+    assert np.all((others > 0.0) & (others <= PERIOD_S))
 
 
 def test_slots_of_one_tick_overlap_if_they_are_too_short() -> None:
-    """With a cycle of one tick the last plans at 1 Mb/s come after the next tick."""
+    """With a cycle of one tick the last plans at 1 Mb/s arrive after the next tick."""
     short = "radio={standard='802.11b',rate_mbps=1.0,cycle_ticks=1}"
     assert REPLACED not in np.vstack([one.arrivals for one in news_of(short)])
     assert max(one.arrivals.max() for one in news_of(short)) > PERIOD_S
@@ -243,25 +307,40 @@ def test_the_first_input_is_enough_under_the_shared_law(changes: tuple[str, ...]
     """Without the later inputs plans are two fifths shorter, and the run has the same bits."""
     whole, first = "radio={inputs='all'}", "radio={inputs='first'}"
     assert states_of(first, *changes) == states_of(whole, *changes)
-    busy_s = [sum(one.busy_s for one in news_of(each, *changes)) for each in (whole, first)]
-    assert 0.55 < busy_s[1] / busy_s[0] < 0.62
+    busy_whole_s = sum(one.busy_s for one in news_of(whole, *changes))
+    busy_first_s = sum(one.busy_s for one in news_of(first, *changes))
+    least, most = FIRST_INPUT_SHARE
+    assert least < busy_first_s / busy_whole_s < most
 
 
 def test_a_long_message_takes_several_frames() -> None:
     """A message beyond the largest frame is cut; none is sent for nothing."""
-    assert frame_lengths(1500) == [1500]
-    assert frame_lengths(2296) == [2296]
-    assert frame_lengths(5000) == [2296, 2296, 408]
+    full = MESSAGE_BYTES
+    assert frame_lengths(full - 1) == [full - 1]
+    assert frame_lengths(full) == [full]
+    assert frame_lengths(2 * full + 408) == [full, full, 408]
 
 
 def test_plans_in_several_frames_arrive_with_the_last() -> None:
-    """An agent of two UAVs with a long horizon sends two frames, and one arrival counts."""
+    """An agent of two UAVs with a long horizon sends three frames, and one arrival counts."""
+    agents = 2
+    frames_of_a_plan = 3
     pairs = ("radio={}", "agents.owned=[[1,2],[3,4]]", "controller.horizon=40")
     news = news_of(*pairs)
     frames = sum(one.transmissions for one in news)
     plans = sum(len(one.agents) for one in news)
-    assert plans == 2 * (TICKS - 1)
-    assert frames > plans
+    assert plans == agents * REPORTED_TICKS
+    assert frames == frames_of_a_plan * plans
+
+    # From the send to the arrival all frames have been on the air.
+    plan_lengths = [len(encode(one)) for one in messages_of(*pairs) if isinstance(one, Plan)]
+    lengths = frame_lengths(min(plan_lengths))
+    assert len(lengths) == frames_of_a_plan
+    rate_mbps = RadioSection().rate_mbps
+    airtime_ns = sum(OFDM.message_airtime_ns(length, rate_mbps) for length in lengths)
+    for one in news:
+        since_sent_s = one.arrivals - one.sent[:, None]
+        assert np.all(since_sent_s[one.arrivals != NO_NEWS] > airtime_ns / NS_PER_S)
 
 
 def test_equal_runs_have_equal_news() -> None:

@@ -10,6 +10,9 @@ from transport.agent.own_run import Run
 from transport.model.arrays import Array
 from transport.protocol.wire.messages import Measurement, Plan
 
+HEIGHT = 2  # place of the payload's height in the state
+SWAY_N = 0.5  # changes of the thrust of `Estimating`, a few per cent of the hover's
+
 
 class Chain:
     """A chain over all that was heard: loss, order, repetition or a bit shows in all that follows.
@@ -19,10 +22,11 @@ class Chain:
     """
 
     version = "1"
+    shape = (2, 2)  # of the data
 
     def start(self, run: Run) -> None:
         """Declare the data."""
-        run.share((2, 2))
+        run.share(self.shape)
         self.run = run
         self.chain = float(run.agent)
         self.errors = 0
@@ -65,16 +69,22 @@ class Chain:
 class Seldom(Chain):
     """A class that sends nothing but at every fifth tick."""
 
+    every = 5  # ticks
+
     def step(self, measurement: Measurement, messages: Sequence[Plan]) -> Step:  # type: ignore[override]
         """Return the full form of a result."""
         self.hear(messages)
         inputs, data, numbers = self.result()
-        numbers |= {"must": self.run.must_send, "heard": len(messages)}
-        return Step(inputs=inputs, data=data, numbers=numbers, send=self.run.tick % 5 == 0)
+        numbers |= {"must_send": self.run.must_send, "heard": len(messages)}
+        send = self.run.tick % self.every == 0
+        return Step(inputs=inputs, data=data, numbers=numbers, send=send)
 
 
 class Estimating:
-    """A class that only looks at the project's estimate."""
+    """A class that moves its UAVs a little and logs the project's estimate.
+
+    The state is logged as x0, x1, ..., the deviation is that of the payload's height.
+    """
 
     def start(self, run: Run) -> None:
         """Ask for the estimate."""
@@ -84,17 +94,22 @@ class Estimating:
     def step(
         self, measurement: Measurement, messages: Sequence[Plan]
     ) -> tuple[Array, dict[str, float]]:
-        """Return level hover by the measurement, and what the estimate says."""
+        """Return level attitudes with a swaying thrust, by the measurement, and the estimate.
+
+        At rest an estimate that never changes would be right.
+        """
         run = self.run
         u = run.u_hover.reshape(-1, 4)[list(run.owned)].copy()
         for row, uav in enumerate(run.owned):
             turn = -100.0 * run.attitude(uav, measurement) - 16.0 * run.body_rate(uav, measurement)
+            u[row, 0] += SWAY_N * math.sin(run.tick + uav)
             u[row, 1:] = run.system.uavs[uav].inertia @ turn
         x = self.estimate.x
         P = self.estimate.covariance
-        names = {f"x{i}": value for i, value in enumerate(x[:60])}
-        deviation = -1.0 if P is None else float(np.sqrt(P[2, 2]))
-        return u.ravel(), {**names, "deviation": deviation}
+        numbers = {f"x{i}": value for i, value in enumerate(x[: run.system.n])}
+        # -1: an estimator without covariance.
+        deviation = -1.0 if P is None else float(np.sqrt(P[HEIGHT, HEIGHT]))
+        return u.ravel(), {**numbers, "deviation": deviation}
 
     def stop(self) -> None:
         """Nothing is open."""
