@@ -15,9 +15,11 @@ from transport.agent.received import Received
 from transport.agent.step import step_report
 from transport.model import state
 from transport.model.arrays import Array
-from transport.mpc.alone import Motion, OwnSensors, ahead, motion_of, steps_alone
+from transport.mpc.alone import steps_alone
 from transport.mpc.alone_team import AloneTeam
+from transport.mpc.own_sensors import OwnSensors
 from transport.mpc.regulation import Regulation
+from transport.mpc.uav_motion import Motion, ahead, motion_of
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import STAGES, Measurement, Message, Plan
 from transport.protocol.wire.node import Outbox
@@ -57,7 +59,11 @@ class AlonePlanner:
 
         self._measurement: Measurement | None = None  # the newest that is usable
         self._held_I = {uav: np.zeros(3) for uav in self._owned}
-        self._sensors = {uav: OwnSensors(system, uav, ages, period_s) for uav in self._owned}
+        tensions_N = self._setup.hover.tensions
+        self._sensors = {
+            uav: OwnSensors(system, uav, float(tensions_N[uav]), ages, period_s)
+            for uav in self._owned
+        }
         # Inputs of the newest plan, (4 owned,); hover until there is a measurement.
         self._inputs: Array = self._setup.hover.u[state.input_indices(self._owned)]
         self._has_planned = False
@@ -161,12 +167,12 @@ class AlonePlanner:
             self._owned, measured.uav_states, measured.inputs, strict=True
         ):
             law = self._team.law(uav)
-            course = self._team.course(uav, start)
+            setpoint = self._team.setpoint(uav, start)
             motion = self._motion(uav, values, float(until[0]), measured, start)
             held_I = self._held_I[uav]
 
-            wanted.append(law.inputs(motion, course, held_I))
-            self._held_I[uav] = law.held(held_I, motion, course, settings.sampling_period_s)
+            wanted.append(law.inputs(motion, setpoint, held_I))
+            self._held_I[uav] = law.held(held_I, motion, setpoint, settings.sampling_period_s)
 
         before = self._inputs_before(measured)
         step = settings.largest_step(len(self._owned))
@@ -192,8 +198,11 @@ class AlonePlanner:
         """
         system = self._setup.system
         tick = measured.tick
+        reference = self._reference(uav)
         if self._setup.sensors.vehicle:
-            return self._sensors[uav].motion(values, thrust_N, tick, start, self._reference(uav))
+            sensors = self._sensors[uav]
+            sensors.observe(values, thrust_N, tick, reference)
+            return sensors.motion(values, tick, start, reference)
         x = np.zeros(system.n)
         x[: state.PAYLOAD] = measured.payload
         x[state.uav_slice(uav)] = values
@@ -201,12 +210,12 @@ class AlonePlanner:
             motion_of(system, uav, x),
             tick,
             start,
-            self._reference(uav),
+            reference,
             self._setup.settings.sampling_period_s,
         )
 
     def _reference(self, uav: int) -> Callable[[int], Motion]:
-        return lambda tick: self._team.course(uav, tick).motion
+        return lambda tick: self._team.setpoint(uav, tick).motion
 
     def _said(self, k: int) -> Array:
         """Return the states of the own UAVs for the plan of tick k, as measured.

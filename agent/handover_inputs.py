@@ -10,8 +10,10 @@ from transport.agent.team_estimate import TeamEstimate
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.rotations import rotation
-from transport.mpc.alone import Motion, OwnSensors, motion_of, steps_alone
+from transport.mpc.alone import steps_alone
+from transport.mpc.own_sensors import OwnSensors
 from transport.mpc.prediction import Linear
+from transport.mpc.uav_motion import Motion, motion_of
 from transport.protocol.scenario.setup import Setup
 
 # Time over which the thrust of the team, that the integral begins with, is averaged, s.
@@ -64,14 +66,17 @@ class HandOver:
         return np.clip(inputs, settings.lower(count), settings.upper(count))
 
     def _alone(self, uav: int, k: int, start: int, x: Array, steps: int) -> Array:
-        """Return the inputs of a UAV alone over a plan, (steps, 4): the course, and a deviation that fades."""
-        law, course = self._team.alone(uav, start)
+        """Return the inputs of a UAV alone over a plan, (steps, 4).
+
+        Those of the setpoints, and a deviation that fades.
+        """
+        law, setpoint = self._team.alone(uav, start)
         if uav not in self._held_I:
             self._held_I[uav] = self._preload(uav, k)
         held_I = self._held_I[uav]
         motion = self._motion(uav, k, start, x)
-        deviation = law.inputs(motion, course, held_I) - course.inputs
-        self._held_I[uav] = law.held(held_I, motion, course, self._period_s)
+        deviation = law.inputs(motion, setpoint, held_I) - setpoint.inputs
+        self._held_I[uav] = law.held(held_I, motion, setpoint, self._period_s)
 
         fading = np.exp(-self._period_s / _FADES_S * np.arange(steps))
         ahead = self._team.alone_ahead(uav, start, steps)
@@ -80,27 +85,30 @@ class HandOver:
     def _motion(self, uav: int, k: int, start: int, x: Array) -> Motion:
         """Return the motion of a UAV at tick `start` by its own sensors.
 
-        Where they are silent: by the estimate, (n,).
+        Without measurements of tick k: by the estimate, (n,).
         """
         system, estimator = self._setup.system, self._team.estimator
-
-        def course(tick: int) -> Motion:
-            return self._team.alone(uav, tick)[1].motion
-
         if not isinstance(estimator, SensorEstimator):
             return motion_of(system, uav, x)
+
+        def reference(tick: int) -> Motion:
+            return self._team.alone(uav, tick)[1].motion
+
         since = k
         if uav not in self._sensors:
-            self._sensors[uav] = OwnSensors(system, uav, self._setup.sensors.ages, self._period_s)
+            tension_N = float(self._setup.hover.tensions[uav])
+            ages = self._setup.sensors.ages
+            self._sensors[uav] = OwnSensors(system, uav, tension_N, ages, self._period_s)
             since = max(0, k - round(_PRELOAD_S / self._period_s))
+        sensors = self._sensors[uav]
         motion = motion_of(system, uav, x)
         for tick in range(since, k + 1):
             told = estimator.told(tick, uav)
-            if told is not None and told.inputs is not None:
-                thrust_N = float(told.inputs[0])
-                motion = self._sensors[uav].motion(
-                    told.values, thrust_N, tick, start - k + tick, course
-                )
+            if told is None or told.inputs is None:
+                continue
+            sensors.observe(told.values, float(told.inputs[0]), tick, reference)
+            if tick == k:
+                motion = sensors.motion(told.values, k, start, reference)
         return motion
 
     def _preload(self, uav: int, k: int) -> Array:
@@ -110,10 +118,10 @@ class HandOver:
             x = self._team.estimator.past(tick)
             if x is None:
                 continue
-            law, course = self._team.alone(uav, tick)
+            law, setpoint = self._team.alone(uav, tick)
             motion = motion_of(self._setup.system, uav, x)
             thrust_N = self._team.announced.in_force(tick, before=k)[state.input_slice(uav)][0]
             applied_I = -thrust_N * rotation(motion.Theta)[:, 2]
-            differences.append(applied_I - law.force(motion, course))
+            differences.append(applied_I - law.force(motion, setpoint))
         law, _ = self._team.alone(uav, k)
         return law.within(np.mean(differences, axis=0)) if differences else np.zeros(3)

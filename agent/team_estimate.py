@@ -15,11 +15,11 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.model.hover import motor_off_state, released_state
 from transport.mpc.alone import AloneLaw
-from transport.mpc.alone import Course as OwnCourse
 from transport.mpc.alone_team import AloneTeam
 from transport.mpc.controller import Controller
 from transport.mpc.course import Course
 from transport.mpc.prediction import Prediction
+from transport.mpc.uav_motion import Setpoint
 from transport.protocol.scenario.setup import Setup
 
 _NO_UAVS: frozenset[int] = frozenset()
@@ -124,13 +124,13 @@ class TeamEstimate:
         by_others = heard.most_said(before=k) - LESS_THAN_OTHERS
         return max(by_age, by_others)
 
-    def alone(self, uav: int, tick: int) -> tuple[AloneLaw, OwnCourse]:
-        """Return control law and course of a UAV, 0-based, alone."""
-        return self._alone.law(uav), self._alone.course(uav, tick)
+    def alone(self, uav: int, tick: int) -> tuple[AloneLaw, Setpoint]:
+        """Return control law and setpoint of a UAV, 0-based, alone."""
+        return self._alone.law(uav), self._alone.setpoint(uav, tick)
 
     def alone_ahead(self, uav: int, first: int, steps: int) -> Array:
-        """Return the inputs on the course of a UAV, 0-based, alone, over a horizon, (steps, 4)."""
-        return self._alone.course_inputs(uav, first, steps)
+        """Return the inputs of the setpoints of a UAV, 0-based, alone, over a horizon, (steps, 4)."""
+        return self._alone.setpoint_inputs(uav, first, steps)
 
     def _by_law_alone(self, uav: int, tick: int, x: Array) -> Array:
         """Return the inputs of a UAV alone, (4,): its integral has followed its part of the forces."""

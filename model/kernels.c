@@ -784,11 +784,11 @@ typedef struct {
     double stiffness[9], damping[9];    /* of the attitude loop */
 } alone_law;
 
-/* The motion that it follows, and the inputs that belong to it. */
+/* What it follows at an instant: a motion, and the inputs that belong to it. */
 typedef struct {
     double position[3], velocity[3], Theta[3], omega[3], rod[3], swing[3];
     double force[3], turning[3];
-} alone_course;
+} alone_setpoint;
 
 /* R = Rz(yaw) Ry(pitch) Rx(roll): (2). */
 static void rotation(const double *Theta, double *R)
@@ -828,7 +828,7 @@ static void attitude(const double *force, double yaw, double *roll, double *pitc
 
 /* Inputs u of a UAV alone at a state of the team, before limits: (31a), (31b). `own` is its part of the state,
    `held` the force of its integral. */
-void alone_inputs(const double *x, const double *own, const alone_law *law, const alone_course *course,
+void alone_inputs(const double *x, const double *own, const alone_law *law, const alone_setpoint *setpoint,
                   const double *held, double *u)
 {
     const double *v0 = x + 3, *Theta0 = x + 6, *omega0 = x + 9;
@@ -853,26 +853,26 @@ void alone_inputs(const double *x, const double *own, const alone_law *law, cons
     /* F = F_ref + M (k_p (p_ref - p) + k_v (v_ref - v) - k_s (s - s_ref)) + g, the swing s level: (31a). */
     double force[3];
     for (int i = 0; i < 3; i++) {
-        const double error = course->position[i] - (x[i] + to_uav[i]);
-        const double slower = course->velocity[i] - velocity[i];
-        const double swinging = i < 2 ? swing[i] - course->swing[i] : 0.0;
+        const double error = setpoint->position[i] - (x[i] + to_uav[i]);
+        const double slower = setpoint->velocity[i] - velocity[i];
+        const double swinging = i < 2 ? swing[i] - setpoint->swing[i] : 0.0;
         const double acceleration = law->position * error + law->velocity * slower - law->swing * swinging;
-        force[i] = course->force[i] + law->masses[i] * acceleration + held[i];
+        force[i] = setpoint->force[i] + law->masses[i] * acceleration + held[i];
     }
 
-    /* The attitude whose thrust has that direction, near the one of the course; thrust along the own axis: (31b). */
+    /* The attitude whose thrust has that direction, near the one of the setpoint; thrust along the own axis: (31b). */
     double roll, pitch, roll_ref, pitch_ref;
     attitude(force, Theta[2], &roll, &pitch);
-    attitude(course->force, Theta[2], &roll_ref, &pitch_ref);
+    attitude(setpoint->force, Theta[2], &roll_ref, &pitch_ref);
     const double error[3] = {Theta[0] - (roll_ref + within(roll - roll_ref, law->steepest)),
                              Theta[1] - (pitch_ref + within(pitch - pitch_ref, law->steepest)),
-                             remainder(Theta[2] - course->Theta[2], TURN)};
+                             remainder(Theta[2] - setpoint->Theta[2], TURN)};
     double turned_faster[3], stiff[3], damped[3];
-    for (int i = 0; i < 3; i++) turned_faster[i] = omega[i] - course->omega[i];
+    for (int i = 0; i < 3; i++) turned_faster[i] = omega[i] - setpoint->omega[i];
     times(law->stiffness, error, stiff);
     times(law->damping, turned_faster, damped);
     u[0] = -(R[2] * force[0] + R[5] * force[1] + R[8] * force[2]);
-    for (int i = 0; i < 3; i++) u[1 + i] = course->turning[i] - stiff[i] - damped[i];
+    for (int i = 0; i < 3; i++) u[1 + i] = setpoint->turning[i] - stiff[i] - damped[i];
 }
 
 #define PIVOTS 16 /* rows of the factor per update of the remaining matrix */

@@ -14,13 +14,14 @@ from transport.model import native
 from transport.model.arrays import Array
 from transport.model.hover import Hover
 from transport.model.linearisation import Model
-from transport.mpc.alone import AloneLaw, Course, course_of, motion_of
-from transport.mpc.compiled_alone import CompiledAloneLaw, CompiledCourse
+from transport.mpc.alone import AloneLaw
+from transport.mpc.compiled_alone import CompiledAloneLaw, CompiledSetpoint
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.forming import undisturbed
 from transport.mpc.reference import Sampled
 from transport.mpc.regulation import Regulation
 from transport.mpc.settings import ControllerSettings
+from transport.mpc.uav_motion import Setpoint, motion_of, setpoint_of
 from transport.mpc.undisturbed import UndisturbedMotion
 
 _KEPT = 512  # ticks: more than estimators look back and horizons ahead
@@ -30,7 +31,7 @@ _LEAD_S = 10.0
 
 
 class AloneTeam:
-    """Control laws and courses of the UAVs of a team, alone, along a reference."""
+    """Control laws and setpoints of the UAVs of a team, alone, along a reference."""
 
     def __init__(
         self,
@@ -60,59 +61,61 @@ class AloneTeam:
         self._off, self._released = frozenset(off), frozenset(released)
         # Those left follow the reference itself.
         self._left = self._on_reference.of_team(off, released)
-        self._courses: dict[tuple[int, int], Course] = {}
-        self._compiled_courses: dict[tuple[int, int], CompiledCourse] = {}
+        self._setpoints: dict[tuple[int, int], Setpoint] = {}
+        self._compiled_setpoints: dict[tuple[int, int], CompiledSetpoint] = {}
         self._compiled_laws: dict[int, CompiledAloneLaw] = {}
 
     def law(self, uav: int) -> AloneLaw:
         """Return the control law of a UAV, 0-based."""
         return self._left.law(uav)
 
-    def course(self, uav: int, tick: int) -> Course:
-        """Return what a UAV, 0-based, follows at a tick."""
+    def setpoint(self, uav: int, tick: int) -> Setpoint:
+        """Return the setpoint of a UAV, 0-based, at a tick."""
         tick = max(tick, 0)
         self._renew(tick)
-        return self._kept_course(uav, tick)
+        return self._kept_setpoint(uav, tick)
 
-    def course_inputs(self, uav: int, first: int, steps: int) -> Array:
-        """Return the inputs on the course of a UAV, 0-based, from a tick >= 0 on, (steps, 4)."""
+    def setpoint_inputs(self, uav: int, first: int, steps: int) -> Array:
+        """Return the inputs of the setpoints of a UAV, 0-based, from a tick >= 0 on, (steps, 4)."""
         self._renew(first)
         ticks = range(first, first + steps)
-        return np.array([self._kept_course(uav, tick).inputs for tick in ticks])
+        return np.array([self._kept_setpoint(uav, tick).inputs for tick in ticks])
 
     def inputs(self, uav: int, x: Array, tick: int, held_I: Array | None = None) -> Array:
         """Return the inputs of a UAV, 0-based, alone at a state, (n,), before limits, (4,)."""
-        course = self.course(uav, tick)
+        setpoint = self.setpoint(uav, tick)
         if not native.AVAILABLE:
-            return self.law(uav).inputs(motion_of(self._system, uav, x), course, held_I)
+            return self.law(uav).inputs(motion_of(self._system, uav, x), setpoint, held_I)
         if uav not in self._compiled_laws:
             self._compiled_laws[uav] = CompiledAloneLaw(self._system, uav, self.law(uav))
-        return self._compiled_laws[uav].inputs(x, self._compiled_course(uav, tick, course), held_I)
+        return self._compiled_laws[uav].inputs(
+            x, self._compiled_setpoint(uav, tick, setpoint), held_I
+        )
 
-    def _compiled_course(self, uav: int, tick: int, course: Course) -> CompiledCourse:
-        """Return the course of a UAV at a tick as the kernel reads it."""
-        compiled = self._compiled_courses.get((uav, tick))
-        if compiled is None or compiled.course is not course:
-            while len(self._compiled_courses) > _KEPT * self._system.N:
-                del self._compiled_courses[next(iter(self._compiled_courses))]
-            compiled = CompiledCourse(course)
-            self._compiled_courses[uav, tick] = compiled
+    def _compiled_setpoint(self, uav: int, tick: int, setpoint: Setpoint) -> CompiledSetpoint:
+        """Return the setpoint of a UAV at a tick as the kernel reads it."""
+        compiled = self._compiled_setpoints.get((uav, tick))
+        if compiled is None or compiled.setpoint is not setpoint:
+            while len(self._compiled_setpoints) > _KEPT * self._system.N:
+                del self._compiled_setpoints[next(iter(self._compiled_setpoints))]
+            compiled = CompiledSetpoint(setpoint)
+            self._compiled_setpoints[uav, tick] = compiled
         return compiled
 
-    def _kept_course(self, uav: int, tick: int) -> Course:
-        """Return the course of a UAV at a tick >= 0 under the newest law, computed once."""
-        course = self._courses.get((uav, tick))
-        if course is None:
-            while len(self._courses) > _KEPT * self._system.N:
-                del self._courses[next(iter(self._courses))]
-            course = self._course(uav, tick)
-            self._courses[uav, tick] = course
-        return course
+    def _kept_setpoint(self, uav: int, tick: int) -> Setpoint:
+        """Return the setpoint of a UAV at a tick >= 0 under the newest law, computed once."""
+        setpoint = self._setpoints.get((uav, tick))
+        if setpoint is None:
+            while len(self._setpoints) > _KEPT * self._system.N:
+                del self._setpoints[next(iter(self._setpoints))]
+            setpoint = self._setpoint(uav, tick)
+            self._setpoints[uav, tick] = setpoint
+        return setpoint
 
-    def _course(self, uav: int, tick: int) -> Course:
+    def _setpoint(self, uav: int, tick: int) -> Setpoint:
         if self._off or self._motion is None:
-            return self._left.course(uav, tick)
-        return course_of(self._system, uav, *self._motion.at(tick))
+            return self._left.setpoint(uav, tick)
+        return setpoint_of(self._system, uav, *self._motion.at(tick))
 
     def _renew(self, tick: int) -> None:
         """Take the motion under the newest law, asked for at a tick first."""
@@ -127,4 +130,4 @@ class AloneTeam:
         self._version = law.gain_source
         first = max(0, tick - round(_LEAD_S / settings.sampling_period_s))
         self._motion = undisturbed(law, self._reference, first)
-        self._courses.clear()
+        self._setpoints.clear()

@@ -1,6 +1,6 @@
 """The law of a UAV alone at a state of the team, by the compiled kernel.
 
-`model/kernels.c` computes what `mpc.alone.motion_of` and `AloneLaw.inputs` do, in a tenth of the time:
+`model/kernels.c` computes what `mpc.uav_motion.motion_of` and `AloneLaw.inputs` do, in a tenth of the time:
 on a late network an agent asks for the inputs of others alone at every tick that it estimates again.
 """
 
@@ -9,16 +9,17 @@ import numpy as np
 from transport.model import native, state
 from transport.model.arrays import Array
 from transport.model.parameters import System
-from transport.mpc.alone import AloneLaw, Course
+from transport.mpc.alone import AloneLaw
+from transport.mpc.uav_motion import Setpoint
 
 
-class CompiledCourse:
-    """A course as the kernel reads it."""
+class CompiledSetpoint:
+    """A setpoint as the kernel reads it."""
 
-    def __init__(self, course: Course) -> None:
-        self.course = course
-        motion = course.motion
-        # In the order of the struct `alone_course`.
+    def __init__(self, setpoint: Setpoint) -> None:
+        self.setpoint = setpoint
+        motion = setpoint.motion
+        # In the order of the struct `alone_setpoint`.
         self._numbers = np.concatenate(
             [
                 motion.position_I,
@@ -27,8 +28,8 @@ class CompiledCourse:
                 motion.omega_B,
                 motion.rod_I,
                 motion.swing_I,
-                course.force_I,
-                course.turning,
+                setpoint.force_I,
+                setpoint.turning,
             ]
         )
         self.address = native.address(self._numbers)
@@ -48,12 +49,12 @@ class CompiledAloneLaw:
         self._before = x, own, native.address(self._law)
         self._held_address = native.address(self._held_I)
 
-    def inputs(self, x: Array, course: CompiledCourse, held_I: Array | None = None) -> Array:
+    def inputs(self, x: Array, setpoint: CompiledSetpoint, held_I: Array | None = None) -> Array:
         """Return the inputs at a state of the team, (n,), before limits, (4,)."""
         u = np.empty(state.INPUTS)
         self._x[:] = x
         self._held_I[:] = 0.0 if held_I is None else held_I
         native.KERNELS.alone_inputs(
-            *self._before, course.address, self._held_address, native.address(u)
+            *self._before, setpoint.address, self._held_address, native.address(u)
         )
         return u

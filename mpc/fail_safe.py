@@ -13,18 +13,11 @@ from transport.model.flat import Track
 from transport.model.hover import hover_after_failures, with_released
 from transport.model.identity import digest
 from transport.model.parameters import ParameterError, System
-from transport.mpc.alone import AloneLaw, Course, course_of, motion_of
+from transport.mpc.alone import AloneLaw
+from transport.mpc.attitude_loop import LEVELLING, attitude_loop
+from transport.mpc.uav_motion import Setpoint, motion_of, setpoint_of
 from transport.mpc.undisturbed import UndisturbedMotion
 
-# Attitude loop on moments: slow enough for the moment limits of small quadrotors, faster than the
-# pendulum of a rod.
-_FREQUENCY_RAD_S = 6.0
-_DAMPING = 0.8
-
-# Attitude loop around an inner loop on body rates, as usual autopilots: critical damping at a
-# quarter of the inner loop's gain, 1/s, and the largest gain, 1/s.
-_CRITICAL = 0.25
-_LARGEST_GAIN = 6.0
 # Time for which a UAV plays its last plan before it flies alone, s: plans that are
 # lost on their way to the actuators, or late, are bridged.
 _PLAYED_S = 0.4
@@ -109,8 +102,8 @@ class FailSafe:
         """Return the control law of a UAV, 0-based, alone."""
         return self._laws[uav]
 
-    def course(self, uav: int, tick: int) -> Course:
-        """Return what a UAV, 0-based, follows at a tick.
+    def setpoint(self, uav: int, tick: int) -> Setpoint:
+        """Return the setpoint of a UAV, 0-based, at a tick.
 
         Raises: ValueError: it keeps level.
         """
@@ -118,11 +111,11 @@ class FailSafe:
             raise ValueError("expected a fail-safe that follows, got one that keeps level")
         if self.track is not None:
             row = rows(tick - self.track.first, 1, len(self.track.U))
-            return course_of(self._system, uav, self.track.X[row][0], self.track.U[row][0])
+            return setpoint_of(self._system, uav, self.track.X[row][0], self.track.U[row][0])
         if self.motion is not None:
-            return course_of(self._system, uav, *self.motion.at(tick))
+            return setpoint_of(self._system, uav, *self.motion.at(tick))
         x_ref = self._X_ref[min(tick, len(self._X_ref) - 1)]
-        return course_of(self._system, uav, x_ref, self.u_hover)
+        return setpoint_of(self._system, uav, x_ref, self.u_hover)
 
     def gain(self, uav: int) -> Array:
         """Return the linearised feedback from the state to a UAV's inputs, (4, n).
@@ -136,10 +129,10 @@ class FailSafe:
         return gain
 
     def gain_along(self, uav: int, x: Array, tick: int) -> Array:
-        """Return the linearised feedback at a state of the team on its course, (4, n): (31g)."""
+        """Return the linearised feedback where the team, in a state (n,), is on the setpoint, (4, n): (31g)."""
         if not self.follows:
             return self.gain(uav)
-        return self._laws[uav].gain_along(x, self.course(uav, tick))
+        return self._laws[uav].gain_along(x, self.setpoint(uav, tick))
 
     def inputs(self, uav: int, x: Array, tick: int, held_I: Array | None = None) -> Array:
         """Return the inputs of one UAV, 0-based, at a state at t_k, (n,), before limits, (4,).
@@ -149,7 +142,7 @@ class FailSafe:
         """
         if self.follows:
             motion = motion_of(self._system, uav, x)
-            return self._laws[uav].inputs(motion, self.course(uav, tick), held_I)
+            return self._laws[uav].inputs(motion, self.setpoint(uav, tick), held_I)
         only_thrust = np.array([1.0, 0.0, 0.0, 0.0])
         at_rest: Array = self.u_hover[state.input_slice(uav)] * only_thrust
         return at_rest + self._gains[uav] @ x[state.uav_slice(uav)]
@@ -159,18 +152,13 @@ class FailSafe:
         if not self.follows:
             return held_I
         motion = motion_of(self._system, uav, x)
-        return self._laws[uav].held(held_I, motion, self.course(uav, tick), period_s)
+        return self._laws[uav].held(held_I, motion, self.setpoint(uav, tick), period_s)
 
 
 def _attitude_gain(system: System, uav: int) -> Array:
     """Return the feedback on a UAV's own state that levels it, (4, 12): (31), (58)."""
-    level = np.diag([1.0, 1.0, 0.0])  # the heading is free
-    inertia = system.uavs[uav].inertia
+    loop = attitude_loop(system, uav, LEVELLING, heading=0.0)  # the heading is free
     gain = np.zeros((state.INPUTS, state.PER_UAV))
-    if system.rate_gains is not None:
-        by_axis = np.minimum(_CRITICAL * system.rate_gains, _LARGEST_GAIN)
-        gain[1:, state.THETA] = -np.diag(by_axis) @ level
-    else:
-        gain[1:, state.THETA] = -(_FREQUENCY_RAD_S**2) * inertia @ level
-        gain[1:, state.OMEGA] = -2.0 * _DAMPING * _FREQUENCY_RAD_S * inertia
+    gain[1:, state.THETA] = -loop.stiffness
+    gain[1:, state.OMEGA] = -loop.damping
     return gain

@@ -8,9 +8,9 @@ import pytest
 from tests.support import runs
 from transport.model import native
 from transport.model.arrays import Array
-from transport.mpc.alone import motion_of
 from transport.mpc.alone_team import AloneTeam
 from transport.mpc.regulation import Regulation
+from transport.mpc.uav_motion import motion_of
 from transport.protocol.scenario.setup import Setup
 
 TICK = 40
@@ -24,13 +24,13 @@ def team_of(setup: Setup) -> AloneTeam:
 
 
 def expected(team: AloneTeam, setup: Setup, uav: int, x: Array, held_I: Array) -> Array:
-    """Return the inputs of a UAV by its present law and course."""
-    return team.law(uav).inputs(motion_of(setup.system, uav, x), team.course(uav, TICK), held_I)
+    """Return the inputs of a UAV by its present law and setpoint."""
+    return team.law(uav).inputs(motion_of(setup.system, uav, x), team.setpoint(uav, TICK), held_I)
 
 
 @pytest.mark.parametrize("compiled", [False, True], ids=["Python", "kernel"])
 def test_inputs_follow_the_present_team(*, compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """After a failure, a release and another reference no law and no course is that of before."""
+    """After a failure, a release and another reference no law and no setpoint is that of before."""
     if compiled and not native.AVAILABLE:
         pytest.skip("no compiled kernels")
     monkeypatch.setattr(native, "AVAILABLE", compiled)

@@ -20,12 +20,12 @@ def test_level_is_linear_in_the_attitude() -> None:
         np.testing.assert_allclose(level.inputs(uav, x, 0), rest + level.gain(uav) @ x)
 
 
-def test_level_has_no_course() -> None:
+def test_level_has_no_setpoint() -> None:
     """A fail-safe that keeps level has no part of a reference, and its integral stays."""
     level = FailSafe(SYSTEM, AT_REST.u)
     assert not level.follows
     with pytest.raises(ValueError, match="keeps level"):
-        level.course(0, 0)
+        level.setpoint(0, 0)
     held = np.array([1.0, 2.0, 3.0])
     np.testing.assert_array_equal(level.held(0, AT_REST.x, 0, held, 0.05), held)
 

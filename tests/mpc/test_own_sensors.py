@@ -1,0 +1,143 @@
+"""The motion of one UAV by its own sensors alone (docs/equations.md (31d), (31e))."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.hover import hover
+from transport.model.parameters import table_1
+from transport.mpc.own_sensors import OwnSensors
+from transport.mpc.uav_motion import Motion, motion_of
+
+SYSTEM = table_1()
+AT_REST = hover(SYSTEM)
+UAV, PERIOD_S = 1, 0.05
+THRUST_N = float(AT_REST.u[state.INPUTS * UAV])
+TENSION_N = float(AT_REST.tensions[UAV])
+DOWN = np.array([0.0, 0.0, 1.0])
+ROUNDING = 1e-9
+# Trapezoids and sums of a pendulum over seconds, and the lag of the observer: a tenth of the swing.
+OBSERVED = 0.15
+# Noise of the specific force in `eight`, m/s^2: a small accelerometer between vibrating rotors.
+NOISE_MPS2 = 0.3
+# Bound of the speed of the rod's end that this noise makes of a taut rod: 3.5 deg of direction, 0.2 m of
+# the rod's end, changes the speed by 0.09 m/s in a period.
+NOISE_MPS = 0.5
+
+
+def own_sensors(ages: Sequence[int] = (0,) * 5) -> OwnSensors:
+    """Return the observer of a UAV of the paper's team."""
+    return OwnSensors(SYSTEM, UAV, TENSION_N, ages, PERIOD_S)
+
+
+def measured(rest: Motion, pull_I: Array) -> Array:
+    """Return the measurements, (15,), of a level UAV at rest whose rod has a force, (3,), N."""
+    z = np.zeros(state.SENSED)
+    z[state.POSITION] = rest.position_I
+    z[state.SPECIFIC_FORCE] = (pull_I - THRUST_N * DOWN) / SYSTEM.uavs[UAV].mass
+    return z
+
+
+def test_the_observer_sees_the_swing() -> None:
+    """From the specific force of a resting UAV under a swinging rod, velocity and place of its end are those of it."""
+    sensors = own_sensors()
+    uav, thrust_N = SYSTEM.uavs[UAV], float(AT_REST.u[4 * UAV])
+    rest = motion_of(SYSTEM, UAV, AT_REST.x)
+    frequency = np.sqrt(SYSTEM.gravity / uav.rod_length)
+    swing_m, errors = 0.3, []
+    for k in range(200):
+        end_I = np.array([swing_m * np.sin(frequency * k * PERIOD_S), 0.0, 0.0])
+        end_I[2] = np.sqrt(uav.rod_length**2 - end_I[0] ** 2)
+        z = np.zeros(state.SENSED)
+        z[state.POSITION] = rest.position_I
+        z[state.SPECIFIC_FORCE] = (7.0 * end_I / uav.rod_length - [0.0, 0.0, thrust_N]) / uav.mass
+        sensors.observe(z, thrust_N, k, lambda _: rest)
+        motion = sensors.motion(z, k, k, lambda _: rest)
+        errors.append(motion.swing_I[0] - swing_m * frequency * np.cos(frequency * k * PERIOD_S))
+    assert np.sqrt(np.mean(np.square(errors[60:]))) < np.sqrt(
+        0.5
+    ) * 2.0 * swing_m * frequency * np.sqrt(OBSERVED)
+
+
+@pytest.mark.parametrize(
+    "pull_N", [0.0, -0.5 * TENSION_N, -TENSION_N], ids=["slack", "pushes", "pushes more"]
+)
+def test_a_rod_without_tension_shows_no_direction(pull_N: float) -> None:
+    """While a payload falls, or its rod pushes, the swing stays at what noise makes of a taut rod.
+
+    The force is then noise, of any direction, or has the direction opposite to the rod's: taken for a
+    rod it is metres beside it.
+    """
+    rng = np.random.default_rng(7)
+    sensors = own_sensors()
+    rest = motion_of(SYSTEM, UAV, AT_REST.x)
+    pulls_N = [TENSION_N] * 60 + [pull_N] * 60 + [TENSION_N] * 60
+    for k, tension_N in enumerate(pulls_N):
+        noise_N = SYSTEM.uavs[UAV].mass * NOISE_MPS2 * rng.standard_normal(3)
+        z = measured(rest, tension_N * DOWN + noise_N)
+        sensors.observe(z, THRUST_N, k, lambda _: rest)
+        motion = sensors.motion(z, k, k, lambda _: rest)
+        assert np.linalg.norm(motion.swing_I - rest.swing_I) < NOISE_MPS
+
+
+def test_a_rod_with_half_its_tension_is_observed() -> None:
+    """A payload that sinks at half of gravity still shows where its rods lean."""
+    sensors = own_sensors()
+    rest = motion_of(SYSTEM, UAV, AT_REST.x)
+    leaning_I = np.array([np.sin(0.2), 0.0, np.cos(0.2)])
+    z = measured(rest, 0.5 * TENSION_N * leaning_I)
+    for k in range(100):
+        sensors.observe(z, THRUST_N, k, lambda _: rest)
+    motion = sensors.motion(z, 99, 99, lambda _: rest)
+    np.testing.assert_allclose(motion.rod_I, SYSTEM.uavs[UAV].rod_length * leaning_I, atol=1e-3)
+
+
+def test_the_motion_is_only_read() -> None:
+    """However often the motion is asked for, the estimate of the rod is that of the observations."""
+    sensors = own_sensors()
+    rest = motion_of(SYSTEM, UAV, AT_REST.x)
+    z = measured(rest, TENSION_N * np.array([0.3, 0.0, 0.9]))
+    sensors.observe(z, THRUST_N, 0, lambda _: rest)
+    first, second = (sensors.motion(z, 0, 0, lambda _: rest) for _ in range(2))
+    np.testing.assert_array_equal(first.rod_I, second.rod_I)
+    np.testing.assert_array_equal(first.swing_I, second.swing_I)
+
+
+@pytest.mark.parametrize("ages", [(0, 0, 0, 0, 0), (3, 0, 2, 0, 0)])
+@pytest.mark.parametrize("ahead", [0, 1])
+def test_late_sensors_show_deviations_that_go_on(ages: tuple[int, ...], ahead: int) -> None:
+    """A UAV that deviates from a moving reference at constant rates is seen where it is, (31e)."""
+    sensors = own_sensors(ages)
+    rest = motion_of(SYSTEM, UAV, AT_REST.x)
+    drift, turning, moving = (
+        np.array([0.1, -0.2, 0.3]),
+        np.array([0.2, 0.1, -0.1]),
+        np.array([2.0, 0.0, 0.0]),
+    )
+
+    def reference(tick: int) -> Motion:
+        return Motion(
+            position_I=rest.position_I + PERIOD_S * tick * moving,
+            velocity_I=moving,
+            Theta=rest.Theta,
+            omega_B=rest.omega_B,
+            rod_I=rest.rod_I,
+            swing_I=rest.swing_I,
+        )
+
+    k = 10
+    z = np.zeros(state.SENSED)
+    z[state.POSITION] = reference(k - ages[0]).position_I + PERIOD_S * (k - ages[0]) * drift
+    z[state.VELOCITY] = moving + drift
+    z[state.THETA] = PERIOD_S * (k - ages[2]) * turning
+    z[state.OMEGA] = turning
+    motion = sensors.motion(z, k, k + ahead, reference)
+    there = PERIOD_S * (k + ahead)
+    np.testing.assert_allclose(
+        motion.position_I, reference(k + ahead).position_I + there * drift, atol=ROUNDING
+    )
+    np.testing.assert_allclose(motion.Theta, there * turning, atol=ROUNDING)
+    np.testing.assert_allclose(motion.velocity_I, moving + drift, atol=ROUNDING)
