@@ -19,11 +19,21 @@ pytest.importorskip("rosbags", reason="needs the extra ros2")
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from transport.report.ros2 import TARGET, GoalError, cdr, goal_in, types, write_bag
+from transport.cli.ros2 import PacedStart
+from transport.report.ros2 import (
+    TARGET,
+    GoalError,
+    Ros2Messages,
+    cdr,
+    goal_in,
+    types,
+    write_bag,
+)
 
 PHASES = [{"name": "move", "duration_s": 0.5, "displacement_m": [0.1, 0.05, -0.2]}]
 # Central differences over 50 ms of a motion with a jerk of 20 m/s^3 at most.
 SLOPE_MPS = 0.01
+ROUNDING = 1e-12  # m, rad/s
 # As ROS 2 publishes them (since Iron).
 HASHES = {
     "geometry_msgs/msg/PoseStamped": "RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8",
@@ -74,6 +84,14 @@ def test_the_bag_holds_the_run(tmp_path: Path) -> None:
         [[getattr(t.twist.linear, axis) for axis in "xyz"] for t in found["/uav2/twist"]]
     )
     np.testing.assert_allclose((places[2:] - places[:-2]) / 0.1, speeds[1:-1], atol=SLOPE_MPS)
+    # Twists and the goal are stated in the inertial frame.
+    angular = [[getattr(t.twist.angular, axis) for axis in "xyz"] for t in found["/uav2/twist"]]
+    omega_I = [rotation(view.Theta[k, 1]) @ view.omega_B[k, 1] for k in range(10)]
+    np.testing.assert_allclose(angular, omega_I, atol=ROUNDING)
+    goals = [[getattr(p.pose.position, axis) for axis in "xyz"] for p in found["/reference/pose"]]
+    times_s = np.linspace(0.0, 9 * setup.settings.sampling_period_s, 10)
+    goals_I, _ = setup.maneuver.path(times_s)
+    np.testing.assert_allclose(goals, goals_I, atol=ROUNDING)
     tree = {t.child_frame_id: t.header.frame_id for t in found["/tf"][-1].transforms}
     assert tree["inertial"] == "map"
     assert {tree[name] for name in (*bodies, "rod1")} == {"inertial"}
@@ -81,6 +99,29 @@ def test_the_bag_holds_the_run(tmp_path: Path) -> None:
     assert {marker.type for marker in first} == {5, 9, 11}
     assert {marker.header.frame_id for marker in [*first, *last]} <= {*tree}
     assert len(first) > len(last) > 0
+
+
+@pytest.mark.parametrize("speed", [1.0, 0.5])
+def test_plans_are_paths_in_the_time_of_their_stamps(speed: float) -> None:
+    """The points of a plan are those that the agent predicts, as far apart in time as ticks by the wall clock."""
+    run = transport.fly("resilient", phases=PHASES, progress=False)
+    setup = Setup.of(run.scenario.validated, "test")
+    builder = SceneBuilder.of(setup, run.log)
+    start = PacedStart(period_ns=setup.period_ns, speed=speed)
+    start.note(0, 1_000_000_000)
+    tick = 6
+    messages = dict(
+        Ros2Messages(builder, start.stamps_apart_ns).scenes(tick, start.stamp_ns(tick), fixed=False)
+    )
+
+    predictions = {prediction.agent: prediction for prediction in builder.at(tick).predictions}
+    for agent in (1, 2, 3, 4):
+        data = messages[f"/uav{agent}/plan"]
+        path: Any = types().deserialize_cdr(data, "nav_msgs/msg/Path")
+        points = [[getattr(p.pose.position, axis) for axis in "xyz"] for p in path.poses]
+        np.testing.assert_allclose(points, predictions[agent].uavs_I[:, 0], atol=ROUNDING)
+        stamps = [p.header.stamp.sec * 10**9 + p.header.stamp.nanosec for p in path.poses]
+        assert stamps[:3] == [start.stamp_ns(tick + k) for k in range(3)]
 
 
 @pytest.mark.parametrize("kind", HASHES)

@@ -64,7 +64,12 @@ def ros2(
     setup = setup_of(folder)
     history = RunHistory(setup)
     tail = LogTail(folder / _LOG, setup)
-    messages = Ros2Messages(SceneBuilder(setup, history))
+    start = PacedStart(
+        period_ns=setup.period_ns,
+        speed=setup.scenario.clock.speed,
+        waits=setup.scenario.clock.on_overrun == "hold",
+    )
+    messages = Ros2Messages(SceneBuilder(setup, history), start.stamps_apart_ns)
 
     with blame("--connect"):
         node = _node(connect, domain, messages)
@@ -77,11 +82,7 @@ def ros2(
             folder=folder,
             tail=tail,
             history=history,
-            start=PacedStart(
-                period_ns=messages.period_ns,
-                speed=messages.speed,
-                waits=setup.scenario.clock.on_overrun == "hold",
-            ),
+            start=start,
         )
         targets = _Targets(node=node, commands=commands)
         _publish(reader, _Publisher(messages=messages, node=node), targets)
@@ -133,6 +134,11 @@ class PacedStart:
     speed: float  # scenario time over wall time; 0 for a run that is not paced
     waits: bool = False  # whether the clock waits for late plans
     start_ns: int | None = None
+
+    @property
+    def stamps_apart_ns(self) -> int:
+        """Time between the stamps of two ticks, ns; without a pace the sampling period."""
+        return self.period_ns if self.speed == 0.0 else round(self.period_ns / self.speed)
 
     def note(self, tick: int, recorded_ns: int) -> None:
         """Note when a tick was recorded, in a paced run."""

@@ -69,8 +69,8 @@ def _field(node: Any, about: Any, value: Any) -> Any:
             return _EMPTY.get(about[0], 0) if value is None else value
 
     (entry, inner), _ = about
-    if entry.name == "BASE":
-        return np.zeros(0, dtype=inner[0])
+    if entry.name == "BASE":  # numbers, as in the fields of a marker that its kind does not use
+        return np.zeros(0, dtype=inner[0]) if value is None else np.asarray(value, dtype=inner[0])
     return [_message(inner, each) for each in value or ()]
 
 
@@ -103,13 +103,16 @@ def goal_in(data: bytes) -> Array:
 class Ros2Messages:
     """Messages about the ticks of one run, whose history may grow.
 
-    `topics` has the type of each topic.
+    Args:
+        stamps_apart_ns: Time between the stamps of two ticks, ns, and so of the points of a plan.
+
+    Attributes:
+        topics: Type of each topic.
     """
 
-    def __init__(self, builder: SceneBuilder) -> None:
+    def __init__(self, builder: SceneBuilder, stamps_apart_ns: int) -> None:
         setup = builder.setup
-        self.period_ns = setup.period_ns
-        self.speed = setup.scenario.clock.speed
+        self._stamps_apart_ns = stamps_apart_ns
         self._builder = builder
         self._drawing = Drawing(builder)
         self._uavs = [f"uav{i + 1}" for i in range(setup.system.N)]
@@ -121,10 +124,10 @@ class Ros2Messages:
         for body in self._bodies(tick):
             pose = {"pose": pose_fields(body.position_I, body.R)}
             yield self._told(f"/{body.name}/pose", stamped(at_ns) | pose)
-            spin_I = body.R @ body.omega
+            omega_I = body.R @ body.omega  # ROS states twists in the frame of the header
             twist = {
                 "linear": point_fields(body.velocity_I),
-                "angular": point_fields(spin_I),
+                "angular": point_fields(omega_I),
             }
             yield self._told(f"/{body.name}/twist", stamped(at_ns) | {"twist": twist})
 
@@ -188,7 +191,7 @@ class Ros2Messages:
     def _path(self, positions_I: Array, at_ns: int) -> Fields:
         """Return a predicted path, (k, 3), one sampling period from point to point."""
         poses = [
-            stamped(at_ns + k * self.period_ns) | {"pose": pose_fields(position_I)}
+            stamped(at_ns + k * self._stamps_apart_ns) | {"pose": pose_fields(position_I)}
             for k, position_I in enumerate(positions_I)
         ]
         return stamped(at_ns) | {"poses": poses}
@@ -230,7 +233,8 @@ def write_bag(builder: SceneBuilder, log: RunLog, out: Path) -> int:
 
     Return the number of ticks.
     """
-    messages = Ros2Messages(builder)
+    period_ns = builder.setup.period_ns
+    messages = Ros2Messages(builder, stamps_apart_ns=period_ns)
     schemas = {}
     for topic, kind in messages.topics.items():
         definition = types().generate_msgdef(kind, ros_version=2)[0].encode()
@@ -239,7 +243,7 @@ def write_bag(builder: SceneBuilder, log: RunLog, out: Path) -> int:
     ticks = sorted(builder.history.plant_states)
     with mcap_copy(out, log.header, profile="ros2") as put:
         for tick in ticks:
-            at_ns = tick * builder.setup.period_ns
+            at_ns = tick * period_ns
             scenes = messages.scenes(tick, at_ns, fixed=tick == ticks[0])
             for topic, data in chain(messages.states(tick, at_ns), scenes):
                 put(topic, schemas[topic], data, at_ns)
