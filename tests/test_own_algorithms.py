@@ -1,4 +1,4 @@
-"""The algorithms of examples/controllers, written by the interface of an own class alone."""
+"""The algorithms of examples/controllers, which use the interface of an own class alone."""
 
 import importlib
 import sys
@@ -11,49 +11,65 @@ import numpy as np
 import pytest
 
 import transport
-from tests.support.runs import setup
-from transport.agent.own_run import run_of
+from tests.support.runs import ALL, setup
+from transport.agent.own_run import Run, run_of
+from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.wire.messages import Plan
 
 CONTROLLERS = Path(__file__).resolve().parents[1] / "examples" / "controllers"
-MODULES = (
-    *("prediction", "program", "paper", "sequential", "admm", "event_triggered", "alone", "nmpc"),
-)
-MOST_LINES = 120
+PARTS = ("prediction", "program")  # modules that the algorithms share
+ALGORITHMS = ("paper", "sequential", "admm", "event_triggered", "alone", "nmpc")
+MODULES = (*PARTS, *ALGORITHMS)
+MOST_LINES = 120  # of a file, so that it can be read in one go
 
-# Two solvers of one program end in the same optimum; what is left is rounding, over 500 steps.
-SAME_COST = 1e-9
-# Largest difference of an input over the horizon, in units of half its range.
+AGENTS = len(ALL)
+
+# Two solvers of one program end in the same optimum. What is left is rounding, which grows over the
+# 500 ticks of the paper's maneuver.
+SAME_COST = 1e-9  # relative
+# The built-in `alone` and the example have the same gains and equations. What is left is rounding
+# over the 40 ticks of the gusty hover.
+SAME_LAW = 1e-9  # relative, of the cost
+
+# The same solver on the same program, N and N m.
+SAME_INPUTS = 1e-9
+
+# Largest difference of a planned input from the optimum, in units of half the input's range: the
+# first plans of ADMM are far from the optimum, those of the last iteration near.
+FAR_FROM_OPTIMUM = 0.1
 NEAR_OPTIMUM = 1e-4
-ITERATIONS = 60  # by then ADMM is there, from a start without any information
-# Of the sequential plan against the centralized one; the parallel one is 48 % above it.
-SEQUENTIAL_EXCESS = 0.25
-# ADMM with ten exchanges a tick against the built-in centralized controller, which has rate limits.
-ADMM_EXCESS = 0.01
+ADMM_ITERATIONS = 60  # the step itself is the first
 
-# The gains and equations of `alone` are those of the built-in one, over 100 steps of hover.
-SAME_LAW = 1e-9
-# Nonlinear model against one linearised anew at each tick, over a maneuver of small angles.
-NONLINEAR = 0.05
+# Costs over the paper's maneuver above that of the built-in centralized controller, relative.
+# One solve of each agent after the other; the parallel solves of `paper` are 48 % above.
+MOST_SEQUENTIAL_EXCESS = 0.25
+# ADMM with ten iterations a tick ends near the optimum. Unlike the built-in controller it has no
+# limits on later changes of the inputs and on distances.
+ADMM_DIFFERENCE = 0.01
+# The nonlinear model against one that is linearised anew at each tick: angles are small.
+NONLINEAR_DIFFERENCE = 0.05
 
-HOVER_AND_CLIMB = [
-    {"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]},
-    {"name": "climb", "duration_s": 1.0, "displacement_m": [0.0, 0.0, -0.5]},
-]
+# In gusts of 0.5 m/s an event-triggered agent sends less than this share of its plans.
+MOST_SENT_SHARE = 0.5
+
+HOVER = {"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]}
+CLIMB = {"name": "climb", "duration_s": 1.0, "displacement_m": [0.0, 0.0, -0.5]}
+LONG_HOVER = {**HOVER, "duration_s": 2.0}
+HOVER_AND_CLIMB = [HOVER, CLIMB]
 
 
 @pytest.fixture(autouse=True)
-def _folder(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Work in the folder of the examples; they are imported from there."""
+def _folder_of_the_examples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Work in the folder of the examples; they are imported from there, anew in each test."""
     monkeypatch.chdir(CONTROLLERS)
     monkeypatch.syspath_prepend(str(CONTROLLERS))
     for name in MODULES:
         monkeypatch.delitem(sys.modules, name, raising=False)
 
 
-def cost(scenario: str, controller: str, **settings: Any) -> float:
-    """Return the mean cost of a completed flight without failed steps."""
+def cost_without_failure(scenario: str, controller: str, **settings: Any) -> float:
+    """Return the mean cost of a run, which has to be completed without a failed step."""
     changes = {"agents.controller": controller, **settings}
     run = transport.fly(scenario, changes, progress=False)
     assert run.completed, run.summary["reason"]
@@ -62,12 +78,12 @@ def cost(scenario: str, controller: str, **settings: Any) -> float:
 
 
 def test_they_are_short() -> None:
-    """Each file is at most 120 lines."""
+    """The folder has the modules of this test and no others, each of at most `MOST_LINES` lines."""
     lengths = {
-        path.name: len(path.read_text(encoding="utf-8").splitlines())
+        path.stem: len(path.read_text(encoding="utf-8").splitlines())
         for path in CONTROLLERS.glob("*.py")
     }
-    assert len(lengths) == len(MODULES)
+    assert set(lengths) == set(MODULES)
     assert max(lengths.values()) <= MOST_LINES
 
 
@@ -81,133 +97,191 @@ def test_they_are_short() -> None:
     ids=["perfect", "next tick", "10 % loss"],
 )
 def test_the_paper_by_the_interface(settings: dict[str, Any]) -> None:
-    """Its cost is that of the built-in controller: the interface suffices for the project's own."""
-    built_in = cost("paper", "mpc", **settings)
-    assert cost("paper", "paper:Paper", **settings) == pytest.approx(built_in, rel=SAME_COST)
+    """The example's cost is that of the built-in controller: the interface suffices for the project's own."""
+    built_in = cost_without_failure("paper", "mpc", **settings)
+    example = cost_without_failure("paper", "paper:Paper", **settings)
+    assert example == pytest.approx(built_in, rel=SAME_COST)
 
 
 @pytest.mark.slow
 @pytest.mark.pages
 @pytest.mark.parametrize("delay_s", [0.0, 0.05])
 def test_the_paper_over_the_maneuver(delay_s: float) -> None:
-    """The same over the paper's maneuver, on a perfect network and with plans 50 ms late."""
-    built_in = cost("paper", "mpc", **{"links.delay_s": delay_s})
-    own = cost("paper", "paper:Paper", **{"links.delay_s": delay_s})
-    assert own == pytest.approx(built_in, rel=SAME_COST)
+    """The costs are the same over the paper's maneuver, on a perfect network and with 50 ms delay."""
+    built_in = cost_without_failure("paper", "mpc", **{"links.delay_s": delay_s})
+    example = cost_without_failure("paper", "paper:Paper", **{"links.delay_s": delay_s})
+    assert example == pytest.approx(built_in, rel=SAME_COST)
+
+
+# One tick of a team whose agents exchange proposals in memory
 
 
 def disturbed() -> Array:
     """Return a state near hover, at rest, displaced and tilted so that limits are active."""
     x = setup().initial_state()
-    x[:3] += [0.5, -0.25, 0.4]
-    x[6:9] = [0.1, -0.05, 0.05]
+    x[state.R0] += [0.5, -0.25, 0.4]
+    x[state.THETA0] = [0.1, -0.05, 0.05]
     return x
 
 
-def team(module: Any, x: Array, **settings: Any) -> list[Any]:
-    """Return the objects of all agents at tick 0, which estimate a state exactly."""
-    objects = []
+def team(controller: Any, x: Array, **settings: Any) -> list[Any]:
+    """Return the controllers of all agents at tick 0, all with a state as their estimate and plans of hover."""
     scenario = setup(*[f"{key}={value}" for key, value in settings.items()])
+    controllers = []
     for agent in scenario.agents:
         run = run_of(scenario, agent)
         run.agents = scenario.agents
-        one = module()
-        one.start(run)
-        U = np.tile(run.u_hover, (run.horizon, 1))
-        one.estimate = SimpleNamespace(x_start=x, u_before=run.u_hover, announced=lambda _, U=U: U)
-        objects.append(one)
-    return objects
+        of_agent = controller()
+        of_agent.start(run)
+
+        hover = hover_inputs(run)
+        of_agent.estimate = SimpleNamespace(
+            x_start=x, u_before=run.u_hover, announced=lambda _, hover=hover: hover
+        )
+        controllers.append(of_agent)
+    return controllers
 
 
-def proposals(results: Sequence[Any]) -> list[Any]:
-    """Return the results of a call of all agents as the plans that the others get."""
+def hover_inputs(run: Run) -> Array:
+    """Return the hover inputs of the whole team over the horizon, (N_p, 4 N)."""
+    return np.tile(run.u_hover, (run.horizon, 1))
+
+
+def first_results(controllers: Sequence[Any]) -> list[Any]:
+    """Return the result of the step of each agent, to which no message has arrived."""
+    return [of_agent.step(None, []) for of_agent in controllers]
+
+
+def negotiated(controllers: Sequence[Any], iteration: int, results: Sequence[Any]) -> list[Any]:
+    """Return the results of an iteration, in which each agent has the others' results of the one before."""
     plans = []
     for agent, result in enumerate(results, start=1):
         inputs, data = result[:2] if isinstance(result, tuple) else (result, np.zeros(0))
         plans.append(SimpleNamespace(agent=agent, tick=0, uavs=(agent,), inputs=inputs, data=data))
-    return plans
+    return [
+        of_agent.negotiate(iteration, [plan for plan in plans if plan.agent != of_agent.run.agent])
+        for of_agent in controllers
+    ]
 
 
-def optimum(one: Any, x: Array, *, with_rates: bool) -> tuple[Any, Array]:
-    """Return the program of the whole team and its optimal inputs, (N_p, 4 N)."""
-    program_of = importlib.import_module("program")
-    program = program_of.Program(one.run, range(4))
-    program.about(x, one.run.u_hover)
-    U = np.tile(one.run.u_hover, (one.run.horizon, 1))
-    Y_ref = one.reference()
-    if with_rates:
-        return program, program.solve(U, Y_ref)
-    H, g = program.cost(U, Y_ref)
+def program_of(run: Run, x: Array, uavs: Sequence[int]) -> Any:
+    """Return the program of some UAVs, 0-based, linearised about a state and the hover inputs."""
+    program = importlib.import_module("program").Program(run, uavs)
+    program.about(x, run.u_hover)
+    return program
+
+
+def team_program(run: Run, x: Array) -> Any:
+    """Return the program of the whole team, linearised about a state and the hover inputs."""
+    return program_of(run, x, range(run.system.N))
+
+
+def optimum_within_bounds(program: Any, Y_ref: Array) -> Array:
+    """Return the optimal inputs of the whole team without limits on later changes and distances, (N_p, 4 N)."""
+    H, g = program.cost(hover_inputs(program.run), Y_ref)
     lower, upper = program.bounds()
-    z = program_of.solved(H, g, np.zeros((0, len(g))), [lower], [upper])
-    assert np.isclose(z, lower).any() or np.isclose(z, upper).any()
-    return program, program.inputs(z)
+    no_rows = np.zeros((0, len(g)))
+    z = importlib.import_module("program").solved(H, g, no_rows, [lower], [upper])
+    return np.asarray(program.inputs(z))
+
+
+def is_at_a_bound(program: Any, U: Array) -> bool:
+    """Return whether any input of the team is at a bound."""
+    z = program.scaled(U)
+    lower, upper = program.bounds()
+    return bool(np.isclose(z, lower).any() or np.isclose(z, upper).any())
 
 
 def test_admm_converges_to_the_centralized_optimum() -> None:
-    """All copies tend to the optimum of the team's program, with active limits."""
+    """The plans of all agents together tend to the optimum of the team's program, with active limits."""
     x = disturbed()
     agents = team(importlib.import_module("admm").ADMM, x)
-    program, best = optimum(agents[0], x, with_rates=False)
-    results = [one.step(None, []) for one in agents]
+    program = team_program(agents[0].run, x)
+    best = optimum_within_bounds(program, agents[0].reference())
+    assert is_at_a_bound(program, best)
+
+    results = first_results(agents)
     distances = []
-    for iteration in range(1, ITERATIONS):
-        plans = proposals(results)
-        results = [
-            one.negotiate(iteration, [plan for plan in plans if plan.agent != one.run.agent])
-            for one in agents
-        ]
+    for iteration in range(1, ADMM_ITERATIONS):
+        results = negotiated(agents, iteration, results)
         U = np.hstack([inputs for inputs, _, _ in results])
         distances.append(np.abs((U - best) / program.range).max())
-    assert distances[0] > 1e3 * NEAR_OPTIMUM
+    assert distances[0] > FAR_FROM_OPTIMUM
     assert distances[-1] < NEAR_OPTIMUM
 
 
-def test_sequential_plans_never_get_worse() -> None:
-    """Each solve in turn lowers the cost of the team's plan, down to no less than the optimum."""
-    x = disturbed()
-    agents = team(
-        importlib.import_module("sequential").Sequential,
-        x,
-        **{"controller.negotiation_iterations": 4},
-    )
-    program, best = optimum(agents[0], x, with_rates=True)
-    H, g = program.cost(np.tile(agents[0].run.u_hover, (20, 1)), agents[0].reference())
+def sequential_team(x: Array) -> list[Any]:
+    """Return the controllers of a team whose agents have a turn each within a tick."""
+    controller = importlib.import_module("sequential").Sequential
+    return team(controller, x, **{"controller.negotiation_iterations": AGENTS})
 
-    def value(U: Array) -> float:
+
+def test_sequential_agents_solve_in_turn() -> None:
+    """In each iteration one agent solves, given the newest plans of the others; the others keep theirs."""
+    x = disturbed()
+    agents = sequential_team(x)
+    run = agents[0].run
+    Y_ref = agents[0].reference()
+
+    U = hover_inputs(run)
+    results = first_results(agents)
+    for turn in range(AGENTS):
+        if turn > 0:
+            results = negotiated(agents, turn, results)
+        program = program_of(run, x, [turn])
+        U[:, program.own] = program.solve(U.copy(), Y_ref)
+        np.testing.assert_allclose(np.hstack(results), U, rtol=0.0, atol=SAME_INPUTS)
+
+
+def test_sequential_plans_never_get_worse() -> None:
+    """Each solve in turn lowers the cost of the team's plan, which stays above the optimum."""
+    x = disturbed()
+    agents = sequential_team(x)
+    run = agents[0].run
+    program = team_program(run, x)
+    Y_ref = agents[0].reference()
+    H, g = program.cost(hover_inputs(run), Y_ref)
+
+    def cost_above_hover(U: Array) -> float:
+        """Return the cost of a plan of the team, minus that of the hover inputs, for which z = 0."""
         z = program.scaled(U)
         return float(0.5 * z @ H @ z + g @ z)
 
-    results = [one.step(None, []) for one in agents]
-    values = [0.0, value(np.hstack(results))]
-    for iteration in range(1, 4):
-        plans = proposals(results)
-        results = [
-            one.negotiate(iteration, [plan for plan in plans if plan.agent != one.run.agent])
-            for one in agents
-        ]
-        values.append(value(np.hstack(results)))
-    assert (np.diff(values) < 0.0).all()
-    assert values[-1] > value(best)
+    results = first_results(agents)
+    costs = [0.0, cost_above_hover(np.hstack(results))]
+    for iteration in range(1, AGENTS):
+        results = negotiated(agents, iteration, results)
+        costs.append(cost_above_hover(np.hstack(results)))
+    assert (np.diff(costs) < 0.0).all()
+
+    best = program.solve(hover_inputs(run), Y_ref)
+    assert costs[-1] > cost_above_hover(best)
+
+
+# Runs
 
 
 @pytest.mark.slow
 @pytest.mark.pages
 def test_costs_over_the_maneuver() -> None:
-    """Sequential solves are between the parallel and the centralized ones; ADMM is centralized."""
-    centralized = cost("centralized", "mpc")
-    four = {"controller.negotiation_iterations": 4}
-    sequential = cost("paper", "sequential:Sequential", **four)
-    assert centralized < sequential < (1.0 + SEQUENTIAL_EXCESS) * centralized
-    ten = {"controller.negotiation_iterations": 10}
-    consensus = cost("paper", "admm:ADMM", **ten)
-    assert consensus == pytest.approx(centralized, rel=ADMM_EXCESS)
+    """Sequential solves cost more than the centralized controller, not much more; ADMM costs the same."""
+    centralized = cost_without_failure("centralized", "mpc")
+    sequential = cost_without_failure(
+        "paper", "sequential:Sequential", **{"controller.negotiation_iterations": AGENTS}
+    )
+    assert centralized < sequential < (1.0 + MOST_SEQUENTIAL_EXCESS) * centralized
+    consensus = cost_without_failure(
+        "paper", "admm:ADMM", **{"controller.negotiation_iterations": 10}
+    )
+    assert consensus == pytest.approx(centralized, rel=ADMM_DIFFERENCE)
 
 
-@pytest.mark.parametrize(("delay_s", "loss"), [(0.0, 0.0), (0.2, 0.3)])
+@pytest.mark.parametrize(
+    ("delay_s", "loss"), [(0.0, 0.0), (0.2, 0.3)], ids=["perfect", "200 ms, 30 % loss"]
+)
 def test_events(delay_s: float, loss: float) -> None:
-    """Without disturbance only the first plan is sent, with gusts a few; the team is flown as well."""
-    flights = {}
+    """Without disturbance each agent sends its first plan only, with gusts a few more; both runs are completed."""
+    is_sent = {}
     for gust_mps in (0.0, 0.5):
         run = transport.fly(
             "resilient",
@@ -219,27 +293,27 @@ def test_events(delay_s: float, loss: float) -> None:
             progress=False,
         )
         assert run.completed
-        flights[gust_mps] = [plan.shared for plan in run.log.of(Plan)]
-    assert sum(flights[0.0]) == 4
-    assert 4 < sum(flights[0.5]) < 0.5 * len(flights[0.5])
+        is_sent[gust_mps] = [plan.shared for plan in run.log.of(Plan)]
+    assert sum(is_sent[0.0]) == AGENTS
+    assert AGENTS < sum(is_sent[0.5]) < MOST_SENT_SHARE * len(is_sent[0.5])
 
 
 @pytest.mark.parametrize("settings", [{}, {"links.loss": 1.0}], ids=["perfect", "no message"])
 def test_alone(settings: dict[str, Any]) -> None:
-    """In a gusty hover it is the built-in law of a UAV alone, and it sends the first plan only."""
-    flights = [
+    """In a gusty hover the example flies as the built-in `alone`, and each agent sends its first plan only."""
+    built_in, example = (
         transport.fly(
             "alone",
-            {"agents.controller": name, **settings},
+            {"agents.controller": controller, **settings},
             gust_mps=[1.0] * 3,
-            phases=HOVER_AND_CLIMB[:1] * 4,
+            phases=[LONG_HOVER],
             progress=False,
         )
-        for name in ("alone", "alone:Alone")
-    ]
-    built_in, own = (run.summary["cost"]["mean"] for run in flights)
-    assert own == pytest.approx(built_in, rel=SAME_LAW)
-    assert sum(plan.shared for plan in flights[1].log.of(Plan)) == 4
+        for controller in ("alone", "alone:Alone")
+    )
+    expected = built_in.summary["cost"]["mean"]
+    assert example.summary["cost"]["mean"] == pytest.approx(expected, rel=SAME_LAW)
+    assert sum(plan.shared for plan in example.log.of(Plan)) == AGENTS
 
 
 @pytest.mark.slow
@@ -248,6 +322,6 @@ def test_the_nonlinear_optimum() -> None:
     """On the nonlinear model the centralized controller costs as much as on the linearised one."""
     pytest.importorskip("do_mpc", reason="needs the extra nmpc")
     settings = {"maneuver.phase": HOVER_AND_CLIMB}
-    linearised = cost("centralized", "mpc", **settings)
-    nonlinear = cost("centralized", "nmpc:NMPC", **settings)
-    assert nonlinear == pytest.approx(linearised, rel=NONLINEAR)
+    linearised = cost_without_failure("centralized", "mpc", **settings)
+    nonlinear = cost_without_failure("centralized", "nmpc:NMPC", **settings)
+    assert nonlinear == pytest.approx(linearised, rel=NONLINEAR_DIFFERENCE)

@@ -24,7 +24,7 @@ from docs import tables
 from tests.support.browser import browser
 from tests.support.commands import free_base, processes_of, settings, start, wait_for
 from tests.support.commands import transport as command
-from tests.support.logs import Growing
+from tests.support.live_log import LiveLog
 from tests.system.test_live_viewer import page_of
 from tests.system.test_ros2 import DOMAIN, Publisher
 from transport.analysis.comparison import Comparison
@@ -96,7 +96,7 @@ def flown(way: str, late: bool, gusts: bool, folder: Path) -> tuple[list[float],
     try:
         address = page_of(run) if way == "viewer" else ""
         assert wait_for(lambda: live.read(folder) is not None)
-        log = Growing(folder / "run.mcap")
+        log = LiveLog(folder / "run.mcap")
         assert wait_for(lambda: bool(log.of(PlantState)))
         with by(way, folder, address) as give:
             for number, place in enumerate(PLACES):

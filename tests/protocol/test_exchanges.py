@@ -3,9 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from msgspec.structs import replace
-
-from tests.support import logs, runs
+from tests.support import log_messages, runs
 from transport.protocol.network.exchange import exchange_of
 from transport.protocol.wire.codec import decode, encode
 from transport.protocol.wire.keys import Keys
@@ -51,7 +49,7 @@ def test_an_agent_answers_once() -> None:
     """Plan and report of an agent go to the coordinator together."""
     plan, report = (
         runs.plan(RUN, 2, 3),
-        replace(logs.report(RUN, 2, 3), incarnation=runs.INCARNATION),
+        log_messages.report(RUN, 2, 3),
     )
     assert sent_by("agent2", plan, report) == {"answer/2": [encode(plan), encode(report)]}
 
@@ -74,10 +72,7 @@ def test_the_plant_sends_one_instant_and_one_record() -> None:
 
 def test_the_coordinator_relays_the_answers_with_the_next_tick() -> None:
     """Plans and reports of a tick, by agent, and the tick that follows are one message."""
-    said = {
-        a: [runs.plan(RUN, a, 3), replace(logs.report(RUN, a, 3), incarnation=runs.INCARNATION)]
-        for a in runs.ALL
-    }
+    said = {a: [runs.plan(RUN, a, 3), log_messages.report(RUN, a, 3)] for a in runs.ALL}
     answers = {
         a: Outbox(f"agent{a}", 1).stamp(Answer, tick=3, agent=a, **ends(said[a])) for a in runs.ALL
     }
@@ -92,7 +87,7 @@ def test_the_coordinator_relays_the_answers_with_the_next_tick() -> None:
 def test_the_coordinator_relays_only_what_an_agent_may_answer() -> None:
     """A tick, or a report of another agent, in an answer reaches no other process."""
     own = runs.plan(RUN, 2, 3)
-    report = replace(logs.report(RUN, 3, 3), incarnation=runs.INCARNATION)
+    report = log_messages.report(RUN, 3, 3)
     forged = runs.tick(4, answered=(2,))
     answer = Outbox("agent2", 1).stamp(Answer, tick=3, agent=2, **ends([own, report, forged]))
     found = sent_by("coordinator", runs.tick(4), received=[(own, answer)])

@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from tests.support import runs
-from tests.support.logs import report
+from tests.support.log_messages import report
 from tests.support.messages import sample
 from tests.support.runs import setup, ticks
 from transport.protocol.admission.plausibility import check_plausible

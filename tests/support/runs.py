@@ -50,6 +50,13 @@ VEHICLE = (
     *("plant.noise.rate_rads=0.0175", "plant.noise.specific_force_mps2=0.3"),
 )
 
+# One UAV in place of the paper's four, above the payload's centre of mass.
+SINGLE_UAV = (
+    "system.uav=[{id=1,mass_kg=1.5,inertia_kgm2=[0.029,0.029,0.055],rho_m=[0.0,0.0,-0.125],rod_length_m=3.2}]",
+    "agents.owned=[[1]]",
+    "controller.limits.thrust_N=[0.0,90.0]",
+)
+
 ALL = (1, 2, 3, 4)
 INCARNATION = 1  # Of every agent: 0 is an earlier incarnation, 2 a later one.
 

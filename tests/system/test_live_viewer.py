@@ -25,7 +25,8 @@ from tests.support.browser import (
     needs_browser,
 )
 from tests.support.commands import PATIENCE_S, processes_of, settings, start, wait_for
-from tests.support.logs import Growing, bits, messages_until
+from tests.support.live_log import LiveLog
+from tests.support.same_flight import before, flight_bits, simulated_before
 from transport.log.run_log import read_log, setup_of
 from transport.model.arrays import Array
 from transport.protocol.wire.messages import LinkChange, PlantState, Target
@@ -169,7 +170,7 @@ def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> Non
             window.click("Set")
             assert wait_for(lambda: "links change: at tick" in (window.text() or ""), BROWSER_S)
             assert wait_for(lambda: "12 of 12 links impaired" in (window.text() or ""), BROWSER_S)
-        log = Growing(folder / "run.mcap")
+        log = LiveLog(folder / "run.mcap")
         assert wait_for(
             lambda: any(json.loads(change.settings) == WANTED for change in log.of(LinkChange))
         )
@@ -184,7 +185,9 @@ def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> Non
                 window.click(
                     action, VICTIM - 1
                 )  # a slow browser may not react to the first click on a new page
-                return wait_for(partial(log.notes, f"agent{VICTIM}", noted), timeout_s=10.0)
+                return wait_for(
+                    partial(log.has_fault_by_hand, f"agent{VICTIM}", noted), timeout_s=10.0
+                )
 
             assert wait_for(is_done)
         assert window.console() == []
@@ -194,10 +197,10 @@ def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> Non
     assert json.loads(change.settings) == WANTED
     assert change.tick + 10 < until
     table = f"{{at_s={change.tick * 0.05!r},delay_s=0.3,loss=0.3}}"
-    unwatched = messages_until(until, folder / "scenario.toml", f"links.change=[{table}]")
-    watched = [entry.message for entry in whole.messages if entry.message.tick < until]
-    assert len(list(bits(unwatched))) == until * (1 + AGENTS)
-    assert sorted(bits(watched)) == sorted(bits(unwatched))
+    unwatched = simulated_before(until, folder / "scenario.toml", f"links.change=[{table}]")
+    watched = before(until, (entry.message for entry in whole.messages))
+    assert len(flight_bits(unwatched)) == until * (1 + AGENTS)
+    assert flight_bits(watched) == flight_bits(unwatched)
 
 
 @pytest.mark.slow
@@ -208,7 +211,7 @@ def test_a_live_run_is_sent_to_targets(tmp_path: Path, window: Browser) -> None:
     hover = "maneuver.phase=[{name='hover',duration_s=900.0,displacement_m=[0,0,0]}]"
     with live_run(folder, "clock.speed=1.0", hover) as address:
         window.open(address)
-        log = Growing(folder / "run.mcap")
+        log = LiveLog(folder / "run.mcap")
 
         view = window.driver.find_element("css selector", "canvas")
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from tests.support.commands import free_base, settings, start, wait_for
-from tests.support.logs import Growing, bits, messages_until
+from tests.support.live_log import LiveLog
+from tests.support.same_flight import before, flight_bits, simulated_before
 from transport.cli.ros2 import PacedStart
 from transport.protocol.wire.messages import Message, PlantState, Target
 
@@ -130,7 +131,7 @@ def test_a_run_is_seen_and_does_not_notice(sdk: Any, tmp_path: Path) -> None:
     plans: list[Any] = []
     options = settings("clock.speed=1.0", CLIMB)
     started = [start("run", "resilient", *options, "--out", "run", "--no-figures", cwd=tmp_path)]
-    run, log = started[0], Growing(tmp_path / "run" / "run.mcap")
+    run, log = started[0], LiveLog(tmp_path / "run" / "run.mcap")
     kept = [
         subscribe(sdk, "/payload/pose", POSE, POSE_DEFINITION, DEFINITIONS, poses),
         subscribe(
@@ -157,10 +158,8 @@ def test_a_run_is_seen_and_does_not_notice(sdk: Any, tmp_path: Path) -> None:
             process.communicate()
     x = np.array([state.x for state in log.of(PlantState)])
     until = len(x) - 10
-    alone = messages_until(until, tmp_path / "run" / "scenario.toml", "clock.speed=1.0")
-    assert sorted(bits(alone)) == sorted(
-        bits(message for message in log.of(Message) if message.tick < until)
-    )
+    alone = simulated_before(until, tmp_path / "run" / "scenario.toml", "clock.speed=1.0")
+    assert flight_bits(alone) == flight_bits(before(until, log.of(Message)))
     ticks = {tuple(row): tick for tick, row in enumerate(x[:, :3].tolist())}
     points = [pose.pose.position for pose in poses]
     seen = [ticks[point.x, point.y, point.z] for point in points]
@@ -194,7 +193,7 @@ def test_the_bridge_of_a_killed_run_ends(tmp_path: Path) -> None:
     router = start("router", "--listen", endpoint, cwd=tmp_path)
     options = settings("clock.speed=1.0", HOVER)
     run = start("run", "resilient", *options, "--out", "run", "--no-figures", cwd=tmp_path)
-    log = Growing(tmp_path / "run" / "run.mcap")
+    log = LiveLog(tmp_path / "run" / "run.mcap")
     started = [router, run]
     try:
         assert wait_for(lambda: len(log.of(PlantState)) > 0)
@@ -218,7 +217,7 @@ def test_targets_come_from_outside(sdk: Any, tmp_path: Path) -> None:
     """
     options = settings("clock.speed=1.0", HOVER)
     run = start("run", "precise", *options, "--out", "run", "--no-figures", cwd=tmp_path)
-    log = Growing(tmp_path / "run" / "run.mcap")
+    log = LiveLog(tmp_path / "run" / "run.mcap")
     publisher = Publisher(sdk, sdk.port)
     send = publisher.send
 
@@ -264,10 +263,8 @@ def test_targets_come_from_outside(sdk: Any, tmp_path: Path) -> None:
     assert "/target: expected a finite position" in errors or "expected the frame" in errors
     script = (f"{{at_s={t.tick * 0.05!r},points_m={t.points.tolist()}}}" for t in log.of(Target))
     until = log.of(PlantState)[-1].tick - 10
-    alone = messages_until(
+    alone = simulated_before(
         until, tmp_path / "run" / "scenario.toml", f"maneuver.target=[{','.join(script)}]"
     )
-    assert len(list(bits(alone))) == until * 5
-    assert sorted(bits(alone)) == sorted(
-        bits(message for message in log.of(Message) if message.tick < until)
-    )
+    assert len(flight_bits(alone)) == until * 5
+    assert flight_bits(alone) == flight_bits(before(until, log.of(Message)))

@@ -10,7 +10,8 @@ import pytest
 
 import transport
 from tests.support.commands import settings, start, wait_for
-from tests.support.logs import Growing, bits, messages_until
+from tests.support.live_log import LiveLog
+from tests.support.same_flight import before, flight_bits, simulated_before
 from tests.system.test_operate import succeed
 from transport.protocol.wire.messages import Message, PlantState, Target
 
@@ -30,7 +31,7 @@ def test_targets_by_hand_and_by_script_are_the_same_run(
     folder = tmp_path / "runs" / "sent"
     try:
         assert wait_for((folder / "run.mcap").exists)
-        log = Growing(folder / "run.mcap")
+        log = LiveLog(folder / "run.mcap")
         assert wait_for(lambda: len(log.of(PlantState)) > 10)
         assert succeed("target", "0.4", "0", "-10.2").startswith("target from tick")
         assert transport.active().target(0.2, 0.3, -10.0, speed=0.5)["ends_s"] < 100.0
@@ -47,8 +48,8 @@ def test_targets_by_hand_and_by_script_are_the_same_run(
             log.of(Target), ("", ",speed_mps=0.5", ",speed_mps=0.5"), strict=True
         )
     ]
-    alone = messages_until(until, folder / "scenario.toml", f"maneuver.target=[{','.join(script)}]")
-    assert len(list(bits(alone))) == until * 5
-    assert sorted(bits(alone)) == sorted(
-        bits(message for message in log.of(Message) if message.tick < until)
+    alone = simulated_before(
+        until, folder / "scenario.toml", f"maneuver.target=[{','.join(script)}]"
     )
+    assert len(flight_bits(alone)) == until * 5
+    assert flight_bits(alone) == flight_bits(before(until, log.of(Message)))

@@ -2,8 +2,7 @@
 
 import pytest
 
-from tests.support.logs import SINGLE_UAV
-from tests.support.runs import SCENARIOS, SHORT, ready, ticks
+from tests.support.runs import SCENARIOS, SHORT, SINGLE_UAV, ready, ticks
 from transport.flight.memory import simulate
 from transport.protocol.scenario.file import ScenarioError, read_scenario
 from transport.protocol.scenario.setup import Setup

@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 
 from tests.support import runs
 from tests.support.figure_texts import problems
-from tests.support.logs import SINGLE_UAV, airtime, log_of, noted, plant_state, record_run, report
+from tests.support.log_messages import estimate_note, on_reference, radio_report, report
+from tests.support.logs import log_of, record_run
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.series import Series
 from transport.interface.scenario import Scenario
@@ -54,7 +55,7 @@ def assert_drawn(paths: Sequence[Path], names: Sequence[str] = NAMES) -> None:
 @pytest.mark.parametrize(
     ("settings", "share"),
     [
-        pytest.param(SINGLE_UAV, 1.0, marks=pytest.mark.slow),
+        pytest.param(runs.SINGLE_UAV, 1.0, marks=pytest.mark.slow),
         (["plant.max_error_m=0.05"], 1.0),  # diverged in its second phase
         ([], 0.5),
     ],
@@ -80,7 +81,7 @@ def test_runs_are_drawn(tmp_path: Path, settings: Sequence[str], share: float) -
 def test_pdf_is_written_on_request(tmp_path: Path) -> None:
     """With `pdf` each figure is a PDF too, equal for equal runs."""
     run = runs.setup(runs.SHORT)
-    log = log_of([plant_state(run, 0), plant_state(run, 1)])
+    log = log_of([on_reference(run, 0), on_reference(run, 1)])
     paths = draw(AnalysedRun.of(run, log), tmp_path / "a", pdf=True)
     draw(AnalysedRun.of(run, log), tmp_path / "b", pdf=True)
     for path in paths:
@@ -99,10 +100,10 @@ def test_texts_are_large_and_apart(name: str) -> None:
     )
     log = log_of(
         [
-            *(plant_state(run, k) for k in range(20)),
-            *(airtime(run, k) for k in range(1, 20)),
+            *(on_reference(run, k) for k in range(20)),
+            *(radio_report(run, k) for k in range(1, 20)),
             *(report(run, a, k) for a in (1, 2) for k in range(20)),
-            noted(run, 1, 9),
+            estimate_note(run, 1, 9),
         ]
     )
     figure = Figure()
@@ -155,7 +156,7 @@ def test_drawing_has_no_side_effects(tmp_path: Path) -> None:
     """No setting of matplotlib is changed, and pyplot, which keeps its figures, is not used."""
     before, had_pyplot = dict(mpl.rcParams), "matplotlib.pyplot" in sys.modules
     run = runs.setup(runs.SHORT)
-    draw(AnalysedRun.of(run, log_of([plant_state(run, 0), plant_state(run, 1)])), tmp_path)
+    draw(AnalysedRun.of(run, log_of([on_reference(run, 0), on_reference(run, 1)])), tmp_path)
     assert dict(mpl.rcParams) == before
     assert ("matplotlib.pyplot" in sys.modules) == had_pyplot
 
@@ -166,7 +167,7 @@ def test_figures_of_large_teams_have_legends(name: str) -> None:
     scenario = Scenario("resilient").resized(LARGE_TEAM)
     run = Setup.of(scenario.validated, "large")
     reports = [report(run, agent, k) for agent in run.agents for k in range(3)]
-    log = log_of([*(plant_state(run, k) for k in range(3)), *reports])
+    log = log_of([*(on_reference(run, k) for k in range(3)), *reports])
     figure = Figure()
     with mpl.rc_context(RC):
         assert fill(figure, name, AnalysedRun.of(run, log))
@@ -180,7 +181,7 @@ def test_figures_of_large_teams_have_legends(name: str) -> None:
 def test_no_axis_shows_rounding_errors(name: str) -> None:
     """Axes of a team at rest have ranges that matter, although its costs and errors are 1e-15."""
     run = runs.setup(runs.SHORT)
-    log = log_of([plant_state(run, k) for k in range(9)])
+    log = log_of([on_reference(run, k) for k in range(9)])
     figure = Figure()
     with mpl.rc_context(RC):
         analysed = AnalysedRun.of(run, log)
@@ -197,7 +198,7 @@ def test_a_sentence_stands_for_flat_curves() -> None:
     The first panel stays also for a team at rest.
     """
     run = runs.setup(runs.SHORT)
-    analysed = AnalysedRun.of(run, log_of([plant_state(run, k) for k in range(9)]))
+    analysed = AnalysedRun.of(run, log_of([on_reference(run, k) for k in range(9)]))
     moving = replace(analysed.series, u=np.array(analysed.series.u))
     moving.u[:, 1] += 0.1 * np.arange(9)  # roll of the first UAV
     moving.u[:, 0] += np.arange(9)
@@ -273,9 +274,9 @@ def test_what_a_run_did_not_reach_is_not_marked() -> None:
         "links.partition=[{between=['agent2'],start_s=0.2,end_s=0.9},"
         "{between=['agent3'],start_s=0.7,end_s=0.9}]",
     )
-    ended_early = marks_of(run, log_of([plant_state(run, k) for k in range(10)]))  # until 0.45 s
+    ended_early = marks_of(run, log_of([on_reference(run, k) for k in range(10)]))  # until 0.45 s
     assert [mark.time_s for mark in ended_early] == [0.2, 0.45]
-    completed = marks_of(run, log_of([plant_state(run, k) for k in range(run.ticks)]))
+    completed = marks_of(run, log_of([on_reference(run, k) for k in range(run.ticks)]))
     assert [mark.time_s for mark in completed] == [0.2, 0.45, 0.46, 0.7, 0.9, 0.9]
     assert marks_of(run, log_of([])) == []
 
@@ -297,7 +298,7 @@ def test_a_request_is_one_mark() -> None:
 def test_the_caption_counts_what_is_not_marked() -> None:
     """Of many events the first have marks, and the caption says how many others there are."""
     run = runs.setup(runs.SHORT)
-    states = [plant_state(run, k) for k in range(run.ticks)]
+    states = [on_reference(run, k) for k in range(run.ticks)]
     notes = [killed(tick) for tick in range(15)]
     figure = Figure()
     with mpl.rc_context(RC):

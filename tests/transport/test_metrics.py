@@ -5,7 +5,15 @@ import pytest
 from msgspec.structs import replace
 
 from tests.support import runs
-from tests.support.logs import SINGLE_UAV, log_of, noted, plan, plant_state, report
+from tests.support.log_messages import (
+    MEASUREMENTS,
+    POSE_ERROR,
+    SQUARED_INNOVATION,
+    estimate_note,
+    on_reference,
+    report,
+)
+from tests.support.logs import log_of
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.communication import rest_of_tick_ms
 from transport.analysis.metrics import summarise
@@ -35,9 +43,9 @@ def perfect(ticks: int) -> list[Message]:
     messages: list[Message] = [runs.roster()]
     for k in range(ticks):
         messages.append(runs.tick(k))
-        messages += [plan(run, agent, k) for agent in run.agents]
+        messages += [runs.plan(run, agent, k) for agent in run.agents]
         messages += [report(run, agent, k) for agent in run.agents]
-        messages.append(plant_state(run, k))
+        messages.append(on_reference(run, k))
     return [*messages, control(ticks - 1)]
 
 
@@ -49,17 +57,18 @@ def test_estimates_against_their_covariance() -> None:
     run = runs.setup(runs.SHORT)
     flown = [
         *perfect(10),
-        noted(run, 1, 4),
-        noted(run, 2, 8),
-        noted(run, 2, 400),
-    ]  # of the last no state is known
+        estimate_note(run, 1, 4),
+        estimate_note(run, 2, 8),
+        estimate_note(run, 2, 400),  # left out: no state of this tick is recorded
+    ]
     found = summarise(AnalysedRun.of(run, log_of(flown)))["estimate"]
     assert found["nees"] == pytest.approx(6.0)
     # Tabulated quantiles of chi-square with 6 degrees of freedom.
     assert found["nees_band"] == pytest.approx([1.237, 14.449], abs=5e-4)
-    assert found["nis"] == pytest.approx(2.0)
-    assert found["position_rms_m"] == pytest.approx(0.1 * np.sqrt(3.0))
-    assert found["attitude_rms_deg"] == pytest.approx(np.degrees(0.1 * np.sqrt(3.0)))
+    assert found["nis"] == pytest.approx(SQUARED_INNOVATION / MEASUREMENTS)
+    error = POSE_ERROR * np.sqrt(3.0)  # of three entries
+    assert found["position_rms_m"] == pytest.approx(error)
+    assert found["attitude_rms_deg"] == pytest.approx(np.degrees(error))
     assert summarise(AnalysedRun.of(run, log_of(perfect(10))))["estimate"] is None
 
 
@@ -75,14 +84,14 @@ def test_cost_of_a_displaced_team() -> None:
         u[4] += 1.0
 
     summary = summarise(
-        AnalysedRun.of(run, log_of([plant_state(run, 0), plant_state(run, 1, change)]))
+        AnalysedRun.of(run, log_of([on_reference(run, 0), on_reference(run, 1, change)]))
     )
     assert summary["cost"]["max"] == pytest.approx(4 * 0.2**2 + 1e-3, rel=ROUNDING)
     assert summary["cost"]["mean"] == pytest.approx((4 * 0.2**2 + 1e-3) / 2, rel=ROUNDING)
     for tracking in ("uav_tracking", "payload_tracking"):
         assert summary[tracking]["max_m"] == pytest.approx(0.2, rel=ROUNDING)
         assert summary[tracking]["rms_m"] == pytest.approx(np.sqrt(0.2**2 / 2), rel=ROUNDING)
-    series = series_of(run, log_of([plant_state(run, 1, change)]))
+    series = series_of(run, log_of([on_reference(run, 1, change)]))
     assert series.uav_errors_I == pytest.approx(np.tile([0.0, 0.2, 0.0], (1, 4, 1)), abs=ROUNDING)
 
 
@@ -98,8 +107,8 @@ def test_a_released_uav_does_not_count() -> None:
         x[state.uav_slice(2)][state.OMEGA] = 1.0
         u[state.input_slice(2)] = [30.0, 0.1, 0.2, 0.3]
 
-    there = series_of(run, log_of([plant_state(run, 4), plant_state(run, 5)]))
-    off = series_of(run, log_of([plant_state(run, 4, away), plant_state(run, 5, away)]))
+    there = series_of(run, log_of([on_reference(run, 4), on_reference(run, 5)]))
+    off = series_of(run, log_of([on_reference(run, 4, away), on_reference(run, 5, away)]))
     assert off.cost[0] > there.cost[0] + 0.1
     assert off.cost[1] == there.cost[1]
     assert np.isnan(off.uav_errors_I).all(axis=2).tolist() == [
@@ -107,7 +116,7 @@ def test_a_released_uav_does_not_count() -> None:
         [False, False, True, False],
     ]
     summary = summarise(
-        AnalysedRun.of(run, log_of([plant_state(run, 4), plant_state(run, 5, away)]))
+        AnalysedRun.of(run, log_of([on_reference(run, 4), on_reference(run, 5, away)]))
     )
     assert summary["uav_tracking"] == pytest.approx({"rms_m": 0.0, "max_m": 0.0}, abs=ROUNDING)
     (_, row) = [
@@ -129,7 +138,7 @@ def test_after_a_delivery_only_the_payload_counts() -> None:
             x[:] = released_state(x, uav)
         u[:] = 0.0
 
-    left = plant_state(run, tick, delivered)
+    left = on_reference(run, tick, delivered)
     assert series_of(run, log_of([left])).cost == pytest.approx([0.1**2], rel=1e-9)
     watch = Watch(run)
     watch.plant_state = left
@@ -149,7 +158,7 @@ def test_attitude_is_the_largest_angle() -> None:
 
     summary = summarise(
         AnalysedRun.of(
-            run, log_of([plant_state(run, 0), plant_state(run, 1, tilt), plant_state(run, 2)])
+            run, log_of([on_reference(run, 0), on_reference(run, 1, tilt), on_reference(run, 2)])
         )
     )
     assert summary["attitude_max_deg"] == pytest.approx(3.0, rel=ROUNDING)
@@ -158,12 +167,12 @@ def test_attitude_is_the_largest_angle() -> None:
 def test_separation_is_the_closest_pair() -> None:
     """The UAVs of Table I hover 0.5 m apart; a single UAV has no separation."""
     run = runs.setup(HOVER)
-    assert summarise(AnalysedRun.of(run, log_of([plant_state(run, 0)])))[
+    assert summarise(AnalysedRun.of(run, log_of([on_reference(run, 0)])))[
         "separation_min_m"
     ] == pytest.approx(0.5, rel=ROUNDING)
-    single = runs.setup(HOVER, *SINGLE_UAV)
+    single = runs.setup(HOVER, *runs.SINGLE_UAV)
     assert (
-        summarise(AnalysedRun.of(single, log_of([plant_state(single, 0)])))["separation_min_m"]
+        summarise(AnalysedRun.of(single, log_of([on_reference(single, 0)])))["separation_min_m"]
         is None
     )
 
@@ -193,23 +202,23 @@ def test_violations_are_shares_of_the_range() -> None:
         worst = summary["constraint_violation"]
         return None if worst is None else (worst["limit"], worst["at_s"])
 
-    assert limit(plant_state(run, 0), plant_state(run, 2, above)) == ("inputs", 0.1)
-    assert limit(plant_state(run, 0), plant_state(run, 1, jump)) == ("change of inputs", 0.05)
-    assert limit(plant_state(run, 0), plant_state(run, 1, close)) == ("separation", 0.05)
-    assert limit(plant_state(run, 0), plant_state(run, 1)) is None
+    assert limit(on_reference(run, 0), on_reference(run, 2, above)) == ("inputs", 0.1)
+    assert limit(on_reference(run, 0), on_reference(run, 1, jump)) == ("change of inputs", 0.05)
+    assert limit(on_reference(run, 0), on_reference(run, 1, close)) == ("separation", 0.05)
+    assert limit(on_reference(run, 0), on_reference(run, 1)) is None
 
     # After a gap in the record only the bound is judged.
-    assert worst(plant_state(run, 0), plant_state(run, 2, above)) == pytest.approx(
+    assert worst(on_reference(run, 0), on_reference(run, 2, above)) == pytest.approx(
         4.5 / 45.0, rel=ROUNDING
     )
-    assert worst(plant_state(run, 0), plant_state(run, 1, jump)) == pytest.approx(
+    assert worst(on_reference(run, 0), on_reference(run, 1, jump)) == pytest.approx(
         2.0 / 10.0, rel=1e-9
     )
-    assert worst(plant_state(run, 0, jump)) == pytest.approx(2.0 / 10.0, rel=1e-9)
-    assert worst(plant_state(run, 2, jump)) == 0.0
-    distance_m = series_of(run, log_of([plant_state(run, 0, close)])).separation_m[0]
+    assert worst(on_reference(run, 0, jump)) == pytest.approx(2.0 / 10.0, rel=1e-9)
+    assert worst(on_reference(run, 2, jump)) == 0.0
+    distance_m = series_of(run, log_of([on_reference(run, 0, close)])).separation_m[0]
     assert distance_m < 0.4
-    assert worst(plant_state(run, 0, close)) == pytest.approx(
+    assert worst(on_reference(run, 0, close)) == pytest.approx(
         (0.4 - distance_m) / 0.4, rel=ROUNDING
     )
 
@@ -229,7 +238,7 @@ def test_slack_cables_are_counted() -> None:
         [3.0, 0.0, 7.0, 7.0],
         [3.0, 2.0, 7.0, 0.0],
     ]
-    messages: list[Message] = [plant_state(run, k) for k in range(4)]
+    messages: list[Message] = [on_reference(run, k) for k in range(4)]
     messages += [
         ActualInputs(
             sender="plant",
@@ -249,7 +258,7 @@ def test_slack_cables_are_counted() -> None:
     }  # fmt: skip
     lines = [str(cell) for column in summary_table(summary).columns for cell in column.cells]
     assert "min tension 0.00 N, slack 2 times, at most 0.10 s, 1 slack at the end" in lines
-    assert summarise(AnalysedRun.of(run, log_of([plant_state(run, 0)])))["cables"] is None
+    assert summarise(AnalysedRun.of(run, log_of([on_reference(run, 0)])))["cables"] is None
 
 
 def test_held_ticks_are_missed_deadlines() -> None:
@@ -284,7 +293,8 @@ def test_times_by_hand() -> None:
         control(2),
     ]
     log = log_of(
-        [*messages, plant_state(run, 0), plant_state(run, 1)], [10, 11, 14, 15, 16, 18, 60, 61, 62]
+        [*messages, on_reference(run, 0), on_reference(run, 1)],
+        [10, 11, 14, 15, 16, 18, 60, 61, 62],
     )
     assert rest_of_tick_ms(run, log) == pytest.approx({0: 4.0 - 1.5, 1: 0.0})
     summary = summarise(AnalysedRun.of(run, log))
@@ -338,7 +348,7 @@ def test_one_row_for_each_agent_and_tick() -> None:
         u[:] = np.arange(16.0)
 
     pulled = report(run, 2, 1, plan_ages=(3,), force=np.array([0.5, -1.0, 4.4]))
-    messages = [pulled, report(run, 1, 1), report(run, 1, 0), plant_state(run, 1, change)]
+    messages = [pulled, report(run, 1, 1), report(run, 1, 0), on_reference(run, 1, change)]
     rows = list(steps_rows(AnalysedRun.of(run, log_of(messages))))
     assert [(row["tick"], row["agent"]) for row in rows] == [(0, 1), (1, 1), (1, 2)]
     assert [list(row) for row in rows] == [steps_columns(run)] * 3
@@ -359,7 +369,7 @@ def test_scripted_changes_of_links_are_events_as_far_as_the_run_came() -> None:
         "links.change=[{at_s=0.3,from='agent2',loss=1.0}]",
         "links.partition=[{between=['agent1','agent2'],start_s=0.12,end_s=0.9}]",
     )
-    log = log_of([plant_state(run, k) for k in range(10)])
+    log = log_of([on_reference(run, k) for k in range(10)])
     events = summarise(AnalysedRun.of(run, log))["faults"]
     assert [(event["time_s"], event["kind"], event["what"]) for event in events] == [
         (0.15, "notice", "agent1, agent2 cut off by script"),

@@ -10,7 +10,7 @@ from jsonschema import Draft202012Validator
 from rich.console import Console
 
 from tests.support import runs
-from tests.support.logs import SINGLE_UAV, record_run
+from tests.support.logs import record_run
 from transport.protocol.wire.errors import Reason
 from transport.protocol.wire.messages import Message
 from transport.report.report import write_report
@@ -86,7 +86,7 @@ def test_a_run_is_summarised(flight: tuple[Path, list[Message]]) -> None:
 @pytest.mark.parametrize(
     ("settings", "outcome"),
     [
-        ((runs.SHORT, *SINGLE_UAV), "completed"),
+        ((runs.SHORT, *runs.SINGLE_UAV), "completed"),
         ((runs.SHORT, "agents.owned=[[1,2,3,4]]"), "completed"),
         ((runs.SHORT, "plant.max_error_m=0.05", "clock.actuation=next_tick"), "diverged"),
     ],

@@ -5,7 +5,8 @@ import math
 import pytest
 
 from tests.support import runs
-from tests.support.logs import log_of, plant_state
+from tests.support.log_messages import on_reference
+from tests.support.logs import log_of
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
 from transport.analysis.series import series_of, swing_of
@@ -29,7 +30,7 @@ def test_the_swing_is_that_of_the_end() -> None:
         def change(x: Array, u: Array) -> None:
             x[state.R0] += [5.0 if k < 40 else 0.0, 0.1 + 0.3 * math.cos(OMEGA * 0.05 * k), 0.0]
 
-        return plant_state(run, k, change)
+        return on_reference(run, k, change)
 
     # Two samples are 50 ms apart: 1 - cos(OMEGA 0.025) = 1e-3.
     found = swing_of(run, series_of(run, log_of([at(k) for k in range(TICKS)])))

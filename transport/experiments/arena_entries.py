@@ -11,10 +11,14 @@ from transport.protocol.scenario.own_calls import OwnClassError
 from transport.protocol.scenario.own_class import own_class, version_of
 from transport.protocol.wire.exit_codes import EXIT_SCENARIO
 
-# Keys of the controller that belong to the task: all algorithms have the same.
+# Keys of the controller that an entry may not set, as they make the task the same for all algorithms.
+# All others are the algorithm's own: how it predicts, estimates, solves and exchanges plans, and how
+# far ahead. What these cost is measured, as processor time and bytes.
 _OF_TASK = (
-    *("weights", "limits", "sampling_period_s", "inputs", "rate_time_constant_s", "separation"),
-    *("tilt", "tension", "constraint", "cost"),
+    *("weights", "cost"),  # the measured cost
+    *("limits", "inputs", "rate_time_constant_s"),  # what the vehicles can do
+    *("separation", "tilt", "tension", "constraint"),  # what a plan has to keep to
+    "sampling_period_s",  # how often an agent may act
 )
 _CONTROLLER = "controller."
 

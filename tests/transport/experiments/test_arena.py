@@ -1,44 +1,59 @@
 """The arena: its combinations, entries of the user, tables, and resumption."""
 
-from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import orjson
 import pytest
+from matplotlib.image import imread
 
 import transport
 from tests.support.results import here
 from transport.agent.own_run import Run
 from transport.experiments import arena_tasks
 from transport.experiments.arena import arena
-from transport.experiments.arena_entries import BUILT_IN, REFERENCE, entered
+from transport.experiments.arena_entries import BUILT_IN, REFERENCE, Entry, entered
 from transport.experiments.arena_tasks import NETWORK_TEXTS, NETWORKS, PERFECT, TASKS, Task
-from transport.experiments.cases import ExperimentError
+from transport.experiments.cases import Case, ExperimentError
+from transport.model import state
 from transport.model.arrays import Array
+from transport.protocol.scenario.schema import ControllerSection
 
+# 0.6 s, long enough for costs that differ.
 SHORT = (
     "maneuver.phase=[{name='hover',duration_s=0.3,displacement_m=[0,0,0]},"
     "{name='climb',duration_s=0.3,displacement_m=[0,0,-0.2]}]"
 )
 
+# Panels of the figure: completed runs, and a measure each.
+PANELS = 6
+
+# Keys of [controller] that an entry may set: they do not change the task.
+ALGORITHM_KEYS = {
+    *("horizon", "discretisation", "linearisation", "motor_lag_s"),  # the model it predicts with
+    *("prediction", "received_plans", "received_states", "fail_safe", "silence"),  # of the others
+    *("estimator", "disturbance"),
+    *("terminal", "preview", "relaxation", "solver"),  # the program
+    *("negotiation_iterations", "share", "share_threshold", "share_heartbeat_s"),  # the exchange
+}
+
 
 class Steady:
-    """Inputs of hover, which enters the arena."""
+    """An entry: always the inputs of hover."""
 
     version = "7"
-    arena = {  # noqa: RUF012
+    arena = {  # noqa: RUF012  # as in the documentation
         "tuned": "nothing",
         "settings": ["controller.received_plans=by_age"],
     }
 
     def start(self, run: Run) -> None:
         """Keep the inputs of hover."""
-        self.u = run.u_hover.reshape(-1, 4)[list(run.owned)].ravel()
+        self.u = run.u_hover[state.input_indices(run.owned)]
 
     def step(self, measurement: object, messages: object) -> Array:
-        """Return them."""
+        """Return the inputs of hover."""
         return self.u
 
     def stop(self) -> None:
@@ -46,27 +61,46 @@ class Steady:
 
 
 class Large(Steady):
-    """Data of the whole team over the horizon, too many for eight UAVs."""
+    """An entry with data that fit into a message for four UAVs, but not for eight.
+
+    It declares data and returns none, so each of its steps fails.
+    """
 
     def start(self, run: Run) -> None:
-        """Declare them."""
+        """Declare the inputs of the whole team over the horizon as data."""
         super().start(run)
-        run.share((run.horizon, 4 * run.system.N))
+        run.share((run.horizon, state.INPUTS * run.system.N))
+
+
+class Falling(Steady):
+    """An entry without thrust: the team falls out of the allowed distance from the reference."""
+
+    def start(self, run: Run) -> None:
+        """Switch the motors off."""
+        super().start(run)
+        self.u = np.zeros_like(self.u)
 
 
 STEADY = f"{__name__}:Steady"
+LARGE = f"{__name__}:Large"
 
 
 @pytest.fixture
-def short(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def short_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replace the tasks by two short ones."""
     tasks = {
         "short": Task(text="0.6 s", settings=(SHORT,)),
         "eight UAVs": Task(text="0.6 s of eight", settings=(SHORT,), uavs=8),
     }
-    for module in ("arena", "arena_report", "arena_tasks"):
+    for module in ("arena", "arena_report", "arena_tasks"):  # each has imported the name
         monkeypatch.setattr(import_module(f"transport.experiments.{module}"), "TASKS", tasks)
-    return iter(())
+
+
+def distributed_case(task: str, network: str) -> Case:
+    """Return the first run of a task on a network with an agent for each UAV."""
+    made = arena(tasks=[task], networks=[network], algorithms=["paper"])
+    labels = {"task": task, "network": network, "algorithm": "paper"}
+    return next(case for case in made.cases if made.experiment.points[case.point].labels == labels)
 
 
 def test_every_combination_is_there() -> None:
@@ -82,35 +116,84 @@ def test_every_combination_is_there() -> None:
 
 
 def test_algorithms_differ_in_their_controller_only() -> None:
-    """Tasks fix system, weights, limits, plant and faults: the same for every algorithm."""
-    made = arena(tasks=["death", "shared"])
+    """Tasks fix system, maneuver, weights, limits and plant for every algorithm.
+
+    Failures are the same for all but the centralized algorithms, which are spared them.
+    """
+    made = arena(tasks=["death", "shared"], networks=[PERFECT])
     for task in ("death", "shared"):
-        rest = set()
+        fixed_parts = set()
         for case in made.cases:
             labels = made.experiment.points[case.point].labels
-            if labels["task"] != task or labels["network"] != PERFECT:
+            if labels["task"] != task:
                 continue
             tree = case.scenario.tree()
             controller = tree["controller"]
-            of_task = {key: controller[key] for key in ("weights", "limits", "separation")}
-            constraint = controller.get("constraint")
-            rest.add(str([tree["system"], tree["maneuver"], tree["plant"], of_task, constraint]))
+            of_task = [
+                controller.get(key)
+                for key in ControllerSection.model_fields
+                if key not in ALGORITHM_KEYS
+            ]
+            fixed_parts.add(str([tree["system"], tree["maneuver"], tree["plant"], of_task]))
+
             is_spared = str(labels["algorithm"]).startswith("centralized")
             assert bool(tree["faults"]["event"]) == (task == "death" and not is_spared)
-        assert len(rest) == 1
+        assert len(fixed_parts) == 1
+
+
+def test_a_perfect_network_delivers_every_plan() -> None:
+    """Every plan arrives at once, as the text says: no impairment is set, and there is no radio."""
+    scenario = distributed_case("maneuver", PERFECT).scenario
+    assert NETWORK_TEXTS[PERFECT] == "every plan arrives at once"
+    assert scenario.links.model_dump(exclude_defaults=True) == {}
+    assert scenario.radio is None
+
+
+def test_a_late_network_has_the_delay_and_the_loss_of_its_text() -> None:
+    """Links have the delay and the loss that the text says, and no other impairment."""
+    impairments = distributed_case("maneuver", "late").scenario.links.model_dump(
+        exclude_defaults=True
+    )
+    assert impairments.keys() == {"delay_s", "loss"}
+    delay_ms, loss_percent = 1e3 * impairments["delay_s"], 100.0 * impairments["loss"]
+    assert NETWORK_TEXTS["late"] == f"{delay_ms:g} ms delay, {loss_percent:g} % packet loss"
+
+
+def test_a_bursty_network_has_the_loss_and_the_bursts_of_its_text() -> None:
+    """Share of lost plans and mean length of a burst of the Gilbert-Elliott model are those of the text."""
+    scenario = distributed_case("maneuver", "bursts").scenario
+    assert scenario.links.model_dump(exclude_defaults=True).keys() == {"gilbert_elliott"}
+    bursts = scenario.links.gilbert_elliott
+    assert bursts is not None
+
+    # Stationary distribution of the two states; the time in one of them is geometric.
+    share_in_bursts = bursts.enter / (bursts.enter + bursts.leave)
+    lost_percent = 100.0 * bursts.loss * share_in_bursts
+    mean_burst_s = scenario.controller.sampling_period_s / bursts.leave
+    text = f"{lost_percent:g} % of the plans lost, in bursts of {mean_burst_s:g} s on average"
+    assert NETWORK_TEXTS["bursts"] == text
+
+
+def test_the_radio_is_that_of_its_text() -> None:
+    """Standard, rate, access and traffic of others are those of the text; links add no impairment."""
+    scenario = distributed_case("maneuver", "radio").scenario
+    assert scenario.links.model_dump(exclude_defaults=True) == {}
+    radio = scenario.radio
+    assert radio is not None
+
+    assert radio.offsets == "slots"
+    channel = f"one {radio.standard} channel at {radio.rate_mbps:g} Mb/s with a slot for each agent"
+    assert (
+        NETWORK_TEXTS["radio"] == f"{channel} and {100.0 * radio.background:g} % traffic of others"
+    )
 
 
 def test_the_silence_cuts_all_agents_apart() -> None:
-    """No message passes between any two agents."""
-    (case,) = (
-        case
-        for case in arena(tasks=["silence"], networks=[PERFECT], algorithms=["paper"]).cases
-        if len(case.scenario.owned) > 1
-    )
-    for partition in case.scenario.links.partition:
-        assert partition.end_s - partition.start_s == 5.0
-    sides = [partition.between for partition in case.scenario.links.partition]
-    assert sides == [["agent1"], ["agent2"], ["agent3"]]
+    """From 3 to 8 s no message passes between any two agents: three of four are alone on their side of a cut."""
+    cuts = distributed_case("silence", PERFECT).scenario.links.partition
+    assert [cut.between for cut in cuts] == [["agent1"], ["agent2"], ["agent3"]]
+    assert {f"from {cut.start_s:g} to {cut.end_s:g} s" for cut in cuts} == {"from 3 to 8 s"}
+    assert TASKS["silence"].text.endswith("no message from 3 to 8 s")
 
 
 @pytest.mark.parametrize(
@@ -123,15 +206,31 @@ def test_the_silence_cuts_all_agents_apart() -> None:
         ({"settings": ["agents.failed_share=1"]}, "that are not the task's"),
     ],
 )
-def test_an_entry_changes_its_controller_only(
+def test_an_entry_is_refused_in_one_line(
     attribute: dict[str, object], expected: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What belongs to the task is refused, in one line that names the class."""
+    """A wrong attribute, or a key outside its part of [controller], is refused in a line that names the class."""
     monkeypatch.setattr(Steady, "arena", attribute)
     with pytest.raises(ExperimentError, match=f"--controller {STEADY}: ") as refused:
         entered(STEADY)
     assert expected in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def is_accepted(key: str, monkeypatch: pytest.MonkeyPatch) -> bool:
+    """Return whether an entry may set a key of [controller]."""
+    monkeypatch.setattr(Steady, "arena", {"settings": [f"controller.{key}=1"]})
+    try:
+        entered(STEADY)
+    except ExperimentError:
+        return False
+    return True
+
+
+def test_an_entry_may_set_the_keys_of_an_algorithm_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every key of [controller] is the algorithm's or the task's; an entry may set the former alone."""
+    keys = ControllerSection.model_fields
+    assert {key for key in keys if is_accepted(key, monkeypatch)} == ALGORITHM_KEYS
 
 
 @pytest.mark.parametrize(
@@ -144,24 +243,26 @@ def test_an_entry_changes_its_controller_only(
         (("--dask", "nowhere"), "--dask: expected an address"),
     ],
 )
-def test_what_cannot_be_is_refused(options: tuple[str, ...], expected: str) -> None:
-    """Before anything is flown, with the names that there are."""
+def test_unknown_names_are_refused(options: tuple[str, ...], expected: str) -> None:
+    """An option with an unknown name is refused in one line before any run, with the names to choose from."""
     done = here("arena", *options)
     assert done.exit_code in (2, 3)
     assert done.stderr.startswith(f"transport: {expected}")
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_the_whole_command(short: None, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("short_tasks")
+def test_the_whole_command(tmp_path: Path) -> None:
     """A table for each measure, one file with results and versions, and a figure; it is resumed."""
-    options = ("arena", "--controller", STEADY, "--controller", f"{__name__}:Large")
-    chosen = ("--algorithm", "alone", "--network", "late", "--seeds", "2", "--jobs", "1")
-    out = ("--out", tmp_path)
-    done = here(*options, *chosen, *out)
+    command = (
+        *("arena", "--controller", STEADY, "--controller", LARGE, "--algorithm", "alone"),
+        *("--network", "late", "--seeds", "2", "--jobs", "1", "--out", tmp_path),
+    )
+    done = here(*command)
     assert done.exit_code == 0, done.stderr
     assert "Completed runs" in done.stdout
     assert f"{STEADY} (version 7): tuned: nothing" in done.stdout
-    refused = f"no: {__name__}:Large: start raised ValueError: run.share: expected a shape of 1 to"
+    refused = f"no: {LARGE}: start raised ValueError: run.share: expected a shape of 1 to"
     assert refused in done.stdout
 
     content = orjson.loads((tmp_path / "arena.json").read_bytes())
@@ -172,23 +273,26 @@ def test_the_whole_command(short: None, tmp_path: Path) -> None:
     assert points["short", PERFECT, REFERENCE]["cost_ratio"] == 1.0
     assert points["short", "late", "alone"]["completed"] == 2
     assert points["short", "late", "alone"]["cost_ratio_ci95"] is not None
-    assert points["eight UAVs", "late", f"{__name__}:Large"]["refused"]
+    assert points["eight UAVs", "late", LARGE]["refused"]
     assert points["eight UAVs", "late", STEADY]["completed"] == 2
-    assert (tmp_path / "figure.png").stat().st_size > 1000
+    pixels = imread(tmp_path / "figure.png")
+    assert pixels.min() < pixels.max()  # something is drawn
     report = (tmp_path / "report.md").read_text(encoding="utf-8")
     assert "| algorithm | network | short | eight UAVs |" in report
 
-    # Its step returns no data: every one fails.
+    # Runs of `Large` with four UAVs: each of its steps fails.
     ended = [file.name for file in sorted((tmp_path / "ended").iterdir())]
     assert [name.partition("-tests-")[0] for name in ended] == ["short-late", "short-perfect"]
     assert all(name.endswith("test-arena-Large.toml") for name in ended)
-    again = here(*options, *chosen, *out)
+
+    again = here(*command)
     runs = sum(row["flights"] for row in content["points"])
     assert f"{runs} of {runs} runs are done already" in again.stderr
 
 
-def test_from_python(short: None) -> None:
-    """A class itself enters, and its results are rows; a cost ratio has the interval of the cost."""
+@pytest.mark.usefixtures("short_tasks")
+def test_from_python() -> None:
+    """A class itself enters, and its results are rows; a cost ratio is that of the mean costs."""
     result = transport.arena(
         Steady, tasks=["short"], networks=["late"], algorithms=["alone"], seeds=2, workers=1,
         progress=False,
@@ -198,35 +302,27 @@ def test_from_python(short: None) -> None:
         (PERFECT, REFERENCE), (PERFECT, "alone"), ("late", "alone"), (PERFECT, STEADY),
         ("late", STEADY),
     }  # fmt: skip
-    ratio = rows["late", "alone"]["cost_ratio"]
-    assert ratio == pytest.approx(
-        rows["late", "alone"]["cost_mean"] / rows[PERFECT, REFERENCE]["cost_mean"]
-    )
+    alone, reference = rows["late", "alone"], rows[PERFECT, REFERENCE]
+    assert alone["cost_ratio"] == pytest.approx(alone["cost_mean"] / reference["cost_mean"])
     assert np.isfinite([row["plan_bytes_per_s"] for row in result.rows()]).all()
     assert result.content["points"][0]["algorithm"] == REFERENCE
     assert "Mean cost over that of" in str(result)
     assert result.notes[-1] == f"{STEADY} (version 7): tuned: nothing"
-    assert len(result.plot().axes) == 6
+    assert len(result.plot().axes) == PANELS
 
 
 def test_the_project_says_what_was_tuned() -> None:
-    """Every algorithm of the project states it."""
-    assert all(len(one.tuned) > 10 for one in BUILT_IN.values())
-
-
-class Falling(Steady):
-    """No thrust: the team falls out of the allowed distance from the reference."""
-
-    def start(self, run: Run) -> None:
-        """Switch the motors off."""
-        super().start(run)
-        self.u = 0.0 * self.u
+    """Every algorithm of the project states for which task and network it was tuned."""
+    unstated = Entry().tuned
+    for algorithm in BUILT_IN.values():
+        assert algorithm.tuned != unstated
+        assert len(algorithm.tuned) > len(unstated)
 
 
 def test_a_run_that_ends_early_can_be_flown_again(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Its scenario is in the folder, and ends at the same time with the same reason."""
+    """The scenario of a run that ended early is in the folder, and ends again in the same way at the same time."""
     result = transport.arena(
         Falling, tasks=["gusts"], networks=[PERFECT], algorithms=[REFERENCE], seeds=1, workers=1,
         folder=tmp_path, progress=False,
