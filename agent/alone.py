@@ -29,9 +29,11 @@ ALONE = "alone"  # the name of this controller in a scenario
 
 @dataclass(slots=True)
 class AloneStep:
-    """A tick of the controller; it has no negotiation before its plan."""
+    """A tick of the controller, as the node expects of every planner (`agent.planner`)."""
 
     received: Received
+    # Exchanges that the tick still needs. There are none before the plan, which makes it 0: the tick
+    # is done.
     negotiation: int = 1
 
 

@@ -70,8 +70,14 @@ class TeamLaw:
     ) -> FeedbackLaw | None:
         """Return the law over a horizon; None with open-loop prediction.
 
-        x0 is the state at instant `start`, (n,), or with motor lag (n + m,); reference states are
-        (N_p, n), corrections (N_p, m), forces in N, and a mass.
+        Args:
+            x0: State at instant `start`, (n,), or with motor lag (n + m,).
+            x_ref: Reference states, (N_p, n); along a flat reference only their number counts, as
+                the law has states of its own there.
+            c: Corrections, (N_p, m).
+            forces: External forces, (3 + 3 N,), N, perhaps followed by the payload's mass error, kg.
+            start: Instant of the reference.
+
         Source: docs/equations.md (35), (40), (73).
         """
         crew = self.about_hover.crew
@@ -139,7 +145,8 @@ class TeamLaw:
     def gain(self, instant: int) -> Array:
         """Return the feedback gain K, (m, n), with motor lag (m, n + m), where there is a regulator.
 
-        In closed loop it is the derivative of `inputs` by the state.
+        In closed loop it is the derivative of `inputs` by the state. A law with a track has a tracker
+        once its gains are computed; until then these are the gains about hover.
         Raises: FeedbackError: there is no regulator.
         """
         if self.tracker is not None:

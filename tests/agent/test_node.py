@@ -102,13 +102,15 @@ def test_plan_is_the_controllers(run: Setup, node: AgentNode) -> None:
             measurement(run, 1, 1),
         )
     )
-    # All others are measured to be where they started; UAV2 has since done what it announced.
+    # Payload and UAV 1 are measured to be where they started. The others are predicted: UAV 2 by what
+    # it announced.
     u0 = run.hover.u.copy()
     u0[4:8] = shove[0]
     x, _ = run.model.integrate(
         run.initial_state(), np.concatenate([first.inputs[0], u0[4:]]), 0.05, 2
     )
-    x[:24] = run.initial_state()[:24]
+    for measured in (slice(0, state.PAYLOAD), state.uav_slice(0)):
+        x[measured] = run.initial_state()[measured]
     U = np.tile(run.hover.u, (5, 1))
     U[:, :4] = np.vstack([first.inputs[1:], first.inputs[-1:]])
     U[:, 4:8] = shove

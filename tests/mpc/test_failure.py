@@ -68,16 +68,14 @@ def test_three_stabilise_the_payload_without_the_fourth() -> None:
     )
     at = hover_after_failures(three, set(), set())
     cost = Cost(Weights(), three, at)
-    uncontrolled = regulator(HoveringTeam(model=Model(three), hover=at, cost=cost), PERIOD_S)
+    of_three = regulator(HoveringTeam(model=Model(three), hover=at, cost=cost), PERIOD_S)
     K = found(system, {DEAD}, {DEAD}).K
     assert not K[state.input_slice(DEAD)].any()
     assert not K[:, state.uav_slice(DEAD)].any()
     columns = np.concatenate(
         [np.arange(12), *[np.arange(12) + state.uav_slice(i).start for i in live]]
     )
-    np.testing.assert_allclose(
-        K[input_indices(live)][:, columns], uncontrolled.K, atol=GAIN_TOLERANCE
-    )
+    np.testing.assert_allclose(K[input_indices(live)][:, columns], of_three.K, atol=GAIN_TOLERANCE)
 
 
 @pytest.mark.parametrize(("uavs", "released"), [(4, True), (5, False), (6, False), (6, True)])

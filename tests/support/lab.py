@@ -1,14 +1,14 @@
-"""A laboratory of several hosts on one machine.
+r"""A laboratory of several hosts on one machine.
 
 Network namespaces on a switch, with cables that can be cut.
 
-    python -m tests.support.lab --set clock.mode=realtime --set clock.speed=1 --cut agent2:8:1 --out
-    lab
+    python -m tests.support.lab --set clock.mode=realtime --set clock.speed=1 \
+        --cut agent2:8:1 --out lab
 
 Each process of the run, recorder included, has its own host and runs from the folders that
-`transport deploy render`
-writes. The lab is in its own network, process and mount namespace: when its first process ends, for
-any reason, the kernel ends all other processes in it and removes the network.
+`transport deploy render` writes. The lab is in its own network, process and mount namespace: when
+its first process ends, for any reason, the kernel ends all other processes in it and removes the
+network.
 """
 
 import argparse

@@ -178,7 +178,11 @@ def test_separation_is_the_closest_pair() -> None:
 
 
 def test_violations_are_shares_of_the_range() -> None:
-    """An excess over a bound counts against its range, over a rate against twice the step, of distance against it."""
+    """A violation is a share of the range between the two limits.
+
+    Of a bound: excess / (upper - lower). Of a rate: excess / (2 x step). Of a distance: what it
+    lacks / smallest distance.
+    """
     run = runs.setup(HOVER)  # thrust in 0..45 N, 5 N per tick; at least 0.4 m
 
     def above(x: Array, u: Array) -> None:
