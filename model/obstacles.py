@@ -1,6 +1,9 @@
 """Obstacles as boxes, also flat or endless, grown by a radius.
 
-Distances from UAVs, rods and payload are exact.
+Distances of UAVs, rods and payload are exact to rounding. That of a payload from an endless solid
+is so to 1e-9 m: the edges of the solid end `_FAR_M` from its centre and are searched by halving.
+Depths inside a solid are known for points alone: segments and boxes that enter the box before its
+rounding have minus the radius as their distance, however deep they are.
 """
 
 from dataclasses import dataclass
@@ -14,7 +17,7 @@ from transport.model.parameters import System, payload_half_size
 from transport.model.rotations import rotation
 
 _FAR_M = 1e6  # half size in place of an infinite one, m
-_HALVINGS = 64  # of a segment: to rounding of its parameter
+_HALVINGS = 64  # of a segment: enough for the position along it to be exact to rounding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,8 +35,11 @@ class Solid:
         return np.asarray(rotation(np.array([0.0, 0.0, self.heading_rad])))
 
     def from_points(self, r_I: Array) -> tuple[Array, Array]:
-        """Return distances of points, (..., 3), negative inside, m, and their gradients, (..., 3).
+        """Return the distances of points and their gradients.
 
+        Args:
+            r_I: Points, inertial frame, (..., 3), m.
+        Returns: Distances, negative inside, (...,), m, and gradients, (..., 3).
         Source: docs/equations.md (69a).
         """
         # q = R_b^T (r - c),   delta = |q - clip(q, -h, h)| - a
@@ -53,18 +59,25 @@ class Solid:
         return distance - self.radius, normal @ self.R.T
 
     def from_segments(self, a_I: Array, b_I: Array) -> Array:
-        """Return the distances of segments between points, (..., 3) each, (...,), m.
+        """Return the distances of segments, without depth in the box before its rounding.
 
-        At least minus the radius.
+        Args:
+            a_I: First ends, inertial frame, (..., 3), m.
+            b_I: Second ends, likewise.
+        Returns: Distances, at least minus the radius, (...,), m.
         """
         a = (a_I - self.centre_I) @ self.R
         b = (b_I - self.centre_I) @ self.R
         return _between_box_and_segments(a, b, self.half) - self.radius
 
     def from_boxes(self, r_I: Array, R: Array, half: Array) -> Array:
-        """Return the distances of boxes, (k,), at least minus the radius, m.
+        """Return the distances of equal boxes, without depth in the box before its rounding.
 
-        Given their centres, (k, 3), rotations, (k, 3, 3), and half sizes, (3,).
+        Args:
+            r_I: Their centres, inertial frame, (k, 3), m.
+            R: Rotations from their axes to the inertial frame, (k, 3, 3).
+            half: Half sizes of each, finite, (3,), m.
+        Returns: Distances, at least minus the radius, (k,), m.
         """
         # Two boxes apart: a pair of nearest points has one on an edge. Overlapping: an edge of one
         # enters the other. So the edges of each against the other box suffice, (69a).
@@ -90,9 +103,11 @@ class Obstacle:
     penalty: float  # weight of a violation in the program of a controller, 1/m
 
     def from_points(self, r_I: Array) -> tuple[Array, Array]:
-        """Return distances of points, (..., 3), from the nearest solid, and their gradients.
+        """Return the distances of points from the nearest solid and their gradients.
 
-        (...,), m, and (..., 3).
+        Args:
+            r_I: Points, inertial frame, (..., 3), m.
+        Returns: Distances, negative inside, (...,), m, and gradients, (..., 3).
         """
         each = [solid.from_points(r_I) for solid in self.solids]
         distances = np.array([distance for distance, _ in each])
@@ -103,9 +118,9 @@ class Obstacle:
         return distances.min(axis=0), normal
 
     def margins(self, N: int) -> Array:
-        """Return the smallest distances of the bodies of N UAVs, (2 N + 1,), m.
+        """Return the smallest distances allowed of the bodies of N UAVs.
 
-        In the order of `clearances`.
+        Returns: Distances in the order of `clearances`, (2 N + 1,), m.
         """
         return np.repeat([self.margin_m, self.load_margin_m], [N, N + 1])
 
@@ -118,9 +133,16 @@ def bodies(N: int) -> list[str]:
 
 
 def clearances(system: System, obstacle: Obstacle, x: Array) -> Array:
-    """Return distances of UAV centres, rods and payload from an obstacle at states, (k, n).
+    """Return the distances of UAV centres, rods and payload from an obstacle.
 
-    (k, 2 N + 1), m. Source: docs/equations.md (69a).
+    Of rods and payload that overlap a solid the depth is not told, as in `Solid`.
+
+    Args:
+        system: Parameters of the team.
+        obstacle: The obstacle.
+        x: States, (k, n).
+    Returns: Distances of UAVs, then rods, then the payload, (k, 2 N + 1), m.
+    Source: docs/equations.md (69a).
     """
     view = state.StateView(x)
     R = np.array([rotation(Theta) for Theta in x[:, state.THETA0]])
@@ -142,9 +164,15 @@ def clearances(system: System, obstacle: Obstacle, x: Array) -> Array:
 
 
 def _between_box_and_segments(a: Array, b: Array, half: Array) -> Array:
-    """Return the distances of segments from a box about the origin, (...,), m.
+    """Return the distances of segments from a box about the origin, zero where they enter it.
 
     The distance is convex along a segment: halving leads to the zero of its slope, (69a).
+
+    Args:
+        a: First ends in the axes of the box, (..., 3), m.
+        b: Second ends, likewise.
+        half: Half sizes of the box, infinite without ends, (3,), m.
+    Returns: Distances, (...,), m.
     """
     along = b - a
     low = np.zeros(a.shape[:-1])
@@ -163,7 +191,7 @@ def _between_box_and_segments(a: Array, b: Array, half: Array) -> Array:
 
 
 def _edges(half: Array) -> Array:
-    """Return the ends of all edges of a box about the origin, (edges, 2, 3)."""
+    """Return the ends of all edges of a box about the origin, (edges, 2, 3), m, at most at `_FAR_M`."""
     corners = np.array(list(product((-1.0, 1.0), repeat=3)))
     pairs = []
     for a in corners:

@@ -63,14 +63,16 @@ class Controller:
     """Model predictive control of the owned UAVs, given the announced inputs of the others.
 
     `step` is its work in one call. An agent calls the stages itself, in this order: `linearise`,
-    `discretise`, `predict`, `condense`, `solve`, `conclude`. A stage may rely on what the one before
-    has left: `solve` softens the constraints of the program that `condense` has formed last.
+    `discretise`, `predict`, `condense`, `solve`, `conclude`. Between them the controller keeps two
+    things: `condense` subtracts the curvature that the newest `predict` has found, and `solve`
+    softens the constraints of the program that the newest `condense` has formed.
 
     Args:
         reference: What the control law follows; None for hover.
         obstacles: What the team keeps clear of; ignored unless the reference is flat.
 
-    Raises: SettingsError, FeedbackError.
+    Raises: SettingsError: an expression of the settings cannot be read or evaluated. FeedbackError:
+    the settings need a regulator and none stabilises the team.
     """
 
     def __init__(
@@ -88,17 +90,17 @@ class Controller:
         self._tilts = state.tilt_indices(model.system.N)
         self._decision = Decision(model.system, settings, owned)
         self._program = Program(self._decision, self.cost, self.regulation.user_costs)
-        self._along = CourseProgram(self._decision, obstacles)
+        self._course_program = CourseProgram(self._decision, obstacles)
         self._softening = Softening(self._decision, self._program.stack)
-        self._softening_along = Softening(self._decision, self._along.stack)
-        self._softens = self._softening  # the one of the newest program
+        self._course_softening = Softening(self._decision, self._course_program.stack)
+        self._newest_softening = self._softening  # that of the program formed last
 
         # The model with the motor failures reported to `fail`, and without.
         self.model = model
         self._whole = model
         self._gone = frozenset[int]()  # UAVs without an agent
         self._off = frozenset[int]()  # UAVs without motors
-        self._released = frozenset[int]()
+        self._released = frozenset[int]()  # of these the ones whose rods have been released
         # Whether several agents keep the same constraint of the user: every one on states, and of those
         # on inputs the ones on UAVs of several agents.
         on_states = bool(settings.constraint) and bool(OwnStates(self._decision).texts)
@@ -110,7 +112,8 @@ class Controller:
         # Derivatives of the newest step and their difference equation, used again while the derivatives
         # are the same read-only array, as those at hover.
         self._discretised: tuple[Array, Discrete] | None = None
-        # Outputs along a trajectory beyond their linearisation, (N_p + 1, p).
+        # Outputs along the trajectory of the newest prediction beyond their linearisation,
+        # (N_p + 1, p); None where that prediction is not along a trajectory.
         self._curvature: Array | None = None
 
     @property
@@ -120,7 +123,7 @@ class Controller:
 
     @property
     def own(self) -> Places:
-        """Positions of their inputs in u, (m_own,)."""
+        """Positions of the inputs of the owned UAVs in u, (m_own,)."""
         return self._decision.own
 
     @property
@@ -173,22 +176,24 @@ class Controller:
         derivatives are those at hover.
         Source: docs/equations.md (15), (35a), (37), (40), (55).
         """
-        law = self.regulation.current
+        team_law = self.regulation.current
         settings = self.settings
         has_lag = settings.motor_lag_s > 0.0
         x = x0[: self.model.system.n]
         actual = x0[len(x) :] if has_lag else u0
 
         # u_target = u_hover + M_u F
-        u_target = law.cost.u_target
+        u_target = team_law.cost.u_target
         if forces is not None and settings.weights.penalised_input == "deviation":
-            u_target = u_target + law.target.M_u @ self.model.with_weight_of_mass_error(forces)
+            forces_at_rest = self.model.with_weight_of_mass_error(forces)
+            u_target = u_target + team_law.target.M_u @ forces_at_rest
 
         if settings.linearisation == "present" or settings.prediction == "open_loop":
             expansion = self.model.linearise(x, actual, forces=forces)
         else:
             if self._at_hover is None:
-                self._at_hover = self.model.linearise(law.hover.x, law.hover.u).jacobians
+                hover = team_law.hover
+                self._at_hover = self.model.linearise(hover.x, hover.u).jacobians
                 frozen(self._at_hover.values)
             f = self.model.derivative(x, actual, forces=forces)
             expansion = Linearisation(f=f, y=self.model.outputs(x), jacobians=self._at_hover)
@@ -222,26 +227,26 @@ class Controller:
 
         Source: docs/equations.md (22)-(24), (35)-(36), (73).
         """
-        if law is not None and law.along is not None:
-            return self._along.course(self.model, linear, law, law.along)
-
-        along = None
         self._curvature = None
+        if law is not None and law.gains is not None:
+            return self._course_program.course(self.model, linear, law, law.gains)
+
+        trajectory = None
         if law is not None and self.settings.linearisation == "along":
-            along = self._followed(linear, law)
-        if along is not None:
+            trajectory = self._followed(linear, law)
+        if trajectory is not None:
             # h(x_bar) - y0 - C (x_bar - x0), (35a)
             C = linear.model.C
-            outputs = self.model.outputs_along(along.Z[:, : self.model.system.n])
-            self._curvature = outputs - linear.model.y - (along.Z - linear.z0) @ C.T
-        return self._program.predict(linear, discrete, U, law, along)
+            outputs = self.model.outputs_along(trajectory.Z[:, : self.model.system.n])
+            self._curvature = outputs - linear.model.y - (trajectory.Z - linear.z0) @ C.T
+        return self._program.predict(linear, discrete, U, law, trajectory)
 
     def _followed(self, linear: Linear, law: FeedbackLaw) -> Rollout | None:
         """Return the trajectory of the nonlinear model under the law, unless it tilts too far."""
-        along = rollout(self.model, self._actuation, linear.z0, law, linear.forces)
-        tilt = np.abs(along.Z[:, self._tilts]).max()
-        if tilt < _STEEPEST and np.isfinite(along.Z).all():
-            return along
+        trajectory = rollout(self.model, self._actuation, linear.z0, law, linear.forces)
+        tilt = np.abs(trajectory.Z[:, self._tilts]).max()
+        if tilt < _STEEPEST and np.isfinite(trajectory.Z).all():
+            return trajectory
         return None
 
     def condense(
@@ -257,9 +262,9 @@ class Controller:
         Source: docs/equations.md (22)-(30), (48), (74).
         """
         if isinstance(prediction, Course):
-            self._softens = self._softening_along
-            return self._along.program(prediction)
-        self._softens = self._softening
+            self._newest_softening = self._course_softening
+            return self._course_program.program(prediction)
+        self._newest_softening = self._softening
         if self._curvature is not None:
             y_ref = y_ref - self._curvature
         return self._program.condense(linear, prediction, y_ref, law, end)
@@ -271,12 +276,13 @@ class Controller:
         them softened, and their violations. Source: docs/equations.md (30e).
         """
         solution = solve(qp, self.settings.solver)
-        if solution.status != "infeasible" or not self._softens.texts:
+        softening = self._newest_softening
+        if solution.status != "infeasible" or not softening.texts:
             return solution
-        softened = solve(self._softens.softened(qp), self.settings.solver)
+        softened = solve(softening.softened(qp), self.settings.solver)
         if softened.status != "solved":
             return solution
-        return replace(softened, violations=self._softens.violations(softened.z))
+        return replace(softened, violations=softening.violations(softened.z))
 
     def conclude(
         self,
@@ -302,7 +308,7 @@ class Controller:
 
         if isinstance(prediction, Course):
             announced = prediction.law if law is None else law
-            inputs, c = self._along.planned(self.model, prediction, announced, z, w)
+            inputs, c = self._course_program.planned(self.model, prediction, announced, z, w)
         elif law is not None:
             inputs, c = self._program.relaxed(prediction, law, z, w)
         else:
@@ -360,7 +366,7 @@ class Controller:
         self._off = frozenset(off)
         self._released = frozenset(released)
         self.model = Model(self._whole.system, off, released) if off else self._whole
-        for stack in (self._program.stack, self._along.stack):
+        for stack in (self._program.stack, self._course_program.stack):
             stack.fail(self.model.system, self._off)
         self._form(since)
 

@@ -64,7 +64,7 @@ class CourseProgram:
         self._on_states = [each for each in constraints if not isinstance(each, Bounds | Rates)]
 
     def course(
-        self, model: Model, linear: Linear, law: FeedbackLaw, along: Sequence[Gains]
+        self, model: Model, linear: Linear, law: FeedbackLaw, gains: Sequence[Gains]
     ) -> Course:
         """Return the trajectory of a step with the optimal corrections c_o = -M_oo^-1 M_oq c_q.
 
@@ -75,14 +75,14 @@ class CourseProgram:
         c = law.c.copy()
         c[:, own] = 0.0
         if c.any():
-            M = np.array([gains.M for gains in along])
+            M = np.array([at.M for at in gains])
             coupled = np.einsum("kij,kj->ki", M[:, own[:, None], others], c[:, others])
             c[:, own] = -np.linalg.solve(M[:, own[:, None], own], coupled[:, :, None])[:, :, 0]
         law = replace(law, c=c)
 
         Z, U = rollout(model, self._free, linear.x0, law, linear.forces)
         trajectory = TimeVarying(
-            decision=self._decision, model=model, law=law, along=along, Z=Z, U=U, u0=linear.u0
+            decision=self._decision, model=model, law=law, gains=gains, Z=Z, U=U, u0=linear.u0
         )
         within = within_limits(trajectory, _ROUNDING) and self._holds(trajectory)
         return Course(law=law, linear=linear, trajectory=trajectory, within=within)
@@ -102,9 +102,9 @@ class CourseProgram:
         slacks = len(penalties)
 
         H = np.zeros((size + slacks, size + slacks))
-        for k, gains in enumerate(course.trajectory.along):
+        for k, at in enumerate(course.trajectory.gains):
             block = slice(m * k, m * (k + 1))
-            H[block, block] = 2.0 * scale[:, None] * gains.M[np.ix_(own, own)] * scale
+            H[block, block] = 2.0 * scale[:, None] * at.M[np.ix_(own, own)] * scale
         of_slacks = range(size, size + slacks)
         H[of_slacks, of_slacks] = penalties
 

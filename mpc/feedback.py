@@ -36,12 +36,12 @@ class FeedbackLaw:
     error: Array  # x0 - x_ref, x_ref shifted by forces likewise, at steps 0..N_p-1, (N_p, n)
     feedforward: Array  # response to the reference ahead, (N_p, m)
     c: Array  # announced corrections of all UAVs, shifted, (N_p, m)
-    along: Sequence[Gains] | None = None  # along a reference; None about hover
+    gains: Sequence[Gains] | None = None  # of each step along a reference; None about hover
 
     @cached_property
     def uncorrected(self) -> Array:
         """Inputs with the state held at x0, without corrections, (N_p, m)."""
-        if self.along is None:
+        if self.gains is None:
             return self.u_rest + self.error @ self.K.T + self.feedforward
         fed_back = np.einsum("kmn,kn->km", self.K, self.error)
         return np.asarray(self.u_rest + fed_back + self.feedforward)

@@ -134,7 +134,7 @@ class TeamLaw:
             error=error,
             feedforward=np.array([at.feedforward for at in gains]),
             c=c,
-            along=gains,
+            gains=gains,
         )
 
     def inputs(self, x: Array, x_ref: Array, forces: Array | None, instant: int) -> Array | None:

@@ -186,7 +186,7 @@ class TimeVarying:
     decision: Decision
     model: Model
     law: FeedbackLaw
-    along: Sequence[Gains]  # the law's difference equation at each step
+    gains: Sequence[Gains]  # the law's difference equation at each step
     Z: Array  # states at steps 0..N_p, (N_p + 1, n)
     U: Array  # inputs at steps 0..N_p - 1, (N_p, m)
     u0: Array  # inputs in force before the first step, (m,)
@@ -220,8 +220,8 @@ class TimeVarying:
             du[own, columns] += np.diag(scale)
             inputs.append(du)
 
-            dx = self.along[k].A_closed @ states[k]
-            dx[:, columns] += self.along[k].B[:, own] * scale
+            dx = self.gains[k].A_closed @ states[k]
+            dx[:, columns] += self.gains[k].B[:, own] * scale
             states.append(dx)
         return states, inputs
 

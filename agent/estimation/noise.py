@@ -1,7 +1,8 @@
 """Noise that the Kalman filter assumes: first errors, sensors, the model's errors, unknown forces.
 
 Standard deviations, SI, where no other quantity or unit is said; docs/equations.md after (63), (64)
-has their reasons.
+has their reasons. benchmarks/estimates.py measures how well they fit together: it compares the
+errors of the estimates with their covariance.
 """
 
 from dataclasses import dataclass
@@ -46,7 +47,10 @@ class FirstErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeastSensorNoise:
-    """Least noise assumed of sensors: errors of the model show in exact ones."""
+    """Least noise assumed of sensors.
+
+    Without it the filter would trust exact sensors more than the errors of its model allow.
+    """
 
     position_m: float = 1e-3
     velocity_mps: float = 5e-3
@@ -71,11 +75,12 @@ class LeastSensorNoise:
 class ModelNoise:
     """Errors of the equations of motion."""
 
-    # White accelerations, m/s^2 and rad/s^2, in each sampling period. Without estimated forces they
-    # are all that errs: this is the largest, which the level scales (level.py).
-    acceleration: float = 0.01
-    # With estimated forces, which err too: this always.
-    beside_forces: float = 1e-3
+    # White accelerations, m/s^2 and rad/s^2, in each sampling period. Where no forces are estimated
+    # they are all that the model lacks: the largest ones, and the level scales their variance
+    # (level.py).
+    acceleration_alone: float = 0.01
+    # Where forces are estimated: beside the random walks of these, unscaled.
+    acceleration_beside_forces: float = 1e-3
     # Lag of motors that agents do not know: what it does after a change of the inputs must not
     # count as a force.
     unknown_lag_s: float = 0.03
@@ -96,10 +101,11 @@ class ModelNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RandomWalk:
-    """Random walk of an unknown, in units of its scale."""
+    """Random walk of an unknown, in units of its scale: its variance grows at a constant rate."""
 
     first: float  # standard deviation at the start
-    change_per_s: float  # standard deviation of the change over a second
+    # Standard deviation of the change over a second, 1/sqrt(s): over t seconds sqrt(t) times that.
+    change_per_root_s: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,11 +116,11 @@ class ForceNoise:
     payload's mass error by its mass; drag, per speed, by the mass of the body, 1/s.
     """
 
-    payload_force: RandomWalk = RandomWalk(first=0.03, change_per_s=0.045)
-    payload_mass: RandomWalk = RandomWalk(first=0.2, change_per_s=0.015)
-    uav_force: RandomWalk = RandomWalk(first=0.03, change_per_s=0.036)
-    payload_drag: RandomWalk = RandomWalk(first=0.3, change_per_s=0.015)
-    uav_drag: RandomWalk = RandomWalk(first=0.3, change_per_s=0.015)
+    payload_force: RandomWalk = RandomWalk(first=0.03, change_per_root_s=0.045)
+    payload_mass: RandomWalk = RandomWalk(first=0.2, change_per_root_s=0.015)
+    uav_force: RandomWalk = RandomWalk(first=0.03, change_per_root_s=0.036)
+    payload_drag: RandomWalk = RandomWalk(first=0.3, change_per_root_s=0.015)
+    uav_drag: RandomWalk = RandomWalk(first=0.3, change_per_root_s=0.015)
     same_air: float = 0.8  # correlation of the forces on payload and UAVs along one axis
 
     def first(self, system: System) -> Array:
@@ -124,8 +130,8 @@ class ForceNoise:
 
     def change(self, system: System, period_s: float) -> Array:
         """Return the covariance of the change in a sampling period, (7, 7), SI."""
-        change_per_s = np.array([walk.change_per_s for walk in self._walks])
-        deviations = np.sqrt(period_s) * self._scales(system) * change_per_s
+        change_per_root_s = np.array([walk.change_per_root_s for walk in self._walks])
+        deviations = np.sqrt(period_s) * self._scales(system) * change_per_root_s
 
         correlations = np.eye(len(deviations))
         unknowns = np.arange(len(deviations))
@@ -149,6 +155,7 @@ class ForceNoise:
 
     @staticmethod
     def _scales(system: System) -> Array:
+        """Return the scales of the unknowns, (7,), SI, in the order of `forces`."""
         payload_kg = system.payload.mass
         uav_kg = min(uav.mass for uav in system.uavs)
         payload_N = system.gravity * payload_kg

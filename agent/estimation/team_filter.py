@@ -173,12 +173,12 @@ class TeamFilter:
             return np.diag(np.concatenate([variances, others]))
 
         if not self._unknowns:
-            self.Q = diagonal(noise.acceleration)
+            self.Q = diagonal(noise.acceleration_alone)
             self._Q_beside = np.zeros_like(self.Q)
             self._kept_alone = np.ones(0)
             return
 
-        self._Q_beside = diagonal(noise.beside_forces)
+        self._Q_beside = diagonal(noise.acceleration_beside_forces)
         self.Q = np.zeros_like(self._Q_beside)
         self.Q[-self._unknowns :, -self._unknowns :] = ForceNoise().change(
             self._system, self._period_s

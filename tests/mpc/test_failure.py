@@ -136,6 +136,27 @@ def test_uavs_on_the_fail_safe_keep_their_thrust() -> None:
     assert np.abs(held[state.OMEGA0]).max() < 1e-4
 
 
+def test_derivatives_are_those_at_the_hover_of_the_present_team() -> None:
+    """After a failure and after the loss of an agent the next step has those of the new hover, (35a)."""
+    system, settings = larger(6), CLOSED.model_copy(update={"linearisation": "along"})
+    at = hover(system)
+    one = Controller(Model(system), at, settings, [0])
+
+    def checked() -> Array:
+        now = one.regulation.hover
+        found = one.linearise(at.x, at.u).model.jacobians.values.copy()
+        np.testing.assert_array_equal(found, one.model.linearise(now.x, now.u).jacobians.values)
+        return found
+
+    whole = checked()
+    one.fail({DEAD}, {DEAD})
+    failed = checked()
+    one.without({1})
+    lost = checked()
+    assert (failed != whole).any()
+    assert (lost != failed).any()
+
+
 def test_at_hover_nothing_is_to_be_corrected() -> None:
     """At the hover of the remaining UAVs the control law gives that hover, and all corrections are zero."""
     setup = paper_setup()

@@ -14,7 +14,7 @@ from transport.model.state import input_indices
 from transport.mpc.controller import Controller, Horizon
 from transport.mpc.cost import Cost
 from transport.mpc.feedback import FeedbackError, FeedbackLaw
-from transport.mpc.prediction import predict
+from transport.mpc.prediction import Prediction, convolve, predict
 from transport.mpc.regulator import HoveringTeam, regulator
 from transport.mpc.settings import ControllerSettings, CostTerm, Weights
 
@@ -80,6 +80,8 @@ def test_prediction_is_the_team_under_the_law(owned: tuple[int, ...]) -> None:
     )
     prediction = predict(discrete, at.u, own, at.U, law)
     v = 0.1 * rng.standard_normal((steps, len(own)))
+    predicted_U = prediction.U_all + convolve(prediction.feedback, v)
+    predicted_U[:, own] = prediction.U_free + v
 
     dx = np.zeros(setup.system.n)
     for k in range(steps):
@@ -88,9 +90,33 @@ def test_prediction_is_the_team_under_the_law(owned: tuple[int, ...]) -> None:
         u[others] = (setup.hover.u + gain() @ (at.x + dx - x_ref[k]) + feedforward[k] + c[k])[
             others
         ]
+        assert np.abs(predicted_U[k] - u).max() < ROLLOUT_TOLERANCE
         dx = discrete.f_d + discrete.A @ dx + discrete.B @ (u - at.u)
         convolved = sum(prediction.effect[:, k - j] @ v[j] for j in range(k + 1))
         assert np.abs(prediction.dX_free[k + 1] + convolved - dx).max() < ROLLOUT_TOLERANCE
+
+
+def test_foreseen_inputs_follow_the_law_within_bounds() -> None:
+    """Inputs of all UAVs for given owned ones are those of the law, each limited to its bounds."""
+    setup = paper_setup()
+    at = situation(setup, CLOSED, seed=3)
+    one = Controller(setup.model, setup.hover, CLOSED, (1,))
+    law = law_at(one, at)
+    linear = one.linearise(at.x, at.u)
+    prediction = one.predict(linear, one.discretise(linear), at.U, law)
+    lower, upper = CLOSED.lower(setup.system.N), CLOSED.upper(setup.system.N)
+    assert isinstance(prediction, Prediction)
+    # Owned inputs far beyond their bounds move those of the others beyond theirs.
+    for far in (2.0, -2.0):
+        inputs = prediction.U_free + far * (upper - lower)[one.own]
+        unlimited = prediction.U_all + convolve(prediction.feedback, inputs - prediction.U_free)
+        unlimited[:, one.own] = inputs
+        is_own = np.isin(np.arange(setup.system.m), one.own)
+        is_beyond = (unlimited < lower) | (unlimited > upper)
+        assert is_beyond[:, is_own].any()
+        assert is_beyond[:, ~is_own].any()
+        expected = np.clip(unlimited, lower, upper)
+        np.testing.assert_array_equal(one.foreseen(prediction, inputs), expected)
 
 
 def test_owning_all_the_law_changes_nothing() -> None:

@@ -29,7 +29,7 @@ PERIOD_S = 0.05
 SETTINGS = ControllerSettings(
     prediction="closed_loop", terminal="riccati", preview=False, horizon=8
 )
-# With every kind of row and term that reads states.
+# With rows and terms that read states, but for tensions and clearances from obstacles.
 FULL = changed(
     SETTINGS,
     separation=Separation(minimum_m=0.45),
@@ -58,14 +58,16 @@ def simulated(
     """Return states and actual inputs of the linear system under commands, step by step, as deviations from z."""
     A, B, f = plain.A_c, plain.B_c, plain.f
     n, m = B.shape
-    whole = np.zeros((n + m + m + 1, n + m + m + 1))
-    whole[:n] = np.hstack([A, B, np.zeros((n, m)), f[:, None]])  # dx' = A dx + B da + f
-    whole[n : n + m, n : n + m], whole[n : n + m, n + m : -1] = (
-        -np.eye(m) / lag_s,
-        np.eye(m) / lag_s,
-    )
-    whole[n : n + m, -1] = (u0 - z[n:]) / lag_s  # da' = (u - a) / lag
-    hold, dz = expm(PERIOD_S * whole)[: n + m], [np.zeros(n + m)]
+    actual, command = slice(n, n + m), slice(n + m, n + 2 * m)
+    whole = np.zeros((n + 2 * m + 1, n + 2 * m + 1))
+    # dx' = A dx + B da + f
+    whole[:n] = np.hstack([A, B, np.zeros((n, m)), f[:, None]])
+    # da' = (u - a) / lag
+    whole[actual, actual] = -np.eye(m) / lag_s
+    whole[actual, command] = np.eye(m) / lag_s
+    whole[actual, -1] = (u0 - z[n:]) / lag_s
+    hold = expm(PERIOD_S * whole)[: n + m]
+    dz = [np.zeros(n + m)]
     for u in commands:
         dz.append(hold @ np.concatenate([dz[-1], u - u0, [1.0]]))
     found = np.array(dz)
@@ -80,10 +82,8 @@ def test_prediction_is_the_simulation(lag_s: float, shared: bool) -> None:
     settings = changed(SETTINGS, motor_lag_s=lag_s)
     if not shared:
         settings = changed(settings, prediction="open_loop")
-    one, at = (
-        Controller(setup.model, setup.hover, settings, (1, 2)),
-        situation(setup, settings, seed=3),
-    )
+    one = Controller(setup.model, setup.hover, settings, (1, 2))
+    at = situation(setup, settings, seed=3)
     z, n = lagging(at, rng), setup.system.n
     c = 0.1 * rng.standard_normal(at.U.shape)
     law = one.law(z, np.tile(setup.x, (len(c), 1)), c)

@@ -96,9 +96,9 @@ def test_cost_is_the_sum_of_squares_of_corrections() -> None:
     law = one.law(track.X[start], track.X[start : start + moving], c, None, start)
     regulator = one.regulation.current.regulator
     assert law is not None
-    assert law.along is not None
+    assert law.gains is not None
     assert regulator is not None
-    along, cost, xi0 = law.along, one.cost, np.zeros(model.system.n)
+    gains, cost, xi0 = law.gains, one.cost, np.zeros(model.system.n)
     xi0[R0] = [0.3, -0.2, 0.1]
 
     def total(c: Array) -> float:
@@ -107,11 +107,11 @@ def test_cost_is_the_sum_of_squares_of_corrections() -> None:
             y = model.linearise(track.X[start + k], track.U[start + k]).C @ xi
             u = law.K[k] @ xi + c[k]
             found += y @ (cost.Q * y) + u @ (cost.R * u)
-            xi = along[k].A_closed @ xi + along[k].B @ c[k]
+            xi = gains[k].A_closed @ xi + gains[k].B @ c[k]
             xi = _on_manifold(track.X[start + k + 1], xi)
         return float(found + np.sum((regulator.root @ xi) ** 2))
 
-    added = float(np.einsum("km,kmn,kn->", c, np.array([at.M for at in along]), c))
+    added = float(np.einsum("km,kmn,kn->", c, np.array([at.M for at in gains]), c))
     assert total(c) - total(0.0 * c) == pytest.approx(added, rel=SAME_COST)
 
 
@@ -189,7 +189,7 @@ def test_decision_changes_functions_of_the_inputs_by_the_difference_equation() -
     dc = np.zeros_like(trajectory.U)
     dc[:, one.own] = trajectory.decision.inputs(z)
     xi, expected = np.zeros(model.system.n), []
-    for k, at in enumerate(trajectory.along):
+    for k, at in enumerate(trajectory.gains):
         du = at.K @ xi + dc[k]
         expected.append((weights * trajectory.U[k])[:, one.own] @ du[one.own])
         xi = at.A_closed @ xi + at.B @ dc[k]

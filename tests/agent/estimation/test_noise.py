@@ -79,13 +79,13 @@ def test_units_of_unknown_forces() -> None:
 
 
 def test_unknown_forces_are_random_walks() -> None:
-    """Variances grow with time, to the square of the change per second; one air moves all, (63)."""
+    """Variances grow at a constant rate; one air moves payload and UAVs alike, (63)."""
     change, steps = NOISE.change(UNEQUAL, PERIOD_S), round(1.0 / PERIOD_S)
     deviations = np.sqrt(np.diag(steps * change))
     light = NOISE.change(replace(UNEQUAL, gravity=0.0), PERIOD_S)
     no_force = [MASS_ERROR, *range(DRAG.start, DRAG.stop)]
     np.testing.assert_array_equal(np.flatnonzero(np.diag(light)), no_force)
-    mass_kg = NOISE.payload_mass.change_per_s * UNEQUAL.payload.mass
+    mass_kg = NOISE.payload_mass.change_per_root_s * UNEQUAL.payload.mass
     assert deviations[MASS_ERROR] == pytest.approx(mass_kg)
 
     correlations = steps * change / np.outer(deviations, deviations)
