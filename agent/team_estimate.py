@@ -9,6 +9,7 @@ from transport.agent.announced import AnnouncedInputs, SharedLaw
 from transport.agent.estimation.estimator import estimator_of
 from transport.agent.estimation.motion import Failure
 from transport.agent.handover import LESS_THAN_OTHERS, Silence
+from transport.agent.held_forces import HeldForces
 from transport.agent.law_inputs import LawInputs
 from transport.agent.received import Received
 from transport.model import state
@@ -54,7 +55,7 @@ class TeamEstimate:
         self._agent = agent
         self._controller = controller
         self.peers = tuple(other for other in setup.agents if other != agent)
-        self._off_roster: set[int] = set()  # agents that the controller leaves out
+        self._agents_off_roster: set[int] = set()  # the controller leaves them out
         self.restart()
 
     def restart(self) -> None:
@@ -65,7 +66,7 @@ class TeamEstimate:
         """
         setup = self._setup
         regulation = self._controller.regulation
-        # The shared law below refers to the estimator.
+        # The order matters: `_shared_law` refers to the estimator, and `announced` to that law.
         self.estimator = estimator_of(setup, self._agent, self._reference, regulation.gain)
         self._law_inputs = LawInputs(regulation, setup.X_ref)
         reference = setup.reference.sampled
@@ -78,11 +79,10 @@ class TeamEstimate:
             law=self._shared_law(),
             settings=setup.settings,
         )
-        # Forces that the integrals of UAVs alone hold, (3 + 3 N,), N; None if not estimated.
-        self._held_forces: Array | None = None
         self.announced.fail_safe = regulation.fail_safe
+        self._held_forces = HeldForces(setup.settings.sampling_period_s)
         self.expected: Expected | None = None
-        self._off = _NO_UAVS  # UAVs whose motors are off, 0-based
+        self._motors_off = _NO_UAVS  # UAVs, 0-based
         self._released = _NO_UAVS  # those of them that are released
 
     def _shared_law(self) -> SharedLaw:
@@ -109,9 +109,10 @@ class TeamEstimate:
     def share_alone(self, k: int) -> float:
         """Return the share, 0 to 1, with which the agent is to act alone at tick k: (32c).
 
-        To be called after `announced.heard.observe` of that tick. The share follows from the oldest
-        news, but is at most `LESS_THAN_OTHERS` below the largest that one of the others announces: a
-        UAV alone gives way to the payload's swing, and turns the payload where the others do not.
+        To be called after `announced.heard.observe` of that tick. It is the larger of two: the share
+        that follows from the oldest news, and the largest that one of the others announces, less
+        `LESS_THAN_OTHERS`. A UAV alone gives way to the payload's swing; one of the others that acts
+        with the team meanwhile would turn the payload.
         """
         heard = self.announced.heard
         silence = heard.silence
@@ -134,13 +135,7 @@ class TeamEstimate:
 
     def _by_law_alone(self, uav: int, tick: int, x: Array) -> Array:
         """Return the inputs of a UAV alone, (4,): its integral has followed its part of the forces."""
-        held_I = None
-        if self._held_forces is not None:
-            forces = self._held_forces
-            own = slice(3 + 3 * uav, 6 + 3 * uav)
-            # g_i = h_i + h_0 / n,   h = -forces, n the UAVs that carry the load    (32f)
-            carrying = self._setup.system.N - len(self._off)
-            held_I = -(forces[own] + forces[:3] / carrying)
+        held_I = self._held_forces.part(uav, self._motors_off)
         return self._alone.inputs(uav, x[: self._setup.system.n], tick, held_I)
 
     def follow(self, setup: Setup) -> None:
@@ -150,6 +145,7 @@ class TeamEstimate:
         self._law_inputs.follow(setup.X_ref)
         completed = self._controller.regulation.follow(reference)
         self._alone.follow(reference)
+        # A new team's law was under way. From the target on it holds; before, another one did, (46).
         if completed and reference.change is not None:
             self.announced.law_since = reference.change.first
         self.announced.fail_safe = self._controller.regulation.fail_safe
@@ -177,23 +173,15 @@ class TeamEstimate:
         return x
 
     def _hold_forces(self, k: int) -> None:
-        """Follow the forces as the integrals of UAVs alone do: (32f).
-
-        While the agent is with the team, the held forces are the estimated ones. Alone they follow
-        the estimate with the time constant of the integrals, `follows_s`. Each agent does this by its
-        own estimate: the others' share in it is only what this agent expects of them, so agents need
-        not agree.
-        """
+        """Follow the estimated forces as the integrals of UAVs alone do: (32f)."""
         if self.forces is None:
             return
-        forces = self._controller.model.with_weight_of_mass_error(self.forces)
-        held = self._held_forces
-        if held is None or self.share_alone(k) == 0.0:
-            self._held_forces = forces
-            return
-        follows_s = self._alone.law(0).follows_s
-        share = self._setup.settings.sampling_period_s / follows_s
-        self._held_forces = held + share * (forces - held)
+        # The law of any UAV will do: all have the same gains, and with them the same time constant.
+        self._held_forces.follow(
+            self._controller.model.with_weight_of_mass_error(self.forces),
+            share_alone=self.share_alone(k),
+            follows_s=self._alone.law(0).follows_s,
+        )
 
     def _as_received(self, x: Array, k: int) -> Array:
         """Return an estimate of tick k with the others' states as received, whatever their age."""
@@ -216,28 +204,30 @@ class TeamEstimate:
         tick = received.tick
         announced = self.announced
         off_roster = set(self._setup.agents) - received.agents
-        left = off_roster - self._off_roster
+        leaving = off_roster - self._agents_off_roster
+        returning = self._agents_off_roster - off_roster
         # Asked before they are off the roster: an agent that is off counts as informed.
-        were_alone = {agent for agent in left if self._is_alone(agent, tick)}
+        were_alone = {agent for agent in leaving if self._is_alone(agent, tick)}
         announced.heard.off_roster = off_roster
         if self._controller.regulation.advance(tick):
             announced.law_since = tick
 
         # An agent that starts has no control law for the meantime.
         since = tick if received.ticks_since_start > 0 else None
-        if (received.off, received.released) != (self._off, self._released):
+        if (received.off, received.released) != (self._motors_off, self._released):
             self._update_failures(received, since)
 
-        if off_roster == self._off_roster:
+        if off_roster == self._agents_off_roster:
             return
-        for agent in self._off_roster - off_roster:
+        for agent in returning:
             announced.begin_anew(agent, tick)
-        for agent in left:
+        for agent in leaving:
             self._assume_last_plan(agent, tick, is_alone=agent in were_alone)
-        self._off_roster = off_roster
+        self._agents_off_roster = off_roster
         announced.law_since = tick
-        gone = [uav for agent in sorted(off_roster) for uav in self._setup.owned[agent - 1]]
-        self._controller.without(gone, since)
+        owned = self._setup.owned
+        uavs_without_agent = [uav for agent in sorted(off_roster) for uav in owned[agent - 1]]
+        self._controller.without(uavs_without_agent, since)
 
     def _assume_last_plan(self, agent: int, tick: int, *, is_alone: bool) -> None:
         """Assume inputs for an agent that left at a tick, if its last plan has not been received.
@@ -254,15 +244,17 @@ class TeamEstimate:
 
     def _update_failures(self, received: Received, since: int | None) -> None:
         """Switch to model and control law of the remaining UAVs, as further UAVs have failed."""
-        stopped = received.off - self._off - received.released
+        stopped = received.off - self._motors_off - received.released
         cut = received.released - self._released
-        self._off = received.off
+        self._motors_off = received.off
         self._released = received.released
 
         controller = self._controller
         controller.fail(received.off, received.released, since)
         self._alone.fail(received.off, received.released)
 
+        # An agent that starts in mid-run learns of a failure long past: `failed_since` is earlier. It is
+        # later where a roster with another failure is here already, ahead of its tick.
         tick = min(received.tick, received.failed_since)
         owned = self._setup.owned[self._agent - 1]
         self.announced.fail_safe = controller.regulation.fail_safe

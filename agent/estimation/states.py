@@ -54,6 +54,7 @@ class StateEstimator:
 
     def take(self, plan: Plan) -> None:
         """Take in another agent's states at a tick before the next measurement's."""
+        # Reports give the age of the newest state of the sender that an estimate could use.
         if not self._history.keeps(plan.tick):
             return
         self.news.take(plan)
@@ -63,6 +64,7 @@ class StateEstimator:
     def measure(self, measurement: Measurement) -> None:
         """Take in a measurement of a tick not later than the one to be estimated."""
         tick = measurement.tick
+        # Reports give the age of the newest own measurement, also of one too old to be used.
         self.news.take(measurement)
         if not self._history.keeps(tick):
             return
@@ -81,6 +83,7 @@ class StateEstimator:
     def change(self, failure: Failure) -> None:
         """Change the system at a tick, not before the previous change."""
         self._motion.add(failure)
+        # An agent may learn of it late: the step to its tick, which ends in another state, is repeated.
         self._history.outdate_after(failure.tick - 1)
         if self._disturbance is not None and failure.own_left:
             team = MeasuredTeam(model=failure.model, hover=failure.hover, owned=failure.own_left)
@@ -97,7 +100,7 @@ class StateEstimator:
             self._newest_inputs = u
             is_learning = self._disturbance is not None and tick >= self._learned
             is_informed = is_learning and announced.heard.is_informed(tick + 1, before=k)
-            return self._following(x, tick, u, is_informed=is_informed)
+            return self._advanced(x, tick, u, is_informed=is_informed)
 
         recursion = Recursion(
             begin=self._motion.reference_at, corrected=self._joined, following=following
@@ -133,8 +136,11 @@ class StateEstimator:
         """Return numbers for the log by name: none."""
         return {}
 
-    def _following(self, x: Array, tick: int, u: Array, *, is_informed: bool) -> Array:
-        """Return the estimate after `tick` from that of `tick` and the announced inputs between."""
+    def _advanced(self, x: Array, tick: int, u: Array, *, is_informed: bool) -> Array:
+        """Return the estimate after `tick` from that of `tick` and the announced inputs between.
+
+        Reported inputs replace those in `u`, in place: `_newest_inputs` is the same array.
+        """
         if self._uses_inputs:
             self._reports.apply_inputs(tick + 1, u)
         predicted = self._motion.predict(x, tick, u, self.forces)

@@ -127,7 +127,7 @@ class SensorEstimator:
 
         def following(entry: Tick, tick: int) -> Tick:
             period = self._period(entry.posterior, tick, announced, k)
-            return self._following(entry.posterior, tick, period)
+            return self._advanced(entry.posterior, tick, period)
 
         recursion = Recursion(begin=self._begin, corrected=self._corrected, following=following)
         belief = self._history.advance(k, recursion).posterior
@@ -207,7 +207,7 @@ class SensorEstimator:
             silent=announced.silent(tick, before=k),
         )
 
-    def _following(self, belief: Belief, tick: int, period: Period) -> Tick:
+    def _advanced(self, belief: Belief, tick: int, period: Period) -> Tick:
         """Return the beliefs after a period that began at `tick`."""
         try:
             prior = self._filter.predict(belief, period)

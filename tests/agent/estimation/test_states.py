@@ -10,10 +10,14 @@ from msgspec.structs import replace
 
 from tests.support.runs import SHORT, measurement, plan, setup
 from transport.agent.announced import AnnouncedInputs, SharedLaw
-from transport.agent.estimation.motion import Motion
+from transport.agent.estimation.disturbance import DisturbanceEstimator, MeasuredTeam
+from transport.agent.estimation.motion import Failure, Motion
 from transport.agent.estimation.states import StateEstimator
+from transport.agent.handover import Silence
 from transport.model import motors, state
 from transport.model.arrays import Array
+from transport.model.hover import released_state
+from transport.model.linearisation import Model
 from transport.mpc.reference import Sampled
 from transport.mpc.regulation import Regulation
 from transport.protocol.scenario.setup import Setup
@@ -362,3 +366,86 @@ def test_a_prediction_that_is_no_number_is_the_reference() -> None:
         end = run.model.advance(x, run.hover.u, PERIOD_S, motion.steps)
     assert np.isnan(end).any()
     np.testing.assert_array_equal(motion.predict(x, 0, run.hover.u, None), run.initial_state())
+
+
+def motion_without_lag(run: Setup) -> Motion:
+    """Return the motion from the initial state on."""
+    return Motion(model=run.model, reference=lambda _: run.initial_state(), period_s=PERIOD_S)
+
+
+def test_a_failure_heard_late_counts_from_its_tick() -> None:
+    """Estimates from the tick of a failure on have the bits of those of an agent that knew it then."""
+    ground_truth = flight(FOUR)
+    run = ground_truth.run
+    failed, heard, uav = 6, 10, 3
+    failure = Failure(
+        tick=failed,
+        model=Model(run.system, [uav], [uav]),
+        hover=run.hover,
+        moved=lambda x: released_state(x, uav),
+        own_left=run.owned[0],
+    )
+
+    def estimates_after(told_at: int | None) -> list[Array | None]:
+        """Return the estimates until `heard` of an agent that is told of the failure at a tick."""
+        estimator = StateEstimator(motion_without_lag(run), run.owned[0])
+        announced = AnnouncedInputs(run.owned, run.hover.u, own=1)
+        for k in range(heard + 1):
+            if k == told_at:
+                estimator.change(failure)
+            estimated(estimator, measurement(run, 1, k, x=ground_truth.X[k]), announced)
+        return [estimator.past(k) for k in range(heard + 1)]
+
+    at_once, late, never = (estimates_after(told_at) for told_at in (failed, heard, None))
+    np.testing.assert_array_equal(late, at_once)
+    differs = (np.array(late) != np.array(never)).any(axis=1)
+    np.testing.assert_array_equal(differs, np.arange(heard + 1) >= failed)
+
+
+@pytest.mark.parametrize("has_others", [True, False])
+def test_without_news_of_the_others_no_force_is_learned(has_others: bool) -> None:
+    """What the others do differently would count as a force: once their news are overdue, (41)."""
+    ground_truth = flight(FOUR)
+    run = ground_truth.run
+    team = MeasuredTeam(model=run.model, hover=run.hover, owned=run.owned[0])
+    disturbance = DisturbanceEstimator(team, PERIOD_S, time_constant_s=0.4)
+    estimator = StateEstimator(motion_without_lag(run), run.owned[0], disturbance)
+    silence = Silence.of(PERIOD_S, is_filtered=False)
+    announced = AnnouncedInputs(run.owned, run.hover.u, own=1, law=SharedLaw(silence=silence))
+    learned = []
+    for k in range(TICKS):
+        for agent in run.agents[1:] if k and has_others else ():
+            announced.add(ground_truth.plan(agent, k - 1))
+        announced.heard.observe(k)
+        before = disturbance.forces
+        estimated(estimator, measurement(run, 1, k, x=ground_truth.X[k]), announced)
+        learned.append(bool((disturbance.forces != before).any()))
+    # Without any plan the age is that of one made just before the first tick.
+    last = TICKS if has_others else int(silence.uninformed)
+    assert 0 < int(silence.uninformed) < TICKS - 1
+    assert learned == [0 < k <= last for k in range(TICKS)]
+
+
+@pytest.mark.parametrize("lags", [False, True])
+def test_inputs_before_a_tick_are_as_reported(lags: bool) -> None:
+    """The own inputs in force before a tick are those that actuators report.
+
+    The others' are those of their plans, and after the first step of these by the law.
+    """
+    ground_truth = flight(FOUR)
+    run = ground_truth.run
+    own = state.input_slice(0)
+    motion = motion_with_lag(run) if lags else motion_without_lag(run)
+    estimator = StateEstimator(motion, run.owned[0])
+    law = SharedLaw(inputs=lambda tick, _x: run.hover.u + 0.1 * (1.0 + tick) * NOISE)
+    announced = AnnouncedInputs(run.owned, run.hover.u, own=1, law=law)
+    for k in range(4):
+        applied = run.hover.u[own] + (1.0 + k) * NOISE[own]
+        seen = replace(measurement(run, 1, k, x=ground_truth.X[k]), inputs=applied[None])
+        estimated(estimator, seen, announced)
+        u = announced.in_force(k - 1, before=k, x=estimator.past(k - 1))
+        assert (u[own] != applied).all()
+        u[own] = applied
+        np.testing.assert_array_equal(estimator.inputs_until(k, announced), u)
+        for agent in run.agents if k == 0 else run.agents[:1]:
+            announced.add(ground_truth.plan(agent, k))

@@ -1,0 +1,174 @@
+"""What an agent's estimate of its team takes from rosters, failures and targets."""
+
+from collections.abc import Collection
+
+import numpy as np
+import pytest
+
+from tests.support import runs
+from transport.agent.received import Received
+from transport.agent.team_estimate import TeamEstimate
+from transport.model.arrays import Array
+from transport.mpc.controller import Controller
+from transport.protocol.scenario.errors import requested
+from transport.protocol.scenario.maneuver_sections import TargetSection
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.target_planning import target_fields
+from transport.protocol.wire.messages import Target
+from transport.protocol.wire.node import Outbox
+
+AGENT, UAV = 1, 0
+FORCES = "controller.disturbance.estimate=true"
+ROUNDING = 1e-12
+NO_UAVS: frozenset[int] = frozenset()
+
+# External forces on payload and UAVs, N.
+BEFORE, NOW = np.random.default_rng(41).uniform(-1.0, 1.0, (2, 15))
+
+
+def _team(run: Setup) -> TeamEstimate:
+    """Return the estimate of an agent before its first tick."""
+    owned = run.owned[AGENT - 1]
+    controller = Controller(run.model, run.hover, run.settings, owned, run.reference.sampled)
+    return TeamEstimate(run, AGENT, controller)
+
+
+def _received(
+    run: Setup,
+    k: int,
+    *,
+    gone: Collection[int] = (),
+    off: frozenset[int] = NO_UAVS,
+    released: frozenset[int] = NO_UAVS,
+    failed_since: int = 0,
+    heard: int | None = None,
+) -> Received:
+    """Return what an agent receives at a tick, without states that are measured.
+
+    `gone` are agents off the roster, `heard` is the tick of the others' plans, if any.
+    """
+    agents = set(run.agents) - set(gone)
+    others = sorted(agents - {AGENT})
+    return Received(
+        measurement=runs.measurement(run, AGENT, k),
+        measurements=[],
+        plans=[] if heard is None else [runs.plan(run, agent, heard) for agent in others],
+        lost=0,
+        agents=agents,
+        off=off,
+        released=released,
+        failed_since=failed_since,
+        ticks_since_start=k,
+        started_ns=0,
+    )
+
+
+def _assert_balances(team: TeamEstimate, run: Setup, k: int, forces: Array, carrying: int) -> None:
+    """Check that a UAV alone is assumed to balance its part of some forces."""
+    x = run.X_ref[k]
+    on_uav = forces[3 * (1 + UAV) :][:3]
+    expected = team._alone.inputs(UAV, x, k, -on_uav - forces[:3] / carrying)
+    np.testing.assert_allclose(team._by_law_alone(UAV, k, x), expected, rtol=0.0, atol=ROUNDING)
+
+
+def test_uavs_alone_hold_what_was_estimated_with_the_team(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the team the forces are those of the estimate; in a silence they follow it, (32f)."""
+    run = runs.ready("resilient", FORCES)
+    team = _team(run)
+    for k, forces in enumerate((NOW, BEFORE)):
+        monkeypatch.setattr(TeamEstimate, "forces", forces)
+        team.update(_received(run, k, heard=k - 1 if k else None))
+        assert team.share_alone(k) == 0.0
+        _assert_balances(team, run, k, forces, run.system.N)
+
+    silent = 60
+    monkeypatch.setattr(TeamEstimate, "forces", NOW)
+    team.update(_received(run, silent))
+    assert team.share_alone(silent) == 1.0
+    law, _ = team.alone(UAV, silent)
+    step = run.settings.sampling_period_s / law.follows_s
+    _assert_balances(team, run, silent, BEFORE + step * (NOW - BEFORE), run.system.N)
+
+
+def test_uavs_that_are_left_hold_the_force_on_the_payload(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a failure it is divided among one UAV less, (32f)."""
+    run = runs.ready("resilient", FORCES)
+    team = _team(run)
+    monkeypatch.setattr(TeamEstimate, "forces", NOW)
+    team.update(_received(run, 0))
+    team.update(_received(run, 1, off=frozenset({3}), failed_since=1, heard=0))
+    _assert_balances(team, run, 1, NOW, run.system.N - 1)
+
+
+@pytest.mark.parametrize(
+    ("failed_since", "expected"),
+    [
+        pytest.param(5, 5, id="the agent starts after the failure"),
+        pytest.param(13, 12, id="a roster is here ahead of its tick"),
+    ],
+)
+def test_a_failure_counts_from_its_tick(failed_since: int, expected: int) -> None:
+    """What was announced before a failure holds until then; none is in the future."""
+    run = runs.ready("resilient")
+    team = _team(run)
+    team.update(_received(run, 12, off=frozenset({3}), failed_since=failed_since))
+    assert team.announced.heard.failed_since == expected
+
+
+def _with_target(run: Setup, tick: int) -> Setup:
+    """Return a run with a target that is given at a tick."""
+    given = requested(TargetSection, {"points_m": [[0.5, 0.0, -10.0]]})
+    target = Outbox("coordinator", 0).stamp(Target, number=1, **target_fields(run, given, tick))
+    return run.after([target])
+
+
+def test_agents_off_the_roster_are_assumed_on_the_present_fail_safe() -> None:
+    """The fail-safe changes with a failure and with a target, and stays at a restart."""
+    run = runs.ready("resilient", "maneuver.profile=smooth")
+    team = _team(run)
+
+    def is_present() -> bool:
+        return team.announced.fail_safe is team._controller.regulation.fail_safe
+
+    first = team.announced.fail_safe
+    assert is_present()
+    team.update(_received(run, 0))
+    failed = frozenset({3})
+    team.update(_received(run, 1, off=failed, released=failed, failed_since=1))
+    assert is_present()
+    after_failure = team.announced.fail_safe
+    assert after_failure is not first
+    team.restart()
+    assert is_present()
+    team.follow(_with_target(run, 2))
+    assert is_present()
+    assert team.announced.fail_safe is not after_failure
+
+
+def test_a_law_whose_gains_are_complete_holds_from_then_on() -> None:
+    """Until the gains of a new team are there, those of the meantime hold, (46)."""
+    run = runs.ready("eight")
+    team = _team(run)
+    left = 20
+    team.update(_received(run, left))
+    team.update(_received(run, left + 1, gone={2}))
+    since = []
+    for k in range(left + 2, left + 60):
+        team.update(_received(run, k, gone={2}))
+        since.append(team.announced.law_since)
+    complete = since[-1]
+    assert complete > left + 2
+    assert since == [left + 1 if k < complete else complete for k in range(left + 2, left + 60)]
+
+
+@pytest.mark.parametrize(("left", "expected"), [(37, 40), (None, 0)])
+def test_a_target_completes_the_law_of_a_new_team(left: int | None, expected: int) -> None:
+    """A law whose gains were under way holds from the target on; without one all stays, (46)."""
+    run = runs.ready("eight")
+    team = _team(run)
+    if left is not None:
+        team.update(_received(run, left - 1))
+        team.update(_received(run, left, gone={2}))
+        assert team.announced.law_since == left
+    team.follow(_with_target(run, 40))
+    assert team.announced.law_since == expected
