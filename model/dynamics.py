@@ -85,8 +85,8 @@ class Motion:
 
     derivative: ca.SX  # x' = f(x, u, F), (12 + 12 N,)
     tensions: ca.SX  # (N,), positive when the rod pulls
-    # Payload's acceleration and angular acceleration alpha, payload frame, (6,): all that a UAV and
-    # its rod notice of the other UAVs.
+    # Payload's acceleration and angular acceleration alpha, payload frame, (6,), that balances it, also
+    # where another one is given: all that a UAV and its rod notice of the other UAVs.
     acceleration: ca.SX
     mass: ca.SX  # M of the equation M alpha = b, (6, 6)
     unbalanced: ca.SX  # b - M alpha, zero unless alpha is given, (6,)
@@ -139,11 +139,11 @@ def motion(symbols: Symbols, given: ca.SX | None = None) -> Motion:
         tensions.append(tension)
         unbalanced = unbalanced - tension * rod.wrench
 
-    derivative = _payload_derivative(symbols, R0, acceleration)
+    blocks = _payload_derivative(symbols, R0, acceleration)
     for i, rod in enumerate(rods):
-        derivative += _uav_derivative(symbols, i, rod, acceleration)
+        blocks.extend(_uav_derivative(symbols, i, rod, acceleration))
     return Motion(
-        derivative=ca.vertcat(*derivative),
+        derivative=ca.vertcat(*blocks),
         tensions=ca.vertcat(*tensions),
         acceleration=solved,
         mass=balance.M,

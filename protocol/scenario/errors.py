@@ -29,9 +29,11 @@ S = TypeVar("S", bound=BaseModel)
 # Keys whose name has changed, by their old one.
 RENAMED = {"samples": "samples_s"}
 
-# 100 %, and the least value given for a share that was probably meant in per cent.
-_PERCENT = 100.0
+_PERCENT = 100.0  # of the whole
+# Least value given for a share that was probably meant in per cent.
 _LEAST_PERCENT = 2.0
+# Keys of numbers up to 1 that are not given in per cent.
+_NO_SHARES = ("relaxation",)
 _LONGEST_SHOWN = 80  # characters of a value that an error repeats
 # Words for kinds of pydantic's problems, where its own are those of the library.
 _EXPECTED = {
@@ -217,7 +219,8 @@ def _problem_text(problem: Mapping[str, Any], section: type[BaseModel]) -> str:
         asked = milliseconds(str(problem["loc"][-1]), value, largest)
         if asked:
             return asked
-        if largest == 1.0 and _LEAST_PERCENT <= value <= _PERCENT:
+        is_share = largest == 1.0 and not set(_NO_SHARES) & set(problem["loc"])
+        if is_share and _LEAST_PERCENT <= value <= _PERCENT:
             return f"expected a share, at most 1, got {value:g}: did you mean {value / _PERCENT:g}?"
 
     expected = _expected(problem, section)

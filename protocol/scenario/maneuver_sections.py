@@ -85,7 +85,8 @@ class PhaseSection(Section):
 
         Raises: WayPointError: no spline passes its points. Other exceptions of invalid fields.
         """
-        given = cls.model_construct(**value)
+        given = cls.model_construct(**value)  # not validated yet, as that needs the duration
+        # Without a duration any that has room for both ramps: shape and end do not depend on it.
         curve = given.curve(value.get("duration_s", 2.0 * given.ramp_s))
         if curve is None:
             return value
@@ -95,12 +96,15 @@ class PhaseSection(Section):
         if curve.kind == "spline":
             check_way_points(curve)
         if given.times_s is None and given.speed_mps is not None:
+            # The share s of the path rises by at most 1 / (T - t_ramp), so the payload has the speed
+            # v at most with  T = max |dr/ds| / v + t_ramp.
             duration_s = float(curve.fastest() / given.speed_mps + given.ramp_s)
             curve = replace(curve, duration_s=duration_s)
 
         if given.times_s is not None or given.speed_mps is not None:
             value = {**value, "duration_s": curve.duration_s}
         end_m = curve.path(np.array([curve.duration_s]), 1)[0, 0].tolist()
+        # A given displacement stays as it is.
         return {"displacement_m": end_m, **value}
 
     def curve(self, duration_s: float | None = None) -> Curve | None:
@@ -143,11 +147,14 @@ class TargetSection(Section):
     def _points_differ_and_times_rise(self) -> Self:
         times_s = self.times_s
         if times_s is not None:
-            count = len(self.points_m)
-            is_rising = all(earlier < later for earlier, later in pairwise(times_s))
-            if len(times_s) != count or not is_rising or self.speed_mps is not None:
-                expected = f"times_s: expected {count} rising times and no speed_mps"
-                raise ValueError(f"{expected}, got {times_s}")
+            if self.speed_mps is not None:
+                expected = "speed_mps: expected none next to times_s, which define the speed"
+                raise ValueError(f"{expected}, got {self.speed_mps:g}")
+            if len(times_s) != len(self.points_m):
+                expected = f"times_s: expected a time for each of {len(self.points_m)} way points"
+                raise ValueError(f"{expected}, got {len(times_s)}")
+            if any(earlier >= later for earlier, later in pairwise(times_s)):
+                raise ValueError(f"times_s: expected rising times, got {times_s}")
 
         if any(here == after for here, after in pairwise(self.points_m)):
             expected = "points_m: expected each way point away from the one before"

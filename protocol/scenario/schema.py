@@ -49,6 +49,7 @@ Relaxation = Annotated[
     Annotated[float, Interval(gt=0.0, le=1.0)] | Literal["auto"],
     Key(type="number > 0, <= 1, or auto", label="relaxation", short="relaxation"),
 ]
+LONGEST_NAME = 40  # characters of the name of a scenario
 LONGEST_WAIT_S = 1e6  # of wall time, for a process
 _WAIT_S = (1e-3, LONGEST_WAIT_S)
 
@@ -270,8 +271,8 @@ class Scenario(Section):
     """version of this format"""
     name: Annotated[
         str,
-        Field(pattern=r"^[A-Za-z0-9_-]{1,40}$"),
-        Key(type="text: letters, digits, `_`, `-`; at most 40"),
+        Field(pattern=rf"^[A-Za-z0-9_-]{{1,{LONGEST_NAME}}}$"),
+        Key(type=f"text: letters, digits, `_`, `-`; at most {LONGEST_NAME}"),
     ]
     """name of the run, part of every network key and of the run folder"""
     seed: Annotated[int, Interval(ge=0, lt=2**63), Key(type="integer >= 0", short="seed")] = 0

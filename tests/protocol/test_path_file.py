@@ -227,4 +227,8 @@ def test_files_of_settings_are_the_callers(
     read = read_scenario(scenario, [*settings, "maneuver.phase=[{name='round',file='circle.csv'}]"])
     assert read.links.samples_s == [0.1, 0.2]
     assert read.maneuver.phase[0].duration_s == 2.0
+
+    (here / "roof.csv").write_text("t_s,delay_s\n0.0,0.02\n1.0,0.03\n", encoding="utf-8")
+    for setting in ("links.trace=roof.csv", "links={trace='roof.csv'}"):
+        assert read_scenario(scenario, [setting]).links.trace == [[0.0, 0.02], [1.0, 0.03]]
     assert read_scenario(scenario, ["maneuver.phase.2.name=turn"]).maneuver.phase[1].way is not None

@@ -56,6 +56,7 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         "radio.computation_mean_s: expected seconds, at most 2, got 5: did you mean 0.005?",
     ),
     # Keys.
+    ("links.samples=[0.1]", "unknown key; it is now 'samples_s'"),
     ("controller.horizn=20", "unknown key; did you mean 'horizon'?"),
     ("system.uav.2.mas_kg=1", "unknown key; did you mean 'mass_kg'?"),
     ("sytem.payload.mass_kg=1", "sytem: unknown key; did you mean 'system'?"),
@@ -99,6 +100,12 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ("system.payload.mass_kg=-1", "expected greater than 0, got -1"),
     ("controller.horizon=0", "expected greater than or equal to 1, got 0"),
     ("controller.relaxation=0", "expected greater than 0, got 0"),
+    # Per cent for a share; a relaxation is none.
+    ("links.loss=2", "expected a share, at most 1, got 2: did you mean 0.02?"),
+    ("links.loss=1.9", "expected less than or equal to 1, got 1.9"),
+    ("links.loss=100", "expected a share, at most 1, got 100: did you mean 1?"),
+    ("links.loss=101", "expected less than or equal to 1, got 101"),
+    ("controller.relaxation=2", "expected less than or equal to 1, got 2"),
     (
         "controller.weights.moments=[1,1,-1]",
         "controller.weights.moments.3: expected greater than 0, got -1",
@@ -434,6 +441,19 @@ def test_all_settings_of_a_field_are_blamed() -> None:
     whole = ["agents.owned=[[1],[2],[3,4]]", "seed=1", "agents.owned.3=[4]"]
     last = f"--set {whole[0]} --set {whole[2]}: agents.owned: expected each UAV of [1, 2, 3, 4] once, got [1, 2, 4]"
     assert refusal(PAPER, *whole) == last
+
+
+def test_a_limit_that_hover_exceeds_blames_the_bodies() -> None:
+    """Settings of masses are named beside the file of the limit; a setting of the limit alone."""
+    heavy, limit = "system.payload.mass_kg=20", "controller.limits.thrust_N=[0,45]"
+    problem = "expected a range that contains the hover thrust 63.76 N of UAV1, got [0.0, 45.0]"
+    of_bodies = f"{PAPER} with --set {heavy}: controller.limits.thrust_N: {problem}"
+    assert refusal(PAPER, heavy) == refusal(PAPER, "seed=3", heavy) == of_bodies
+    assert refusal(PAPER, heavy, limit) == f"--set {limit}: {problem}"
+    # A file that contradicts itself is named alone, whatever else is set.
+    with pytest.raises(ScenarioError) as caught:
+        Setup.of(read_scenario(PAPER, [heavy]), str(PAPER))
+    assert caught.value.blaming(["seed=3"]) is caught.value
 
 
 def test_costs_are_finite_along_the_reference() -> None:

@@ -69,9 +69,16 @@ _ADDED: tuple[tuple[tuple[str, ...], Any], ...] = (
 
 Tree = dict[str, Any]
 
+# Kinds beside those of mutations of the tree: a defect of the text; a tree that TOML cannot have.
+SYNTAX = "syntax"
+UNWRITABLE = "unwritable"
+
 
 def mutated(tree: Tree, rng: random.Random) -> tuple[bytes, str]:
-    """Return a scenario with one to three mutations as the bytes of a TOML file, and the kind of the last mutation."""
+    """Return a scenario with one to three mutations as the bytes of a TOML file, and a kind.
+
+    The kind is that of the last mutation, of a defect of the text, or `UNWRITABLE`.
+    """
     tree, kind = copy.deepcopy(tree), ""
     for _ in range(rng.choice((0, 1, 1, 2))):
         _put(tree, *copy.deepcopy(rng.choice(_ADDED)))
@@ -80,14 +87,15 @@ def mutated(tree: Tree, rng: random.Random) -> tuple[bytes, str]:
         _TREE[kind](tree, rng)
     try:
         text = tomli_w.dumps(tree)
-    except (TypeError, ValueError):  # such as an empty key after another mutation
-        text = tomli_w.dumps({})
+    except (TypeError, ValueError):
+        return b"", UNWRITABLE
     if rng.random() < 0.15:
-        return _broken(text.encode(), rng), "syntax"
+        return _broken(text.encode(), rng), SYNTAX
     return text.encode(), kind
 
 
 def _put(tree: Tree, path: tuple[str, ...], content: Any) -> None:
+    """Put content at a path, keys of a section beside those that it has."""
     node: Any = tree
     for key in path[:-1]:
         node = node.setdefault(key, {})
@@ -111,9 +119,9 @@ def _places(node: Any) -> list[tuple[Any, Any]]:
 
 
 def _choose(tree: Tree, rng: random.Random, *types: type) -> tuple[Any, Any]:
-    """Return container and key of a random value of some types.
+    """Return container and key of a random value of some types, by default of any.
 
-    Numbers of Table I are no more likely than others.
+    All values are equally likely. Without one it is the name of the scenario.
     """
     places = [
         (node, key) for node, key in _places(tree) if isinstance(node[key], types) or not types

@@ -143,7 +143,7 @@ def test_an_interrupt_ends_the_processes(tmp_path: Path) -> None:
 
 
 def test_a_run_that_cannot_start_is_an_error(tmp_path: Path) -> None:
-    """A port in use: one line, the error class of the interface, no SystemExit, and nothing is left."""
+    """An address of another machine: one line, the error class of the interface, and nothing is left."""
     before = children()
     with pytest.raises(transport.TransportError) as caught:
         transport.fly(
@@ -169,7 +169,7 @@ def test_the_viewer_of_a_run() -> None:
         assert "<iframe" in viewer._repr_html_()
     assert "closed" in repr(viewer)
     viewer.close()
-    wait_for(lambda: threading.active_count() <= threads)
+    assert wait_for(lambda: threading.active_count() <= threads)
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import Measurement, Message, Plan, StepReport, agent_name
 
-PERIOD_S, TICKS = 0.05, 30
+TICKS = 30
 FAIL_SAFE = -2
 
 # The model alone predicts over a delay: agents and plant integrate with steps of their own, 1e-11
@@ -43,7 +43,10 @@ def reports(messages: Sequence[Message], agent: int) -> list[StepReport]:
 
 
 def newest(run: Setup, ends: tuple[str, str], tick: int, after: int) -> int:
-    """The newest message that a link has let through by a tick; -1 for none."""
+    """The newest message that a link has let through by a tick; -1 for none.
+
+    `after`: ticks from sending until a message without delay can be used.
+    """
     link = run.link(*ends)
     usable = [k for k in range(tick + 1) if min(link.usable_ticks(k, after), default=TICKS) <= tick]
     return max(usable, default=-1)
@@ -150,11 +153,9 @@ def test_one_uav_cut_off_from_its_controller() -> None:
 
     The other UAVs are not concerned, nor are the plans between agents.
     """
-    cut = "links.partition=[{between=['agent2'],start_s=0.5,end_s=1.0},{between=['plant'],start_s=9,end_s=10}]"
-    assert flight(cut)  # between agents alone, as the plant is not named
-    alone = "links.override=[{from='agent2',to='plant'}]"
+    own_section = "links.override=[{from='agent2',to='plant'}]"
     changes = "links.change=[{at_s=0.5,from='agent2',to='plant',loss=1.0},{at_s=1.0,from='agent2',to='plant',loss=0.0}]"
-    messages = flight("controller.horizon=5", alone, changes)
+    messages = flight("controller.horizon=5", own_section, changes)
     assert [plant_state.plan_ticks[1] for plant_state in plant_states(messages)] == [
         *range(10),
         *[9] * 4,  # 5 steps from tick 9 on
@@ -166,6 +167,17 @@ def test_one_uav_cut_off_from_its_controller() -> None:
         for plant_state in plant_states(messages)
     )
     assert all(report.plan_ages == (1, 1, 1) for report in reports(messages, 1)[1:])
+
+
+def test_a_partition_of_agents_leaves_the_links_of_the_plant() -> None:
+    """Where it does not name the plant, plans still act at once; those between the parts stop."""
+    messages = flight("links.partition=[{between=['agent2'],start_s=0.5,end_s=1.0}]")
+    for plant_state in plant_states(messages):
+        assert plant_state.plan_ticks == (plant_state.tick,) * 4
+    # Of agent 2 the last plan before the partition is that of tick 9, the first one after it of 20.
+    ages = [report.plan_ages for report in reports(messages, 1)]
+    assert [age[0] for age in ages[1:]] == [*[1] * 9, *range(1, 12), *[1] * 9]
+    assert all(age[1:] == (1, 1) for age in ages[1:])
 
 
 def said(messages: Sequence[Message]) -> dict[tuple[str, int, int], bytes]:

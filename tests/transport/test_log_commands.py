@@ -11,8 +11,10 @@ from typer.testing import CliRunner, Result
 
 from tests.support import logs, runs
 from transport.cli.main import app
-from transport.log.tables import tables
+from transport.log.run_log import read_log, topic_of
+from transport.log.tables import INPUT_NAMES, RATE_NAMES, tables
 from transport.model import state
+from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import (
     KINDS,
     Airtime,
@@ -70,6 +72,12 @@ def test_whole_log(flight: tuple[Path, list[Message]]) -> None:
     assert content["messages"] == len(messages)
     channels = {c["topic"]: c for c in content["channels"]}  # type: ignore[attr-defined]
     assert channels["/plan/3"]["messages"] == 10  # killed at tick 10
+    lengths: dict[str, list[int]] = {}
+    for message in messages:
+        lengths.setdefault(topic_of(message), []).append(len(encode(message)))
+    means = {topic: round(np.mean(one)) for topic, one in lengths.items()}
+    assert {topic: channel["mean_bytes"] for topic, channel in channels.items()} == means
+    assert any(means[topic] < max(one) for topic, one in lengths.items())
     assert "complete" in ask("info", folder / "run.mcap").output
 
 
@@ -146,6 +154,22 @@ def test_tables_hold_the_bits(flight: tuple[Path, list[Message]], tmp_path: Path
     assert float(planned["correction_thrust_N[0]"]) == plan.corrections[0, 0]
     reports = [message for message in messages if isinstance(message, StepReport)]
     assert len(rows(tmp_path / "report.csv")) == len(reports)
+
+    header = read_log(folder / "run.mcap").header
+    metadata = pq.read_schema(tmp_path / "plan.parquet").metadata
+    assert header["run_id"]
+    assert metadata == {key.encode(): value.encode() for key, value in header.items()}
+
+
+def test_tables_name_the_inputs_that_are_commanded(tmp_path: Path) -> None:
+    """For a team that commands body rates the columns are thrust and rates, in no table moments."""
+    run = runs.ready("resilient", runs.SHORT, "controller.inputs=rates")
+    logs.record_run(run, tmp_path / "run")
+    exported = ask("export", tmp_path / "run", "--out", tmp_path, "--kind", "plan")
+    assert exported.exit_code == 0, exported.output
+    columns = rows(tmp_path / "plan.csv")[0].keys()
+    assert {f"{name}[0]" for name in RATE_NAMES} <= columns
+    assert not {f"{name}[0]" for name in INPUT_NAMES[1:]} & columns
 
 
 def test_numbers_of_a_class_take_no_column_of_others() -> None:

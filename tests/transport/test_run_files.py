@@ -1,12 +1,17 @@
 """Folders of runs: a start that fails or is interrupted leaves none, and no link to one."""
 
+import errno
 import os
+import platform
+import re
 from pathlib import Path
 
+import psutil
 import pytest
 
 from tests.support.runs import SHORT, setup
-from transport.flight.run_files import RunError, new_run_folder
+from transport.flight.run_files import RunError, new_run_folder, own_keys, run_header
+from transport.protocol.wire.exit_codes import EXIT_USAGE
 
 
 def run_with_log(folder: Path, at_s: float) -> Path:
@@ -64,3 +69,50 @@ def test_an_existing_folder_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="does not exist yet"):
         failing_start(tmp_path / "a", KeyboardInterrupt())
     assert (tmp_path / "a" / "mine").exists()
+
+
+def test_the_secret_that_cannot_be_written_is_an_error_of_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is one line with the file and the reason, and leaves nothing."""
+    scenario = setup(SHORT).scenario
+    absent = tmp_path / "absent"
+    with pytest.raises(RunError, match=rf"secret '{absent}/keys/.*' \(No such file") as caught:
+        own_keys(scenario, absent).__enter__()
+    assert caught.value.exit_code == EXIT_USAGE
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    for name in ("touch", "write_text"):
+        secret = own_keys(scenario, tmp_path)
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, name, full)
+            with pytest.raises(RunError, match="No space left"):
+                secret.__enter__()
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_an_error_of_the_run_is_not_one_of_its_secret(tmp_path: Path) -> None:
+    """What fails while the secret exists passes as it is; the secret goes."""
+    error = OSError(errno.ENOSPC, "of the run")
+    with pytest.raises(OSError, match="of the run") as caught, own_keys(setup().scenario, tmp_path):
+        raise error
+    assert caught.value is error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_header_describes_run_and_machine() -> None:
+    """It has the start of the command in ns, and processor, cores and system of the machine."""
+    header = run_header(
+        setup("seed=7"), "r1", 6, "the text", {"engine": "rods 1", "controller": "c"}
+    )
+    told = ("run_id", "scenario", "seed", "processes", "engine", "controller")
+    assert [header[key] for key in told] == ["r1", "the text", "7", "6", "rods 1", "c"]
+    assert header.keys() == {*told, "versions", "machine", "command_started_ns"}
+
+    started_s = int(header["command_started_ns"]) / 1e9
+    assert started_s == pytest.approx(psutil.Process().create_time(), abs=1e-3)
+    cores = len(os.sched_getaffinity(0))
+    system = re.escape(f"{platform.system()} {platform.release()}")
+    assert re.fullmatch(rf".+, {cores} cores?, {system}", header["machine"])

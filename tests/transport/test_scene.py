@@ -14,21 +14,25 @@ from tests.support import runs
 from tests.support.logs import record_run
 from transport.model.arrays import Array
 from transport.scene.bodies import payload_points
-from transport.scene.drawing import TEAM, Drawing
+from transport.scene.drawing import ARROW_M, TEAM, Drawing
 from transport.scene.history import RunHistory
 from transport.scene.parts import Lines, Mesh
 from transport.scene.scene import SceneBuilder
 
-# One step of order 5 over a sampling period against the plant's five, and rounding of the announced
-# inputs.
+# Largest difference between the agent's prediction of a sampling period, one step of a method of
+# order 5, and the plant's motion, five such steps; and that of the announced inputs, which are
+# rounded.
 STEP_M = 1e-7
 # Largest error of an agent's prediction over half a second, with small changes of the other plans.
 NEAR_M = 1e-2
 SOON_M = 3e-4  # the same over three periods on a perfect network
-ROUNDING = 1e-9
+ROUNDING = 1e-9  # of positions, m, and of directions
 DARK = "links.override=[{from='agent2',to='agent1',loss=1.0}]"
-LATE = "links.delay_s=0.2"
-
+DELAY_S = 0.2
+LATE = f"links.delay_s={DELAY_S}"
+# Meshes of a drawing: payload and reference position; of each UAV a hub, two beams, four rotors.
+MESHES_OF_PAYLOAD, MESHES_OF_UAV = 2, 7
+LINES_OF_ARROW = 5  # the shaft, and four strokes at its tip
 
 # No agent foresees that it will act alone, as agent 1 does that does not hear agent 2.
 LAW = (
@@ -78,7 +82,11 @@ def test_positions_at_hover(distributed: SceneBuilder) -> None:
     reference = setup.reference.outputs(np.zeros(1))[0, : 3 * setup.system.N]
     np.testing.assert_allclose(scene.uavs_I.reshape(-1), reference, atol=ROUNDING)
     assert scene.error_m < ROUNDING
-    assert (scene.phase, distributed.at(25).phase) == ("hover", "climb")
+    later = distributed.at(25)
+    error_I = later.payload_I - later.payload_reference_I
+    assert later.error_m == pytest.approx(float(np.sqrt(np.square(error_I).sum())))
+    assert later.error_m > 1e3 * ROUNDING
+    assert (scene.phase, later.phase) == ("hover", "climb")
 
 
 def test_the_centralized_agent_predicts_the_next_state(centralized: SceneBuilder) -> None:
@@ -119,18 +127,18 @@ def test_plans_are_predicted_from_their_start(actuation: str, tmp_path: Path) ->
 
 def test_links_show_the_age(distributed: SceneBuilder) -> None:
     """The link with 100 % loss never delivered a plan; plans of the others are as old as the delay."""
-    period_s = distributed.setup.settings.sampling_period_s
     for sender, receiver, age_s in distributed.at(25).links:
-        assert (
-            age_s is None if (sender, receiver) == (2, 1) else age_s == pytest.approx(4 * period_s)
-        )
+        if (sender, receiver) == (2, 1):
+            assert age_s is None
+        else:
+            assert age_s == pytest.approx(DELAY_S)
 
 
 def test_bodies_are_solid(distributed: SceneBuilder) -> None:
     """The mesh of every body is closed and faces outwards, and every rod ends on the payload."""
     system = distributed.setup.system
     meshes = [part for part in Drawing(distributed).fixed if isinstance(part, Mesh)]
-    assert len(meshes) == 2 + 7 * system.N
+    assert len(meshes) == MESHES_OF_PAYLOAD + MESHES_OF_UAV * system.N
     for mesh in meshes:
         a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
         volume = (
@@ -165,7 +173,11 @@ def test_parts_are_where_the_scene_is(distributed: SceneBuilder, tick: int) -> N
     np.testing.assert_allclose(
         moving["predicted payload"][::horizon, 0], [scene.payload_I] * 4, atol=ROUNDING
     )
-    np.testing.assert_allclose(moving["thrust"][::5, 0], scene.uavs_I, atol=ROUNDING)
+    shafts = moving["thrust"][::LINES_OF_ARROW]
+    lengths_I = scene.thrusts_I * (ARROW_M / distributed.hover_N)
+    np.testing.assert_allclose(shafts[:, 0], scene.uavs_I, atol=ROUNDING)
+    np.testing.assert_allclose(shafts[:, 1], scene.uavs_I + lengths_I, atol=ROUNDING)
+    assert (shafts[:, 1, 2] < scene.uavs_I[:, 2] - ARROW_M / 2.0).all()  # up: z is down
     if tick:
         flown_I = moving["actual paths"].reshape(-1, 3)
         assert all(
@@ -195,5 +207,5 @@ def test_a_released_uav_is_not_drawn(distributed: SceneBuilder) -> None:
 
     origin, _ = drawing.poses(scene)[TEAM]
     (thrust,) = (part for part in drawing.moving(scene) if part.name == "thrust")
-    feet_I = thrust.segments[::5, 0] + origin
+    feet_I = thrust.segments[::LINES_OF_ARROW, 0] + origin
     np.testing.assert_allclose(feet_I, np.delete(scene.uavs_I, 1, axis=0), atol=ROUNDING)

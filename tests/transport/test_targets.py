@@ -185,7 +185,18 @@ def test_a_team_that_is_whole_again_after_a_target_follows_the_new_path() -> Non
             {"points_m": [[0, 0, -9.0], [1, 0, -9.0], [1, 1, -9]], "speed_mps": 20.0},
             "times the time",
         ),
-        ({"points_m": [[0, 0, -9.0]], "times_s": [0.0, 0.5]}, "times_s: expected 1 rising times"),
+        (
+            {"points_m": [[0, 0, -9.0]], "times_s": [0.0, 0.5]},
+            "times_s: expected a time for each of 1 way points, got 2",
+        ),
+        (
+            {"points_m": [[0, 0, -9.0], [1, 0, -9.0]], "times_s": [5.0, 5.0]},
+            "times_s: expected rising times, got [5.0, 5.0]",
+        ),
+        (
+            {"points_m": [[0, 0, -9.0], [1, 0, -9.0]], "times_s": [0.0, 9.0], "speed_mps": 0.5},
+            "speed_mps: expected none next to times_s, which define the speed, got 0.5",
+        ),
     ],
 )
 def test_what_cannot_be_flown_is_refused(given: dict[str, Any], problem: str) -> None:

@@ -94,7 +94,7 @@ def _topics(log: RunLog) -> list[dict[str, Any]]:
 
 
 def _gaps(log: RunLog, setup: Setup | None) -> list[str]:
-    """Return a sentence about each kind of messages that is missing from a log."""
+    """Return what a log lacks, a sentence each: its end, and messages that its run must have."""
     return [sentence for sentence in (log.cut, missing(log, setup)) if sentence]
 
 

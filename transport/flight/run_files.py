@@ -126,6 +126,7 @@ def own_keys(scenario: Scenario, folder: Path) -> Iterator[Path | None]:
     """Make the secret of a run in its folder.
 
     None where other keys protect the run, or it is to be open.
+    Raises: RunError: the secret cannot be written, or all could read it.
     """
     network = scenario.network
     if network.keys is not None or network.router is not None or not network.secret:
@@ -133,18 +134,30 @@ def own_keys(scenario: Scenario, folder: Path) -> Iterator[Path | None]:
         return
 
     keys = folder.resolve() / "keys"
-    keys.mkdir(mode=0o700)
     file = keys / SHARED
+    with _telling(file):
+        keys.mkdir(mode=0o700)
     try:
-        file.touch(mode=0o600)
-        if file.stat().st_mode & 0o077:
-            raise _readable_by_all(file)
-        file.write_text(f"run:{secrets.token_hex(24)}\n", encoding="utf-8")
+        with _telling(file):
+            file.touch(mode=0o600)
+            if file.stat().st_mode & 0o077:
+                raise _readable_by_all(file)
+            file.write_text(f"run:{secrets.token_hex(24)}\n", encoding="utf-8")
         yield keys
     finally:
         with suppress(OSError):
             file.unlink(missing_ok=True)
             keys.rmdir()
+
+
+@contextmanager
+def _telling(file: Path) -> Iterator[None]:
+    """Raise a RunError for an OSError on the way to a file of the run's secret."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+        raise RunError(f"cannot write the secret {str(file)!r} ({reason})", EXIT_USAGE) from error
 
 
 def _readable_by_all(file: Path) -> RunError:

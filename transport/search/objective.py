@@ -16,6 +16,8 @@ MEASURES = get_args(Measure)
 # Default limits: attitude and payload error as in docs/guarantees.md; violation of the user's own
 # constraints, in their units, and of limits, as a share of their range; mean cost.
 _LIMITS: Mapping[str, float] = {"attitude": 10.0, "payload": 1.0, "constraint": 0.1, "cost": 10.0}
+# Units of numbers and limits, where they have the same for every scenario.
+_UNITS: Mapping[str, str] = {"attitude": "deg", "separation": "m", "payload": "m"}
 _SEPARATION_SHARE = 0.9  # of the minimum of the constraint, which is soft
 
 
@@ -101,10 +103,19 @@ class Objective:
     def in_words(self, value: float) -> str:
         """Return the number of a run with its unit."""
         names = {
-            "attitude": f"attitude {value:.2f} deg",
-            "separation": f"smallest distance {value:.3f} m",
-            "payload": f"payload error {value:.3f} m",
+            "attitude": f"attitude {value:.2f}",
+            "separation": f"smallest distance {value:.3f}",
+            "payload": f"payload error {value:.3f}",
             "constraint": f"violation {value:.3g}",
             "cost": f"cost {value:.3g}",
         }
-        return names[self.measure]
+        return self._with_unit(names[self.measure])
+
+    def limit_in_words(self) -> str:
+        """Return the limit with its unit."""
+        return self._with_unit(f"{self.limit:g}")
+
+    def _with_unit(self, number: str) -> str:
+        """Return a number with the unit of the measure, if it has one."""
+        unit = _UNITS.get(self.measure)
+        return f"{number} {unit}" if unit else number

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-import numpy as np
 import orjson
 import tomli_w
 from matplotlib.axes import Axes
@@ -18,6 +17,7 @@ from transport.flight.memory import simulate
 from transport.flight.run_files import machine
 from transport.log.run_log import Recorded, RunLog
 from transport.model.arrays import Array
+from transport.protocol.scenario.schema import LONGEST_NAME
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Message
 from transport.report.column import column_panels
@@ -26,6 +26,7 @@ from transport.search.events import Death, Event, Silence, TargetEvent
 from transport.search.search import Case, Minimal, SearchResult
 
 SCENARIO, FIGURE, SUMMARY = "minimal.toml", "minimal.png", "summary.json"
+_NAME_ENDING = "-worst"  # of the scenario
 _SHOWN = 10  # cases of the table
 _BEFORE_S = 1.0  # shown before the first event
 _AFTER_S = 2.0  # shown after the failure
@@ -73,7 +74,7 @@ def summary(result: SearchResult) -> dict[str, Any]:
 
 
 def ranked(result: SearchResult) -> list[Case]:
-    """Return the worst cases, the worst first."""
+    """Return the worst cases, at most ten, the worst first."""
     order = sorted(result.cases, key=lambda case: case.order)
     return order[:_SHOWN]
 
@@ -120,7 +121,7 @@ def _failure_in_words(minimal: Minimal) -> str:
     objective = minimal.problem.objective
     evaluation = minimal.evaluation
     number = objective.in_words(evaluation.value)
-    limit = f"(limit {objective.limit:g})"
+    limit = f"(limit {objective.limit_in_words()})"
     if evaluation.outcome != "completed":  # diverged, or ended at the limit
         return f"At {evaluation.failed_s:g} s the run fails: {number} {limit}."
     if evaluation.passed_s is None:
@@ -136,8 +137,8 @@ def _capital(text: str) -> str:
 def scenario_text(minimal: Minimal) -> str:
     """Return the scenario of the minimal case as TOML, with a comment that says what happens."""
     scenario = minimal.candidate.scenario(minimal.problem.base)
-    # At most 40 characters, the longest name of a scenario.
-    name = f"{minimal.problem.base.scenario.name[:32]}-worst"
+    begin = minimal.problem.base.scenario.name[: LONGEST_NAME - len(_NAME_ENDING)]
+    name = f"{begin}{_NAME_ENDING}"
     sentences = [f"Minimal case of a search on {minimal.problem.base.scenario.name}."]
     comment = [
         f"# {line}"
@@ -166,10 +167,7 @@ def draw(figure: Figure, minimal: Minimal) -> Figure:
     """Draw attitude, payload error and smallest distance around the failure, with the events."""
     setup, log = flown_again(minimal)
     series = series_of(setup, log)
-    end_s = min(float(series.times_s[-1]), minimal.evaluation.failed_s + _AFTER_S)
-    first_s = _first_s(minimal.candidate.events)  # infinite: all of them last for the whole run
-    earliest_s = max(0.0, end_s - _LONGEST_S)
-    begin_s = max(earliest_s, min(end_s, first_s) - _BEFORE_S)
+    begin_s, end_s = window_s(minimal, float(series.times_s[-1]))
 
     objective = minimal.problem.objective
     legend = _legend(minimal.candidate.events, objective.measure)
@@ -185,6 +183,17 @@ def draw(figure: Figure, minimal: Minimal) -> Figure:
         if label == _LABELS.get(objective.measure):
             panel.axhline(objective.limit, **_LIMIT)
     return figure
+
+
+def window_s(minimal: Minimal, last_s: float) -> tuple[float, float]:
+    """Return begin and end of the figure, s, for a run whose last instant is given.
+
+    It shows the failure, and the first event as far as the longest window allows.
+    """
+    failed_s = minimal.evaluation.failed_s
+    end_s = min(last_s, failed_s + _AFTER_S)
+    first_s = min(failed_s, _first_s(minimal.candidate.events))
+    return max(0.0, end_s - _LONGEST_S, first_s - _BEFORE_S), end_s
 
 
 def _legend(events: Sequence[Event], measure: str) -> list[Line2D]:
@@ -205,10 +214,10 @@ def _legend(events: Sequence[Event], measure: str) -> list[Line2D]:
 
 
 def _first_s(events: Sequence[Event]) -> float:
-    """Return when the first event begins; infinite where all last for the whole run."""
+    """Return when the first event begins; 0 where all last for the whole run."""
     times = [event.start_s for event in events if isinstance(event, Silence)]
     times += [event.at_s for event in events if isinstance(event, Death | TargetEvent)]
-    return min(times, default=np.inf)
+    return min(times, default=0.0)
 
 
 def _curves(series: Series) -> dict[str, Array]:
