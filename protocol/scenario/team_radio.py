@@ -1,6 +1,11 @@
 """The radio of a team in lockstep: plans of a tick in, their arrivals out (docs/radio.md).
 
 The coordinator, which has all plans of a tick, computes it once.
+
+    period       from a tick to the next; it has `exchanges` of equal length, one without negotiation
+    negotiation  of a plan or a window: exchanges of the same tick that still follow, 0 for the last
+    cycle        periods in which each station has its turn to send once; 1 where all send in each
+    window       what one call of `advance` covers: it ends with an exchange, or with the next tick
 """
 
 from collections.abc import Collection, Sequence
@@ -110,7 +115,7 @@ class TeamRadio:
         if not plan.shared or not receivers:
             return
         station = plan.agent - 1
-        exchange = self._sends.exchanges - 1 - plan.negotiation
+        exchange = self._sends.exchanges - 1 - plan.negotiation  # from 0
         lengths = frame_lengths(length_on_air(plan, self._section))
         if self._sends.cycle > 1:
             self._replace(station)
@@ -140,7 +145,8 @@ class TeamRadio:
         """
         until_ns = tick * self._sends.period_ns
         if negotiation > 0:
-            until_ns += (self._sends.exchanges - negotiation) * self._sends.exchange_ns
+            ended_exchanges = self._sends.exchanges - negotiation
+            until_ns += ended_exchanges * self._sends.exchange_ns
         powers = PowersWhenNeeded(partial(self._powers, x), len(self._state.stations))
         others, self._others = self._background.frames(
             self._others, self._standard, self._channel.parameters.rate_mbps, until_ns
