@@ -18,8 +18,7 @@ from transport.mpc.uav_motion import Motion
 _FREQUENCY_RAD_S = 3.0
 _DAMPING_RATIO = 0.7
 # Tension from which on a rod shows its direction, as a share of that at hover. With less the noise of
-# the accelerometer and the error of the thrust have a large part in the direction. At hover the
-# tension is four times this, in gusts and along a fast path more than twice.
+# the accelerometer and the error of the thrust have a large part in the direction.
 _TAUT = 0.25
 _THRUST_AXIS_B = np.array([0.0, 0.0, 1.0])  # third axis of the body: the thrust is against it
 
