@@ -270,16 +270,17 @@ class Controller:
         return self._program.condense(linear, prediction, y_ref, law, end)
 
     def solve(self, qp: QP) -> Solution:
-        """Solve by the chosen solver, or by Clarabel when that fails.
+        """Solve by the chosen solver, or by the other one when that fails.
 
         Where hard constraints of the user have no solution, return that of the newest program with
         them softened, and their violations. Source: docs/equations.md (30e).
         """
-        solution = solve(qp, self.settings.solver)
+        any_rows = bool(self.settings.constraint)
+        solution = solve(qp, self.settings.solver, any_rows=any_rows)
         softening = self._newest_softening
         if solution.status != "infeasible" or not softening.texts:
             return solution
-        softened = solve(softening.softened(qp), self.settings.solver)
+        softened = solve(softening.softened(qp), self.settings.solver, any_rows=any_rows)
         if softened.status != "solved":
             return solution
         return replace(softened, violations=softening.violations(softened.z))

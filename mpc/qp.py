@@ -25,6 +25,8 @@ Status = Literal["solved", "infeasible", "limit", "numerical"]
 RESIDUAL_TOLERANCE = 1e-6
 # A usual QP needs one guess of its active bounds, others two or three; the limit ends a cycle.
 MOST_GUESSES = 8
+# Largest entry of a row that is solved as it is, and the inverse of the smallest one.
+_USUAL_ROW = 4096.0
 MOST_ITERATIONS = 2000  # DAQP needs about as many as active constraints; the limit ends a cycle
 _TOLERANCE = 1e-9  # of DAQP, primal and dual
 _INTERIOR_TOLERANCE = 1e-11  # of Clarabel
@@ -144,25 +146,71 @@ def _compiled_residuals(
     return Residuals(*values.tolist())
 
 
-def solve(qp: QP, solver: SolverName, most_iterations: int = MOST_ITERATIONS) -> Solution:
-    """Solve by the chosen solver, check the residuals, and use Clarabel as fallback.
+def solve(
+    qp: QP,
+    solver: SolverName,
+    most_iterations: int = MOST_ITERATIONS,
+    *,
+    any_rows: bool = False,
+) -> Solution:
+    """Solve by the chosen solver, check the residuals, and use the other one where that fails.
 
-    With DAQP, limited to a number of iterations, the program with bounds alone is tried first. If
-    all fail, return the last failure.
+    With DAQP the program with bounds alone is tried first. If all fail, return the last failure,
+    "infeasible" if one of them has found so.
+
+    Args:
+        qp: The program.
+        solver: The first one.
+        most_iterations: Limit of DAQP where it is the first.
+        any_rows: Whether rows may be of any size, as those from a user's expressions; unusual ones
+            are scaled before. The controller's own are of order one.
     """
+    factors = _row_factors(qp.A) if any_rows else None
+    if factors is not None:
+        scaled = replace(
+            qp,
+            A=factors[:, None] * qp.A,
+            row_lower=factors * qp.row_lower,
+            row_upper=factors * qp.row_upper,
+        )
+        solution = solve(scaled, solver, most_iterations)
+        return replace(solution, row_multipliers=factors * solution.row_multipliers)
+
     if solver == "daqp":
         by_bounds = within_bounds(qp)
         if by_bounds is not None:
             return by_bounds
     if not (np.isfinite(qp.g).all() and np.isfinite(qp.H).all()):
         return unsolved(len(qp.g), len(qp.A), solver)
-    if solver == "clarabel":
-        return solve_clarabel(qp)
 
-    solution = solve_daqp(qp, most_iterations)
-    if solution.status == "solved":
-        return solution
-    return replace(solve_clarabel(qp), fallback=True)
+    is_daqp = solver == "daqp"
+    first = solve_daqp(qp, most_iterations) if is_daqp else solve_clarabel(qp)
+    if first.status == "solved":
+        return first
+    second = solve_clarabel(qp) if is_daqp else solve_daqp(qp)
+    # One of them may find no solution where the other only makes no progress.
+    is_infeasible = second.status != "solved" and first.status == "infeasible"
+    status = "infeasible" if is_infeasible else second.status
+    return replace(second, status=status, fallback=True)
+
+
+def _row_factors(A: Array) -> Array | None:
+    """Return the factors, powers of two, that make rows of an unusual size about as large as one.
+
+    The unit of a user's expression is free, the tolerance of a solver is not: a row in units of
+    1e-8 N holds within it at any thrust, and one in units of 1e6 N at none. None where all rows are usual.
+    """
+    if not A.size:
+        return None
+    largest = np.maximum(A.max(axis=1), -A.min(axis=1))
+    is_small = (largest < 1.0 / _USUAL_ROW) & (largest > 0.0)
+    is_large = (largest > _USUAL_ROW) & (largest < np.inf)
+    unusual = is_small | is_large
+    if not unusual.any():
+        return None
+    factors = np.ones(len(largest))
+    factors[unusual] = np.exp2(-np.round(np.log2(largest[unusual])))
+    return factors
 
 
 def unsolved(n: int, rows: int, solver: str) -> Solution:

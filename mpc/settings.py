@@ -311,8 +311,8 @@ class ControllerSettings(Section):
     relaxation: Annotated[float, Interval(gt=0.0, le=1.0)] = DEFAULT_RELAXATION
     """share w in (0, 1] of the new optimum in the published plan w U* + (1 - w) U_shifted"""
     solver: Annotated[SolverName, Key(short="solver")] = "daqp"
-    """first QP solver. daqp: the program with bounds alone is tried first, and Clarabel solves any
-    program whose solution fails the residual check"""
+    """first QP solver; the other one solves any program whose solution fails the residual check.
+    daqp: the program with bounds alone is tried first"""
     inputs: Literal["moments", "rates"] = "moments"
     """commands of agents beside the thrust: moments, or body rates that an inner loop on each UAV
     follows, [equations.md](equations.md#body-rates) (57)"""

@@ -25,6 +25,7 @@ AGREEMENT_WITH_SLACK = 6e-4
 OBJECTIVE_AGREEMENT = 1e-8
 
 NAMES: list[SolverName] = ["daqp", "clarabel"]
+OTHER: dict[SolverName, SolverName] = {"daqp": "clarabel", "clarabel": "daqp"}
 
 
 def agree(qp: QP, within: float = AGREEMENT) -> None:
@@ -83,8 +84,8 @@ def test_infeasible_is_data(program: str, name: SolverName) -> None:
     answer = solve(without_solution()[program], name)
     assert answer.status == "infeasible"
     assert answer.residuals.worst == np.inf
-    assert answer.solver == "clarabel"
-    assert answer.fallback == (name == "daqp")
+    assert answer.solver == OTHER[name]
+    assert answer.fallback
 
 
 def test_iteration_limit_hands_over() -> None:
@@ -98,6 +99,42 @@ def test_iteration_limit_hands_over() -> None:
     assert np.abs(answer.z - expected.z).max() <= AGREEMENT * max(
         1.0, float(np.abs(expected.z).max())
     )
+
+
+def test_daqp_is_behind_clarabel(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where Clarabel, chosen first, makes no progress, DAQP's answer, flagged as fallback, is the optimum."""
+    qp = collected(0.4)[-1]
+    expected = solve_daqp(qp)
+    honest = clarabel.DefaultSolver
+
+    def stuck(*arguments: Any) -> Any:
+        answer = honest(*arguments).solve()
+        changed = SimpleNamespace(
+            x=answer.x, z=answer.z, iterations=answer.iterations, status="InsufficientProgress"
+        )
+        return SimpleNamespace(solve=lambda: changed)
+
+    monkeypatch.setattr(clarabel, "DefaultSolver", stuck)
+    answer = solve(qp, "clarabel")
+    assert (answer.status, answer.solver, answer.fallback) == ("solved", "daqp", True)
+    assert np.array_equal(answer.z, expected.z)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("unit", [1e-9, 1e-6, 1e6, 1e9])
+def test_the_unit_of_a_row_does_not_matter(unit: float, name: SolverName) -> None:
+    """A program has the same optimum, and multipliers in the rows' units, whatever these units are.
+
+    Minimise 1/2 |z|^2 - 3 z1 - 3 z2 with z1 + z2 <= 4 in this unit: z = (2, 2), multiplier 1 / unit.
+    """
+    qp = QP(
+        H=np.eye(2), g=np.full(2, -3.0), lower=np.full(2, -10.0), upper=np.full(2, 10.0),
+        A=np.full((1, 2), unit), row_lower=np.array([-np.inf]), row_upper=np.array([4.0 * unit]),
+    )  # fmt: skip
+    answer = solve(qp, name, any_rows=True)
+    assert answer.status == "solved"
+    assert answer.z == pytest.approx([2.0, 2.0], abs=AGREEMENT)
+    assert unit * answer.row_multipliers == pytest.approx([1.0], abs=AGREEMENT)
 
 
 Lie = Callable[[Array, Array], tuple[Array, Array]]
