@@ -14,7 +14,7 @@ from transport.model.arrays import Array
 from transport.model.dynamics import Symbols
 
 # No contraction of products and sums: the same bits as CasADi's interpreter.
-_FLAGS = ("-Og", "-march=native", "-fno-math-errno", "-ffp-contract=off")
+_FLAGS = ("-Og", "-fno-math-errno", "-ffp-contract=off")
 # How `step` is compiled: it is a tenth of the code, but evaluated most, tens of times in a step of a
 # controller. GCC's vectorisation of straight code fuses products and sums of neighbours in spite of
 # the flag above.
@@ -150,7 +150,7 @@ def compile_functions(N: int, rates: bool = False) -> bool:
             source = _source(function)
             optimised = _OPTIMISED.format(source) if name == "step" else source
             sources.append(optimised.encode())
-        compiler.compile_library(_file(N, rates), sources, _FLAGS)
+        compiler.compile_library(_file(N, rates), sources, _flags())
     return library(N, rates) is not None
 
 
@@ -163,7 +163,13 @@ def library(N: int, rates: bool) -> Path | None:
 def _file(N: int, rates: bool) -> Path:
     """Return the path of the library of a system of N UAVs."""
     inputs = "rates-" if rates else ""
-    return compiler.compiled_file(f"model-{inputs}N{N}", _digest(), _FLAGS)
+    return compiler.compiled_file(f"model-{inputs}N{N}", _digest(), _flags())
+
+
+@lru_cache
+def _flags() -> tuple[str, ...]:
+    """Return the compiler's flags, as this process first finds the environment."""
+    return (*_FLAGS, *compiler.processor_flags())
 
 
 @lru_cache

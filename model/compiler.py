@@ -1,6 +1,7 @@
 """The cache folder, and C source compiled for this processor.
 
-With PAYLOAD_TRANSPORT_NATIVE=0 callers use no compiled code (`enabled`).
+PAYLOAD_TRANSPORT_NATIVE=0 switches compiled code off (`enabled`); 2, 4 or 8 sets the width of its
+vectors in doubles, which is otherwise that of the processor's registers (`processor_flags`).
 """
 
 import hashlib
@@ -16,6 +17,8 @@ from pathlib import Path
 
 _COMMON = ("-fPIC", "-w")
 _TIMEOUT_S = 300.0
+_SWITCH = "PAYLOAD_TRANSPORT_NATIVE"
+_WIDTHS = ("2", "4", "8")
 
 
 def cache_folder() -> Path:
@@ -41,7 +44,27 @@ def cache_folder() -> Path:
 
 def enabled() -> bool:
     """Return whether compiled code is switched on."""
-    return os.environ.get("PAYLOAD_TRANSPORT_NATIVE") != "0"
+    return os.environ.get(_SWITCH) != "0"
+
+
+def processor_flags() -> tuple[str, ...]:
+    """Return the compiler's flags for this processor, with vectors of a forced width.
+
+    Narrow vectors of x86 processors use no instruction of AVX-512, as on a processor without it.
+    """
+    is_arm = platform.machine() in ("aarch64", "arm64")
+    # Clang for ARM processors does not know `native` as an architecture.
+    flags = ["-mcpu=native" if is_arm else "-march=native"]
+
+    width = os.environ.get(_SWITCH, "")
+    if width in _WIDTHS:
+        flags.append(f"-DLANES={width}")
+        if width != "8" and not is_arm:
+            flags.append("-mno-avx512f")
+    elif width not in ("", "0"):
+        expected = "expected 0 (no compiled code), 2, 4 or 8 (width of its vectors), or no value"
+        warnings.warn(f"{_SWITCH}={width}: {expected}; ignored", RuntimeWarning, stacklevel=2)
+    return tuple(flags)
 
 
 def find_compiler() -> str | None:

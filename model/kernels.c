@@ -1,11 +1,13 @@
 /* The loops of a controller's step, for matrices so small that BLAS calls are mostly overhead.
 
    Each function has an equivalent in Python, which tests it (tests/model/test_native.py, tests/mpc) and replaces it
-   without a C compiler. Matrices are dense and row-major, sizes are numbers of entries, nothing is allocated or kept; the order of
-   summation depends on the sizes and the zeros alone. Numbers in brackets are equations
-   of docs/equations.md, in whose letters the comments are.
+   without a C compiler. Matrices are dense and row-major, sizes are numbers of entries, nothing is allocated or kept.
+   Numbers in brackets are equations of docs/equations.md, in whose letters the comments are.
 
-   Work arrays are padded: their rows are a multiple of LANES long, so that no loop has a remainder. */
+   Vectors are as wide as the processor's registers (LANES), but the order of summation depends on the sizes and the
+   zeros alone: columns are summed in blocks of BLOCK, which are one vector or several. So each width gives the same
+   digits, where multiplication and addition are fused (FMA). Work arrays are padded: their rows are a multiple of BLOCK
+   long, so that no loop has a remainder. */
 
 #include <math.h>
 #include <stddef.h>
@@ -15,12 +17,29 @@
 #include <immintrin.h>
 #endif
 
+#ifndef LANES /* doubles in a vector: as many as in a register, unless the compiler's command says another number */
+#if defined __AVX512F__
 #define LANES 8
+#elif defined __AVX__
+#define LANES 4
+#else
+#define LANES 2
+#endif
+#endif
+#if defined __AVX512F__ || defined __aarch64__
+#define SUMS 16 /* sums at a time: half of the registers */
+#else
+#define SUMS 8
+#endif
+#define BLOCK 8 /* a multiple of every LANES */
+
 typedef double lanes __attribute__((vector_size(8 * LANES), aligned(8)));
 #define VECTOR(pointer) (*(lanes *)(pointer))
 #define INLINE static inline __attribute__((always_inline))
 
-ptrdiff_t padded(ptrdiff_t n) { return (n + LANES - 1) / LANES * LANES; }
+int vector_width(void) { return LANES; }
+
+ptrdiff_t padded(ptrdiff_t n) { return (n + BLOCK - 1) / BLOCK * BLOCK; }
 
 INLINE lanes splat(double a) { return a - (lanes){0.0}; }
 
@@ -30,7 +49,7 @@ INLINE void combine(int count, int chains, ptrdiff_t terms, const ptrdiff_t *ind
                     const double *X, ptrdiff_t width, double *to)
 {
     /* sum_c = sum of a_k X_k over every `chains`-th k, then to += sum_0 + sum_1 + .. */
-    lanes sum[8];
+    lanes sum[SUMS];
     for (int v = 0; v < count * chains; v++) sum[v] = splat(0.0);
     ptrdiff_t k = 0;
     for (; k + chains <= terms; k += chains)
@@ -50,15 +69,25 @@ INLINE void combine(int count, int chains, ptrdiff_t terms, const ptrdiff_t *ind
     for (int v = 0; v < count; v++) ((lanes *)to)[v] += sum[v];
 }
 
-/* One row of a product over all columns, a multiple of LANES, in the widest groups of vectors that fit. */
+/* Columns of a product's row in a number of chains that their number alone decides, in passes of as many vectors as
+   keep the sums in registers. */
+INLINE void combine_columns(int columns, int chains, ptrdiff_t terms, const ptrdiff_t *index, const double *value,
+                            const double *X, ptrdiff_t width, double *to)
+{
+    const int vectors = columns / LANES, most = SUMS / chains, count = vectors < most ? vectors : most;
+    for (int at = 0; at < columns; at += count * LANES)
+        combine(count, chains, terms, index, value, X + at, width, to + at);
+}
+
+/* One row of a product over all columns, a multiple of BLOCK, in the widest groups that fit. */
 static void combine_row(ptrdiff_t terms, const ptrdiff_t *index, const double *value, const double *X,
                         ptrdiff_t width, ptrdiff_t columns, double *to)
 {
     ptrdiff_t at = 0;
-    for (; at + 8 * LANES <= columns; at += 8 * LANES) combine(8, 1, terms, index, value, X + at, width, to + at);
-    for (; at + 4 * LANES <= columns; at += 4 * LANES) combine(4, 2, terms, index, value, X + at, width, to + at);
-    for (; at + 2 * LANES <= columns; at += 2 * LANES) combine(2, 4, terms, index, value, X + at, width, to + at);
-    for (; at < columns; at += LANES) combine(1, 8, terms, index, value, X + at, width, to + at);
+    for (; at + 64 <= columns; at += 64) combine_columns(64, 1, terms, index, value, X + at, width, to + at);
+    for (; at + 32 <= columns; at += 32) combine_columns(32, 2, terms, index, value, X + at, width, to + at);
+    for (; at + 16 <= columns; at += 16) combine_columns(16, 4, terms, index, value, X + at, width, to + at);
+    for (; at < columns; at += 8) combine_columns(8, 8, terms, index, value, X + at, width, to + at);
 }
 
 /* A matrix as lists of the nonzero entries of each row: a model's derivatives are mostly zeros. */
@@ -116,20 +145,23 @@ static void sum_magnitudes(const sparse *S, const double *x, double *to)
         for (ptrdiff_t k = S->begin[i]; k < S->begin[i + 1]; k++) to[S->index[k]] += x[i] * fabs(S->value[k]);
 }
 
-/* a' b, in LANES chains. */
+/* a' b, in BLOCK chains. */
 INLINE double dot(ptrdiff_t n, const double *a, const double *b)
 {
-    lanes sum = splat(0.0);
+    lanes sum[BLOCK / LANES];
+    for (int v = 0; v < BLOCK / LANES; v++) sum[v] = splat(0.0);
     double rest = 0.0;
     ptrdiff_t j = 0;
-    for (; j + LANES <= n; j += LANES) sum += VECTOR(a + j) * VECTOR(b + j);
+    for (; j + BLOCK <= n; j += BLOCK)
+        for (int v = 0; v < BLOCK / LANES; v++) sum[v] += VECTOR(a + j + v * LANES) * VECTOR(b + j + v * LANES);
     for (; j < n; j++) rest += a[j] * b[j];
-    for (int v = 0; v < LANES; v++) rest += sum[v];
+    for (int i = 0; i < BLOCK; i++) rest += sum[i / LANES][i % LANES];
     return rest;
 }
 
 #define POWERS 64  /* most terms of a series; theta <= 2 needs 25 */
 #define PANEL 32   /* columns of a product at a time, so that they stay in the cache */
+#define WIDEST (PANEL / LANES < SUMS ? PANEL / LANES : SUMS) /* vectors of a panel at a time */
 
 /* Term k of the series (17) from the one before, and its sum: next = scale S X, sum += next, for `count` vectors of
    columns. */
@@ -137,7 +169,7 @@ INLINE void next_term(int count, const sparse *S, const double *X, ptrdiff_t wid
                       double *sum, ptrdiff_t sum_width)
 {
     for (ptrdiff_t i = 0; i < S->rows; i++) {
-        lanes row[PANEL / LANES];
+        lanes row[SUMS];
         for (int v = 0; v < count; v++) row[v] = splat(0.0);
         for (ptrdiff_t k = S->begin[i]; k < S->begin[i + 1]; k++) {
             const lanes *from = (const lanes *)(X + S->index[k] * width), a = splat(S->value[k]);
@@ -173,7 +205,7 @@ ptrdiff_t zero_order_hold_work(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations
 {
     const ptrdiff_t width = padded(n + m + 1);
     return 2 * n * width + accelerations * width + 2 * (n + accelerations) * PANEL +
-           2 * n * (n + accelerations) + n + 1 + compress_work(n, n) + 3 * LANES;
+           2 * n * (n + accelerations) + n + 1 + compress_work(n, n) + 3 * BLOCK;
 }
 
 /* Exact zero-order hold about an expansion in factors: [A - I, B, f_d] = Phi [A_c, B_c, f], Phi = integral of
@@ -261,9 +293,11 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
             /* Term k = (X + P V_x) T / (k + 1) times term k - 1, with [X P] and, below the term, V_x times it. */
             const double scale = T / (k + 1);
             multiply(&V_x, term, some, term + n * some);
-            if (some == PANEL) next_term(PANEL / LANES, &XP, term, some, scale, next, sum + at, width);
-            else for (ptrdiff_t v = 0; v < some; v += LANES)
-                next_term(1, &XP, term + v, some, scale, next + v, sum + at + v, width);
+            ptrdiff_t v = 0;
+            for (; v + WIDEST * LANES <= some; v += WIDEST * LANES)
+                next_term(WIDEST, &XP, term + v, some, scale, next + v, sum + at + v, width);
+            for (; v < some; v += BLOCK)
+                next_term(BLOCK / LANES, &XP, term + v, some, scale, next + v, sum + at + v, width);
             double *swap = term;
             term = next, next = swap;
         }
@@ -290,7 +324,7 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
 ptrdiff_t predict_work(ptrdiff_t n, ptrdiff_t m, ptrdiff_t own)
 {
     const ptrdiff_t w = padded(own + 1);
-    return (2 * n + m) * w + compress_work(n, n) + compress_work(n, m) + compress_work(m, n) + n * m + 3 * LANES;
+    return (2 * n + m) * w + compress_work(n, n) + compress_work(n, m) + compress_work(m, n) + n * m + 3 * BLOCK;
 }
 
 /* Effect of each decision and free response over the horizon, with the others' inputs fed back,
@@ -347,10 +381,13 @@ void predict(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, ptrdiff_t count, const p
     }
 }
 
-typedef double chains __attribute__((vector_size(32), aligned(8)));
+#define PART (LANES < 4 ? LANES : 4) /* four chains in vectors of at most four */
+typedef double chains __attribute__((vector_size(8 * PART), aligned(8)));
 #define CHAINS(pointer) (*(const chains *)(pointer))
-#ifdef __FMA__ /* compilers for some processors would not fuse all of them */
+#if defined __FMA__ && LANES >= 4 /* compilers for some processors would not fuse all of them */
 #define ADDED(a, b, sum) _mm256_fmadd_pd(a, b, sum)
+#elif defined __FMA__
+#define ADDED(a, b, sum) _mm_fmadd_pd(a, b, sum)
 #else
 #define ADDED(a, b, sum) ((a) * (b) + (sum))
 #endif
@@ -360,13 +397,17 @@ typedef double chains __attribute__((vector_size(32), aligned(8)));
 INLINE void chained_rows(int count, ptrdiff_t n, const double *A, const double *b, double *to)
 {
     /* to_r = sum of A_rj b_j over j = 0, 4, .. ; 1, 5, .. ; 2, 6, .. ; 3, 7, .. , and what is left. */
-    chains sum[8];
-    for (int r = 0; r < count; r++) sum[r] = (chains){0.0};
+    chains sum[8][4 / PART];
+    for (int r = 0; r < count; r++)
+        for (int c = 0; c < 4 / PART; c++) sum[r][c] = (chains){0.0};
     ptrdiff_t j = 0;
     for (; j + 4 <= n; j += 4)
-        for (int r = 0; r < count; r++) sum[r] = ADDED(CHAINS(A + r * n + j), CHAINS(b + j), sum[r]);
+        for (int r = 0; r < count; r++)
+            for (int c = 0; c < 4 / PART; c++)
+                sum[r][c] = ADDED(CHAINS(A + r * n + j + c * PART), CHAINS(b + j + c * PART), sum[r][c]);
     for (int r = 0; r < count; r++) {
-        double total = (sum[r][0] + sum[r][2]) + (sum[r][1] + sum[r][3]);
+        const chains *part = sum[r];
+        double total = (part[0][0] + part[2 / PART][2 % PART]) + (part[1 / PART][1 % PART] + part[3 / PART][3 % PART]);
         for (ptrdiff_t i = j; i < n; i++) total += A[r * n + i] * b[i];
         to[r] = total;
     }
@@ -376,7 +417,8 @@ INLINE void chained_rows(int count, ptrdiff_t n, const double *A, const double *
 static void chained(ptrdiff_t rows, ptrdiff_t n, const double *A, const double *b, double *to)
 {
     ptrdiff_t i = 0;
-    for (; i + 8 <= rows; i += 8) chained_rows(8, n, A + i * n, b, to + i);
+    const int some = 8 / (4 / PART);
+    for (; i + some <= rows; i += some) chained_rows(some, n, A + i * n, b, to + i);
     for (; i < rows; i++) chained_rows(1, n, A + i * n, b, to + i);
 }
 
@@ -526,7 +568,14 @@ void respond(const problem *p)
 ptrdiff_t condense_work(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, ptrdiff_t p, ptrdiff_t rank)
 {
     const ptrdiff_t w = padded(steps * m), longest = p > rank ? p : rank;
-    return (3 + m) * w + (m + 1) * padded(m) + steps * p + rank + 2 * (longest > n ? longest : n) + LANES;
+    return (3 + m) * w + (m + 1) * padded(m) + steps * p + rank + 2 * (longest > n ? longest : n) + BLOCK;
+}
+
+/* Numbers in `kept`: effects of the decisions on states, p outputs and the root of the cost-to-go, from a full vector
+   on. */
+ptrdiff_t kept_work(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, ptrdiff_t p, ptrdiff_t rank)
+{
+    return (n + p + rank) * padded(steps * m) + BLOCK;
 }
 
 /* Effects of the scaled decisions on states L, outputs and the root of the cost-to-go, [S(0) .. S(steps - 1)]. */
@@ -616,7 +665,7 @@ static void condense(const problem *c)
     const ptrdiff_t steps = c->steps, n = c->n, m = c->m, D = steps * m, w = padded(D), margin = padded(m);
     const ptrdiff_t p = c->outputs + c->terms + c->inputs, rank = c->rank, stride = c->size;
     const ptrdiff_t longest = p > rank ? p : rank, most = longest > n ? longest : n;
-    double *L = (double *)(((uintptr_t)c->kept + 8 * LANES - 1) & ~(uintptr_t)(8 * LANES - 1));
+    double *L = (double *)(((uintptr_t)c->kept + 8 * BLOCK - 1) & ~(uintptr_t)(8 * BLOCK - 1));
     double *flat = L + n * w, *reached = flat + p * w;
     double *gradient = c->work + 2 * w + m * (w + margin), *errors = gradient + w + margin;
     double *to_go = errors + steps * p, *value = to_go + rank;
@@ -878,7 +927,7 @@ void alone_inputs(const double *x, const double *own, const alone_law *law, cons
 #define PIVOTS 16 /* rows of the factor per update of the remaining matrix */
 
 /* Cholesky factor H = U' U in place, U_ii = sqrt(H_ii - sum_k U_ki^2), U_ij = (H_ij - sum_k U_ki U_kj) / U_ii; rows of
-   length `width` (a multiple of LANES, zero beyond n); undefined below the diagonal.
+   length `width` (a multiple of BLOCK, zero beyond n); undefined below the diagonal.
    Returns 0 when H is not positive definite. */
 static int factorise(ptrdiff_t n, ptrdiff_t width, double *H)
 {
@@ -888,7 +937,7 @@ static int factorise(ptrdiff_t n, ptrdiff_t width, double *H)
         const ptrdiff_t to = from + PIVOTS < n ? from + PIVOTS : n;
         /* Rows from .. to are finished; those behind lose the products with them. */
         for (ptrdiff_t i = from; i < n; i++) {
-            const ptrdiff_t terms = (i < to ? i : to) - from, first = i / LANES * LANES;
+            const ptrdiff_t terms = (i < to ? i : to) - from, first = i / BLOCK * BLOCK;
             for (ptrdiff_t k = 0; k < terms; k++) {
                 index[k] = from + k;
                 value[k] = -H[(from + k) * width + i];
@@ -916,13 +965,15 @@ static void substitute(ptrdiff_t n, ptrdiff_t width, const double *U, double *x)
     /* U x = y */
     for (ptrdiff_t k = n - 1; k >= 0; k--) {
         const double *row = U + k * width;
-        lanes sum = splat(0.0);
+        lanes sum[BLOCK / LANES];
+        for (int v = 0; v < BLOCK / LANES; v++) sum[v] = splat(0.0);
         double rest = 0.0;
         ptrdiff_t j = k + 1;
-        for (; j < n && j % LANES; j++) rest += row[j] * x[j];
-        for (; j + LANES <= n; j += LANES) sum += VECTOR(row + j) * VECTOR(x + j);
+        for (; j < n && j % BLOCK; j++) rest += row[j] * x[j];
+        for (; j + BLOCK <= n; j += BLOCK)
+            for (int v = 0; v < BLOCK / LANES; v++) sum[v] += VECTOR(row + j + v * LANES) * VECTOR(x + j + v * LANES);
         for (; j < n; j++) rest += row[j] * x[j];
-        for (int v = 0; v < LANES; v++) rest += sum[v];
+        for (int i = 0; i < BLOCK; i++) rest += sum[i / LANES][i % LANES];
         x[k] = (x[k] - rest) / row[k];
     }
 }
@@ -951,8 +1002,8 @@ static int within_bounds(ptrdiff_t n, const double *H, const double *g, const do
     for (int guess = 1; guess <= most; guess++) {
         ptrdiff_t free_count = 0;
         for (ptrdiff_t i = 0; i < n; i++) {
-            if (held[i]) z[i] = held[i] < 0 ? lower[i] : upper[i];
-            else free_[free_count++] = i;
+            z[i] = held[i] < 0 ? lower[i] : held[i] > 0 ? upper[i] : 0.0;
+            if (!held[i]) free_[free_count++] = i;
         }
         /* H_FF and -g_F - H_FA z_A */
         const ptrdiff_t width = padded(free_count);
@@ -963,8 +1014,7 @@ static int within_bounds(ptrdiff_t n, const double *H, const double *g, const do
             for (ptrdiff_t b = 0; b < free_count; b++) to[b] = row[free_[b]];
             for (ptrdiff_t b = free_count; b < width; b++) to[b] = 0.0;
             if (free_count < n)
-                for (ptrdiff_t j = 0; j < n; j++)
-                    if (held[j]) pull -= row[j] * z[j];
+                for (ptrdiff_t j = 0; j < n; j++) pull -= row[j] * z[j];
             x[a] = pull;
         }
         if (!factorise(free_count, width, U)) return 0;

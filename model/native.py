@@ -16,9 +16,8 @@ from transport.model.arrays import Array
 
 Places = npt.NDArray[np.intp]
 
-_FLAGS = ("-O3", "-march=native", "-fno-math-errno")
+_FLAGS = ("-O3", "-fno-math-errno")
 _ALIGNMENT = 64  # of work spaces, bytes: the widest vectors of a processor
-LANES = 8  # numbers in such a vector, as in kernels.c: rows of work arrays are a multiple of it
 
 _address = ctypes.c_void_p
 _number = ctypes.c_ssize_t
@@ -26,6 +25,7 @@ _double = ctypes.c_double
 
 # Results and arguments of the kernels.
 _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
+    "vector_width": (ctypes.c_int, []),
     "zero_order_hold_work": (_number, [_number] * 3),
     "zero_order_hold": (
         _double,
@@ -36,6 +36,7 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "free_response": (None, [_number] * 2 + [_address] * 3),
     "rollout": (None, [_number] * 3 + [_address] * 5 + [ctypes.c_int] + [_address] * 6),
     "condense_work": (_number, [_number] * 5),
+    "kept_work": (_number, [_number] * 5),
     "fill": (None, [_address]),
     "conclude": (None, [_address] * 2 + [_double] + [_address] * 2),
     "alone_inputs": (None, [_address] * 6),
@@ -152,14 +153,15 @@ def work(kernel: str, size: int) -> int:
     return space.address
 
 
-def _load() -> Any:
+def load() -> Any:
     """Return the compiled kernels; None where they are switched off or cannot be compiled."""
     if not compiler.enabled():
         return None
 
     source = Path(__file__).with_name("kernels.c").read_bytes()
-    path = compiler.compiled_file("kernels", source, _FLAGS)
-    if not compiler.compile_library(path, [source], _FLAGS):
+    flags = (*_FLAGS, *compiler.processor_flags())
+    path = compiler.compiled_file("kernels", source, flags)
+    if not compiler.compile_library(path, [source], flags):
         return None
     try:
         # PyDLL keeps the interpreter lock: a kernel is shorter than releasing and taking it.
@@ -174,5 +176,10 @@ def _load() -> Any:
     return library
 
 
-KERNELS = _load()
+KERNELS = load()
 AVAILABLE = KERNELS is not None
+
+
+def description() -> str:
+    """Return whether the kernels are compiled, and how many doubles their vectors have."""
+    return f"compiled, vectors of {KERNELS.vector_width()}" if AVAILABLE else "plain"

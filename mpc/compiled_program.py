@@ -271,11 +271,10 @@ class CompiledProgram:
         self._set("free", np.empty((steps, problem.outputs)))
         self._set("signals", np.empty(steps * in_rows))
         # Effects of the decision on states, on what has a weight and on the root of the cost-to-go:
-        # L, flat and reached in `condense` of the kernels, the rows and their begin padded to vectors.
-        padded_row = decision.size + native.LANES - 1
-        rows = self._n + weighted + self._n
-        self._set("kept", np.empty(rows * padded_row + native.LANES))
+        # L, flat and reached in `condense` of the kernels.
+        sizes = steps, self._n, m, weighted, self._n
+        self._set("kept", np.empty(native.KERNELS.kept_work(*sizes)))
 
         for_prediction = native.KERNELS.predict_work(self._n, m_all, m)
-        for_cost = native.KERNELS.condense_work(steps, self._n, m, weighted, self._n)
+        for_cost = native.KERNELS.condense_work(*sizes)
         problem.work = native.work("step", max(for_prediction, for_cost))

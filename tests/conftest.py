@@ -87,6 +87,19 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     )
 
 
+@pytest.fixture(params=[2, 4, 8])
+def vector_width(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Kernels with vectors of each width, in doubles; the compiler divides those wider than a register."""
+    from transport.model import native
+
+    width = int(request.param)
+    monkeypatch.setenv("PAYLOAD_TRANSPORT_NATIVE", str(width))
+    kernels = native.load()
+    assert kernels.vector_width() == width
+    monkeypatch.setattr(native, "KERNELS", kernels)
+    return width
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put long files first, of which workers take one at a time.
 

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
+from tests.support.runs import completed, ready
+from tests.support.same_flight import flight_bits
 from tests.support.systems import ring
 from transport.model import compiler, native
 from transport.model.arrays import ShapeError
@@ -28,6 +30,8 @@ needs_compiler = pytest.mark.skipif(
 needs_kernels = pytest.mark.skipif(
     not native.AVAILABLE, reason="no compiled kernels: no C compiler, or switched off"
 )
+
+CLIMB = "maneuver.phase=[{name='climb',duration_s=1.0,displacement_m=[0.5,0,-1.0]}]"
 
 # Sums of the same products in another order: rounding, relative to the largest entry.
 ROUNDING = 1e-13
@@ -48,6 +52,7 @@ def linearisation(n: int, m: int, filled: float, growth: float, seed: int) -> Li
 
 
 @needs_kernels
+@pytest.mark.usefixtures("vector_width")
 @pytest.mark.parametrize("n", SIZES)
 @pytest.mark.parametrize(("filled", "growth"), [(1.0, 1.0), (0.2, 8.0), (0.0, 1.0), (0.5, 100.0)])
 def test_zero_order_hold_is_its_twin(n: int, filled: float, growth: float) -> None:
@@ -59,6 +64,27 @@ def test_zero_order_hold_is_its_twin(n: int, filled: float, growth: float) -> No
     for one, other in ((found.A, expected.A), (found.B, expected.B), (found.f_d, expected.f_d)):
         assert one.shape == other.shape
         assert np.abs(one - other).max() <= within * max(1.0, float(np.abs(other).max()))
+
+
+@needs_kernels
+@pytest.mark.parametrize("name", ["paper", "centralized", "precise"])
+def test_each_vector_width_gives_the_same_bits(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The order of summation does not depend on the width: plant states and plans of a flight are equal."""
+    flights = []
+    for width in ("2", "4", "8"):
+        monkeypatch.setenv("PAYLOAD_TRANSPORT_NATIVE", width)
+        monkeypatch.setattr(native, "KERNELS", native.load())
+        flights.append(flight_bits(completed(ready(name, CLIMB))))
+    assert flights[0] == flights[1] == flights[2]
+
+
+def test_a_width_that_does_not_exist_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The warning names the variable, its value, and what is expected; the processor's width is used."""
+    monkeypatch.delenv("PAYLOAD_TRANSPORT_NATIVE", raising=False)
+    usual = compiler.processor_flags()
+    monkeypatch.setenv("PAYLOAD_TRANSPORT_NATIVE", "3")
+    with pytest.warns(RuntimeWarning, match="PAYLOAD_TRANSPORT_NATIVE=3: expected 0 .*2, 4 or 8"):
+        assert compiler.processor_flags() == usual
 
 
 def bits(built: dict[str, ca.Function], N: int) -> list[bytes]:

@@ -148,6 +148,7 @@ def problem(
 
 
 @needs_kernels
+@pytest.mark.usefixtures("vector_width")
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_kernels_are_the_matrix_products(
     case: tuple[int, tuple[int, ...], dict[str, Any]], monkeypatch: pytest.MonkeyPatch
@@ -217,6 +218,7 @@ def test_nothing_is_left_of_a_step_with_another_law(
 
 
 @needs_kernels
+@pytest.mark.usefixtures("vector_width")
 @pytest.mark.parametrize("w", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("size", [0.01, 10.0], ids=["within limits", "beyond limits"])
 @pytest.mark.parametrize("case", [case for case in CASES if "prediction" in case[2]], ids=str)
@@ -237,6 +239,7 @@ def test_relaxed_plans_of_the_kernels(
 
 
 @needs_kernels
+@pytest.mark.usefixtures("vector_width")
 @pytest.mark.parametrize("seed", range(40))
 def test_bounded_programs_have_their_solution(seed: int) -> None:
     """The kernel finds the optimum an interior-point method finds, whatever the bounds."""

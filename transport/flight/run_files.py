@@ -201,10 +201,9 @@ def checked(setup: Setup, external: Collection[str] = ()) -> dict[str, str]:
 def versions() -> str:
     """Return the versions of Python, packages and kernels that results depend on, in one line."""
     packages = ("payload-transport", "numpy", "casadi", "daqp", "clarabel", "eclipse-zenoh")
-    kernels = "compiled" if native.AVAILABLE else "plain"
     parts = [f"python {platform.python_version()}"]
     parts += [f"{package} {version(package)}" for package in packages]
-    parts.append(f"kernels {kernels}")
+    parts.append(f"kernels {native.description()}")
     return ", ".join(parts)
 
 
