@@ -69,6 +69,22 @@ class Layout:
         r_P = body.rho - body.rod_length * block[state.E]
         return np.asarray(payload[state.R0] + R_IP @ r_P)
 
+    def velocity(self, uav: int, source: Source) -> Array:
+        """Return the velocity of the centre of mass of a UAV, (3,), inertial frame, m/s.
+
+        As measured by the UAV's own sensors, or from the states: with the swing of the rod,
+        l_i Omega_i x e_i. Source: docs/equations.md (39).
+        """
+        block = self._uav(uav, source)
+        if len(block) == state.SENSED:
+            return block[state.VELOCITY]
+        body = self.system.uavs[uav]
+        payload = self._payload(source)
+        R_IP = rotation(payload[state.THETA0])
+        swing = np.cross(block[state.ROD_RATE], body.rod_length * block[state.E])
+        turning = np.cross(payload[state.OMEGA0], body.rho)
+        return np.asarray(R_IP @ (payload[state.V0] + turning - swing))
+
     def write(self, x: Array, message: Measurement | Plan) -> None:
         """Write the states that a measurement or another agent's plan has into a state, in place.
 

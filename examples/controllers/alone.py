@@ -92,9 +92,7 @@ class Alone:
         swing = np.cross(
             run.rod_rate(uav, source), body.rod_length * run.rod_direction(uav, source)
         )
-        turning = np.cross(run.payload_rate(source), body.rho)
-        velocity = R @ (run.payload_velocity(source) + turning - swing)
-        return run.position(uav, source), velocity, R @ swing
+        return run.position(uav, source), run.velocity(uav, source), R @ swing
 
     def stop(self):
         """Nothing is open."""

@@ -168,15 +168,31 @@ class Bus:
             declared.append(liveliness.declare_subscriber(tokens, self._put, history=True))
         return declared
 
+    def announce(self) -> None:
+        """Show the others that this process is there, before it is ready; once."""
+        if not self._tokens:
+            self._declare_token(
+                self._keys.alive(self.name, self.incarnation, self._digest, VERSION)
+            )
+
     def join(
-        self, expected: Collection[str], on_wait: Callable[[str], object] = lambda _: None
+        self,
+        expected: Collection[str],
+        on_wait: Callable[[str], object] = lambda _: None,
+        is_starting: Callable[[str], bool] = lambda _: False,
     ) -> Interrupted | None:
         """Announce this process and wait until all expected ones are up, or for an interruption.
+
+        Args:
+            expected: Names of the processes.
+            on_wait: Told of processes not there yet.
+            is_starting: Whether a missing process, by name, is known to be on its way when the time
+                is up: the wait then begins anew.
 
         Returns: The interruption, if one came. Raises: BusError: a process did not appear, runs
             another scenario or protocol, or has this name already.
         """
-        self._declare_token(self._keys.alive(self.name, self.incarnation, self._digest, VERSION))
+        self.announce()
         others = set(expected) - {self.name}
         timeout_s = self._place.join_timeout_s
         joining = Joining(others, time.monotonic(), timeout_s, self._options.tell_every_s)
@@ -189,6 +205,9 @@ class Bus:
             if not missing:
                 break
             if joining.is_over(now_s) and self._inbox.empty():
+                if all([is_starting(name) for name in sorted(missing)]):
+                    joining.extend(now_s)
+                    continue
                 raise self._error_of_missing(missing)
             if joining.should_tell(now_s):
                 on_wait(joining.words(missing, now_s))

@@ -20,6 +20,7 @@ class Joining:
         self, others: Collection[str], now_s: float, timeout_s: float, tell_every_s: float
     ) -> None:
         self._awaited = set(others)
+        self._timeout_s = timeout_s
         self._deadline_s = now_s + timeout_s
         self._tell_every_s = tell_every_s
         self._tell_s = now_s + tell_every_s
@@ -45,6 +46,10 @@ class Joining:
     def is_over(self, now_s: float) -> bool:
         """Return whether the time is up."""
         return now_s >= self._deadline_s
+
+    def extend(self, now_s: float) -> None:
+        """Wait for the whole time once more."""
+        self._deadline_s = now_s + self._timeout_s
 
     def should_tell(self, now_s: float) -> bool:
         """Return whether a line about the wait is due; the next one is due later."""

@@ -9,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 import transport
 from tests.support.nodes import AgentNode
+from tests.support.random_systems import random_state
 from tests.support.runs import (
     SHORT,
     end,
@@ -23,7 +25,7 @@ from tests.support.runs import (
     setup,
 )
 from transport.agent.own import checked_controller
-from transport.agent.own_run import Run
+from transport.agent.own_run import Run, run_of
 from transport.flight.memory import simulate
 from transport.model.arrays import Array
 from transport.protocol.scenario.errors import ScenarioError
@@ -78,6 +80,25 @@ def own(
     monkeypatch.chdir(folder)
     monkeypatch.delitem(sys.modules, "my_own", raising=False)
     return setup(SHORT, "agents.controller=my_own:Mine", *changes)
+
+
+def test_velocities_by_name() -> None:
+    """`run.velocity` is r_i' of docs/equations.md (39), and that of the sensors where they measure it."""
+    team = setup()
+    run = run_of(team, 2)
+    x = random_state(np.random.default_rng(3), team.system.N)
+    expected = team.model.velocities(x)[1:]
+    found = [run.velocity(uav, x) for uav in range(team.system.N)]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+    states = measurement(team, 2, 1, x=x)
+    np.testing.assert_allclose(run.velocity(1, states), expected[1], atol=1e-12)
+    with pytest.raises(LookupError, match="own UAVs"):
+        run.velocity(0, states)
+
+    sensed = np.arange(15.0)
+    sensors = structs.replace(states, payload=np.zeros(0), uav_states=sensed[None])
+    np.testing.assert_array_equal(run.velocity(1, sensors), sensed[3:6])
 
 
 def stepped(run: Setup, count: int) -> list[Message]:

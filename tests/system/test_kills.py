@@ -5,9 +5,12 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+import psutil
 import pytest
+from rich.console import Console
 
 from tests.support.commands import (
     ENDLESS,
@@ -19,6 +22,9 @@ from tests.support.commands import (
     transport,
     wait_for,
 )
+from tests.support.runs import setup, ticks
+from transport.flight.harness import Child
+from transport.flight.run import simulate
 from transport.log.run_log import read_log
 from transport.protocol.wire.messages import Roster
 
@@ -89,6 +95,43 @@ def test_a_process_told_to_end_leaves_at_once(tmp_path: Path) -> None:
     assert processes_of("told") == {}
 
 
+def test_a_recorder_that_begins_late_is_there(tmp_path: Path) -> None:
+    """A viewer that takes longer than `clock.join_timeout_s` to open, as on a busy machine.
+
+    The recorder begins after it; the others see it before, and the run completes.
+    """
+    join_s = 1.0
+    team = setup(f"clock.join_timeout_s={join_s}", ticks(5))
+    finished = simulate(
+        team, tmp_path / "late", Console(quiet=True), ready=lambda: time.sleep(3.0 * join_s)
+    )
+    assert (finished.exit_code, finished.reason) == (0, "")
+
+
+def test_a_starved_process_is_not_missing(tmp_path: Path) -> None:
+    """A process that works on its start, slower than the time to join, has not been lost.
+
+    One without processor time since the last question, or that was stopped, is.
+    """
+    program = "import time\nwhile True: sum(range(10**5)); time.sleep(0.001)"
+    process = subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE)
+    assert process.stdin is not None
+    child = Child("plant", psutil.Process(process.pid), process.stdin, tmp_path / "plant.log")
+    longest_s = 30.0
+    try:
+        assert wait_for(lambda: child.is_starting(longest_s))
+        assert wait_for(lambda: child.is_starting(longest_s))  # it goes on working
+        assert not child.is_starting(0.0)  # it has worked for too long
+        process.send_signal(signal.SIGSTOP)
+        assert wait_for(lambda: child.is_stopped)
+        assert not child.is_starting(longest_s)
+    finally:
+        process.kill()
+        process.wait()
+        child.close()
+    assert not child.is_starting(longest_s)
+
+
 @pytest.mark.slow
 def test_a_process_stopped_before_the_run_is_named(tmp_path: Path) -> None:
     """A plant that is stopped while the processes join.
@@ -100,7 +143,9 @@ def test_a_process_stopped_before_the_run_is_named(tmp_path: Path) -> None:
     process = start("run", "paper", *options, "--out", "join", "--no-figures", cwd=tmp_path)
     _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == LOST, errors
-    assert "no sign of plant within 8 s" in errors.splitlines()[-1]
+    error = errors.splitlines()[-1]
+    assert "no sign of plant within 8 s" in error
+    assert error.endswith("logs in join/logs")
     assert processes_of("join") == {}
 
 
@@ -115,7 +160,10 @@ def test_a_killed_process_ends_the_run_in_order(victim: str, tmp_path: Path) -> 
     os.kill(processes_of(run)[victim], signal.SIGKILL)
     _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == LOST
-    assert f"{victim} is gone" in errors
+    error = errors.splitlines()[-1]
+    # The end of the victim comes first, then its effect and the folder of logs.
+    assert error.startswith(f"transport: {victim} was killed by SIGKILL; so {victim} is gone")
+    assert error.endswith(f"logs in {run}/logs")
     assert "Traceback" not in errors
     assert processes_of(run) == {}
     summary = json.loads((tmp_path / run / "summary.json").read_text())

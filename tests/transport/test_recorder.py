@@ -34,6 +34,9 @@ class ScriptedBus:
         self._events = iter(events)
         self.alive = dict.fromkeys(PROCESSES, 0)
 
+    def announce(self) -> None:
+        """Nothing to show: nobody waits."""
+
     def join(self, *_: object) -> None:
         """All processes have joined."""
 

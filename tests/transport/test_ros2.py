@@ -1,5 +1,6 @@
 """The bag of a run for ROS 2, read back by rosbags: values, frames, and what each topic is for."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from transport.report.ros2 import (
 )
 
 PHASES = [{"name": "move", "duration_s": 0.5, "displacement_m": [0.1, 0.05, -0.2]}]
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "ros2.md"
 # Central differences over 50 ms of a motion with a jerk of 20 m/s^3 at most.
 SLOPE_MPS = 0.01
 ROUNDING = 1e-12  # m, rad/s
@@ -38,6 +40,14 @@ ROUNDING = 1e-12  # m, rad/s
 HASHES = {
     "geometry_msgs/msg/PoseStamped": "RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8",
 }
+
+
+def named_frames(N: int) -> set[str]:
+    """Return the frames that docs/ros2.md names, for a team of N UAVs."""
+    section = PAGE.read_text(encoding="utf-8").partition("### Frames")[2].partition("\n## ")[0]
+    names = re.findall(r"^\| `(\w+)`", section, re.MULTILINE)
+    numbered = {f"{name[:-1]}{i + 1}" for name in names if name.endswith("1") for i in range(N)}
+    return numbered | {name for name in names if not name.endswith("1")}
 
 
 def test_the_bag_holds_the_run(tmp_path: Path) -> None:
@@ -95,6 +105,7 @@ def test_the_bag_holds_the_run(tmp_path: Path) -> None:
     tree = {t.child_frame_id: t.header.frame_id for t in found["/tf"][-1].transforms}
     assert tree["inertial"] == "map"
     assert {tree[name] for name in (*bodies, "rod1")} == {"inertial"}
+    assert tree.keys() | {"map"} == named_frames(setup.system.N)
     first, last = (found["/markers"][k].markers for k in (0, -1))
     assert {marker.type for marker in first} == {5, 9, 11}
     assert {marker.header.frame_id for marker in [*first, *last]} <= {*tree}

@@ -235,7 +235,8 @@ def _help_of(values: Values) -> str:
     defaults = np.atleast_1d(values.default).tolist()
     texts = [value if isinstance(value, str) else f"{value:g}" for value in defaults]
     repeatable = " Repeatable." if isinstance(values.default, list) else ""
-    return f"{values.help.rstrip('.')}; by default {', '.join(texts)}.{repeatable}"
+    separator = "; " if any("," in text for text in texts) else ", "
+    return f"{values.help.rstrip('.')}; by default {separator.join(texts)}.{repeatable}"
 
 
 def _conduct(name: str, options: ExperimentOptions, given: Mapping[str, Any]) -> None:

@@ -82,11 +82,12 @@ def run(
             is_written = reporter.report()
             plot.report(folder, output, figures=figures, setup=setup, is_written=is_written)
 
+        if finished.exit_code != 0:
+            typer.echo(f"transport: {finished.reason}", err=True)
         if beside is not None and finished.exit_code != EXIT_INTERRUPTED:
             beside.wait_for_user()
 
-    if finished.exit_code != 0:
-        fail(finished.reason, finished.exit_code)
+    raise typer.Exit(finished.exit_code)
 
 
 @contextmanager

@@ -93,6 +93,8 @@ def worst(
     time_utc = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
     folder = out or RUNS / f"worst-{path.stem}-{time_utc}"
     start = read_scenario(path, settings or [])
+    resumes = f"this command with --out {folder} resumes it after an interruption"
+    typer.echo(f"searching: every case is kept in {folder}; {resumes}", err=True)
     result = search(start, str(path), options, folder, Console(stderr=True))
 
     content = {**summary(result), "folder": str(folder)}

@@ -4,7 +4,7 @@ import hashlib
 import json
 import re
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from importlib.metadata import version
@@ -91,6 +91,14 @@ def refused(
 ) -> ExperimentError:
     """Return the error for a wrong option."""
     return ExperimentError(f"{option}: expected {expected}, got {got}", exit_code)
+
+
+def check_names(option: str, given: Iterable[str], possible: Collection[str]) -> None:
+    """Refuse a value of an option that is none of the possible ones. Raises: ExperimentError."""
+    for value in given:
+        if value not in possible:
+            separator = "; " if any("," in name for name in possible) else ", "
+            raise refused(option, f"one of {separator.join(possible)}", value)
 
 
 @dataclass(frozen=True, slots=True)

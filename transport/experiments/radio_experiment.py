@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import get_args
 
-from transport.experiments.cases import Point, refused
+from transport.experiments.cases import Point, check_names
 from transport.experiments.declaration import NONE, Values, declared
 from transport.protocol.radio.sends import Offsets
 from transport.protocol.radio.standard import OFDM
@@ -48,9 +48,9 @@ def radio(
 
     Example: transport experiment radio --max 32 --rate 24 --offsets slots --sharing on_change
     """
-    _check("--rate", [f"{mbps:g}" for mbps in rate], [f"{mbps:g}" for mbps in OFDM.rates_mbps])
-    _check("--offsets", offsets, OFFSETS)
-    _check("--sharing", sharing, SHARING)
+    check_names("--rate", [f"{mbps:g}" for mbps in rate], [f"{mbps:g}" for mbps in OFDM.rates_mbps])
+    check_names("--offsets", offsets, OFFSETS)
+    check_names("--sharing", sharing, SHARING)
     for uavs in [*(size for size in sizes if size < max), max]:
         group = f"{uavs} UAVs"
         without: Labels = {"variant": NONE, "uavs": uavs}
@@ -80,9 +80,3 @@ def _point(
 
 
 _OFFSETS_IN_WORDS = {"slots": "slots", "none": "no offsets", "random": "random offsets"}
-
-
-def _check(option: str, given: Sequence[str], possible: Sequence[str]) -> None:
-    for value in given:
-        if value not in possible:
-            raise refused(option, f"one of {', '.join(possible)}", value)

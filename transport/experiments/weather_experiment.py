@@ -1,10 +1,10 @@
 """What the network is worth: controllers in weather, on networks from perfect to none."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
-from transport.experiments.cases import Point
-from transport.experiments.declaration import declared
+from transport.experiments.cases import Point, check_names, refused
+from transport.experiments.declaration import Values, declared
 from transport.protocol.scenario.schema import Scenario
 
 # Sensors of the vehicles: 1 cm, 2 cm/s, 0.5 deg, 1 deg/s, 0.3 m/s^2; and the estimate of forces.
@@ -51,31 +51,41 @@ _HEARD_S, _EVERY_S = (
     drawn_as="weather",
     scenarios=("alone", "precise", "paper", "resilient", "centralized_lq"),
     seeds=5,
+    network=Values(list(NETWORKS), "NAME", "Networks."),
+    air=Values(list(WEATHER), "NAME", "Weather."),
 )
-def weather(scenario: Scenario) -> Iterator[Point]:
+def weather(scenario: Scenario, network: Sequence[str], air: Sequence[str]) -> Iterator[Point]:
     """Worth of the network in weather.
 
     Each controller in still air, gusts and with a heavier payload, on networks from perfect to none,
     by the sensors of the vehicles. UAVs alone need no network, and one agent for all has none to
     impair. `paper` has no estimator: its agents are told the states. Runs that end before the first
-    silence, as with --quick, have no row of it.
+    silence, as with --quick, have no row of it. Options choose networks and weather, where a scenario
+    has several networks.
 
-    Example: transport experiment weather --scenario precise --scenario alone --seeds 2
+    Example: transport experiment weather --scenario precise --network perfect --air "still air"
     """
-    names = [name for name in NETWORKS if name != SILENT or _duration_s(scenario) > _HEARD_S]
+    check_names("--network", network, NETWORKS)
+    check_names("--air", air, WEATHER)
+    is_short = _duration_s(scenario) <= _HEARD_S
+    if is_short and list(network) == [SILENT]:
+        raise refused("--network", f"a run longer than {_HEARD_S:g} s for it", SILENT)
+    names = [name for name in NETWORKS if name in network and not (is_short and name == SILENT)]
     if scenario.agents.controller == "alone":
         names = [NONE]
     elif len(scenario.owned) == 1:
         names = [PERFECT]
     sensors = SENSORS if scenario.controller.prediction == "closed_loop" else ()
-    for air, settings in WEATHER.items():
+    for day, settings in WEATHER.items():
+        if day not in air:
+            continue
         for name in names:
             yield Point(
-                {"weather": air, "network": name},
-                f"{air}, network: {name}",
+                {"weather": day, "network": name},
+                f"{day}, network: {name}",
                 (*sensors, *settings, *_network(name, scenario)),
                 baseline=name == names[0],
-                group=air,
+                group=day,
             )
 
 

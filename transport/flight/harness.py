@@ -16,6 +16,7 @@ import psutil
 from transport.flight.fork_server import fork_server
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.parent import PARENT_PIPE, STANDBY
+from transport.protocol.scenario.schema import LONGEST_WAIT_S
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.protocol.wire.names import COORDINATOR, RECORDER
@@ -46,6 +47,7 @@ class Child:
     log: Path
     incarnation: int = 0
     is_noted: bool = False
+    _cpu_s: float = 0.0  # its processor time at the last question whether it is starting
 
     @property
     def code(self) -> int | None:
@@ -59,6 +61,46 @@ class Child:
             return self.code is None and self.process.status() == psutil.STATUS_STOPPED
         except psutil.NoSuchProcess:
             return False
+
+    def is_starting(self, longest_s: float) -> bool:
+        """Return whether the process works on its start, however slowly on a busy machine.
+
+        It has had processor time since the last question, and at most `longest_s` in all.
+        """
+        before_s = self._cpu_s
+        try:
+            used = self.process.cpu_times()
+        except psutil.Error:
+            return False
+        self._cpu_s = used.user + used.system
+        is_working = before_s < self._cpu_s <= longest_s
+        return self.code is None and not self.is_stopped and is_working
+
+    @property
+    def last_words(self) -> str:
+        """The last line of its output that is no log event: the error with which it has ended."""
+        with suppress(OSError):  # the run folder was removed
+            output = self.log.read_text(encoding="utf-8", errors="replace")
+            for line in reversed(output.splitlines()):
+                if line.strip() and not line.startswith("{"):
+                    return line.strip().removeprefix("transport: ")
+        return ""
+
+    @property
+    def last_output_s(self) -> float:
+        """Time of its last output, s since 1970; 0 if the file is gone."""
+        try:
+            return self.log.stat().st_mtime
+        except OSError:
+            return 0.0
+
+    @property
+    def how_it_ended(self) -> str:
+        """How the process has ended: by which signal, or with which exit code."""
+        code = self.code or 0
+        if code < 0:
+            return f"was killed by {signal.Signals(-code).name}"
+        return f"ended with exit code {code}"
 
     def wait(self, timeout_s: float) -> int | None:
         """Wait for the end; return the exit code, None if the process still runs."""
@@ -121,8 +163,16 @@ class Harness:
     children: list[Child] = field(default_factory=list)  # processes in the order of their starts
 
     def ended(self) -> list[Child]:
-        """Return the children that have ended."""
-        return [child for child in self.children if child.code is not None]
+        """Return the children that have ended, in the order of their last outputs.
+
+        The others follow the one that has ended the run.
+        """
+        ended = [child for child in self.children if child.code is not None]
+        return sorted(ended, key=lambda child: child.last_output_s)
+
+    def is_starting(self, name: str, longest_s: float) -> bool:
+        """Return whether a process of this run works on its start (`Child.is_starting`)."""
+        return name in self.mesh and self.child(name).is_starting(longest_s)
 
     def child(self, name: str) -> Child:
         """Return the last started process of a name."""
@@ -167,6 +217,8 @@ class Harness:
         ]
         if self.keys is not None:
             options.append(("--set", keys_setting(self.keys)))
+        # The recorder gives up processes that do not join: it knows which are on their way.
+        options.append(("--join-timeout", str(LONGEST_WAIT_S)))
         options += [("--listen", endpoint) for endpoint in self.mesh[name].listen]
         options += [("--connect", endpoint) for endpoint in self.mesh[name].connect]
         if name == COORDINATOR:

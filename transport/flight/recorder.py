@@ -73,9 +73,10 @@ class Recorder:
         place: Place,
         writer: LogWriter,
         say: Callable[[str], None] = lambda _: None,
+        is_starting: Callable[[str], bool] = lambda _: False,
         bus_of: Callable[..., Bus] = Bus,
     ) -> None:
-        """Connect to a run.
+        """Connect to a run, and show its processes that the recorder is there.
 
         Args:
             setup: The run.
@@ -83,6 +84,7 @@ class Recorder:
             writer: The open log.
             say: Told of roster changes after the start, faults, and processes not there yet, on any
                 thread.
+            is_starting: Whether a process that has not joined in time is on its way, by name.
             bus_of: Constructor of the connection.
         """
         self.writer = writer
@@ -102,7 +104,10 @@ class Recorder:
         self._plant_messages = deque[bytes](maxlen=_KEPT)
         gather_s = _GATHER_PACED_S if setup.scenario.clock.speed > 0.0 else _GATHER_S
         options = BusOptions(serves=True, gather_s=gather_s)
+        self._is_starting = is_starting
         self._bus = bus_of(RECORDER, place, setup.scenario.digest(), self.gate, options)
+        # The recorder begins when the viewer of the run is ready: the coordinator sees it before.
+        self._bus.announce()
         self._clock = SteadyClock()
         self._out = Outbox(RECORDER, place.incarnation)
         self._thread = threading.Thread(target=self._run, name=RECORDER, daemon=True)
@@ -159,7 +164,8 @@ class Recorder:
     def _run(self) -> None:
         """Join the run and record it; an error ends the recording and is kept."""
         try:
-            if self._bus.join(self._expected, self._say) is None:  # not interrupted
+            interruption = self._bus.join(self._expected, self._say, self._is_starting)
+            if interruption is None:
                 self._record()
                 for notice in self.gate.notices(self._out.incarnation):
                     self._take(notice)

@@ -5,7 +5,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -151,7 +151,7 @@ def simulate(
                 _watch(recorder, progress, harness, FaultScript(setup, harness, recorder))
             if recorder.control is not None:
                 harness.wait(_LEAVE_S)
-    return _finished(folder, recorder)
+    return _finished(folder, recorder, harness)
 
 
 @contextmanager
@@ -251,13 +251,17 @@ def _recorded(
     Kept is one with a message; or without, if a process or the recorder has failed: the logs tell why.
     Not kept is that of a run interrupted before its first tick.
     """
+
+    def is_starting(name: str) -> bool:
+        return harness is not None and harness.is_starting(name, place.join_timeout_s)
+
     recorder = None
     is_interrupted = False
     try:
         log = made.path / "run.mcap"
         writer = LogWriter(log, header, period_ns=progress.setup.period_ns, say=progress.say)
         with closing(writer):
-            recorder = Recorder(progress.setup, place, writer, progress.say)
+            recorder = Recorder(progress.setup, place, writer, progress.say, is_starting)
             with closing(recorder):
                 yield recorder
     except KeyboardInterrupt:
@@ -270,13 +274,14 @@ def _recorded(
             made.is_kept = not is_early and (recorder.received > 0 or is_told)
 
 
-def _finished(folder: Path, recorder: Recorder) -> Finished:
+def _finished(folder: Path, recorder: Recorder, harness: Harness | None = None) -> Finished:
     """Return how a run ended; raise RunError if it did not begin or was not recorded."""
     control = recorder.control
+    logs = "" if harness is None else f"; logs in {harness.logs}"
     if recorder.error is not None:
-        raise RunError(recorder.error, codes.EXIT_UNREACHABLE)
+        raise RunError(f"{recorder.error}{logs}", codes.EXIT_UNREACHABLE)
     if control is None and recorder.started_s is None:
-        raise RunError("the run ended before its first tick", codes.EXIT_UNREACHABLE)
+        raise RunError(f"the run ended before its first tick{logs}", codes.EXIT_UNREACHABLE)
     if control is None:
         reason = "recording interrupted; the run may continue without it"
         return Finished(folder, codes.EXIT_INTERRUPTED, reason)
@@ -284,7 +289,22 @@ def _finished(folder: Path, recorder: Recorder) -> Finished:
     if recorder.writer.lost:
         text = f"{recorder.writer.lost}; the run {control.outcome} {control.reason}".rstrip()
         raise RunError(text, control.exit_code or codes.EXIT_UNRECORDED)
-    return Finished(folder, control.exit_code, control.reason)
+
+    reason = control.reason
+    if control.exit_code == codes.EXIT_UNREACHABLE:
+        reason = f"{_cause(reason, harness)}{logs}"
+    if control.exit_code != 0 and recorder.started_s is None:  # there is nothing to report
+        raise RunError(f"{reason}; the run ended before its first tick", control.exit_code)
+    return Finished(folder, control.exit_code, reason)
+
+
+def _cause(reason: str, harness: Harness | None) -> str:
+    """Return why a run was aborted: the error of the process that is gone comes first."""
+    for child in [] if harness is None else harness.ended():
+        if child.code != 0 and f"{child.name} is gone" in reason:
+            error = child.last_words or f"{child.name} {child.how_it_ended}"
+            return f"{error}; so {reason}"
+    return reason
 
 
 def _watch(
@@ -326,21 +346,15 @@ def _watch(
                 is_scripted = faults is not None and faults.has_killed(child)
                 is_late = time.monotonic() - ended_s > _CATCH_UP_S
                 if is_late or not (is_orderly or is_scripted):
-                    raise _ended_early(child)
+                    raise _ended_early(child, harness.logs)
 
 
-def _ended_early(child: Child) -> RunError:
+def _ended_early(child: Child, logs: Path) -> RunError:
+    """Return the error of a process that has ended before the run began."""
     code = child.code or 0
-    how = (
-        f"was killed by {signal.Signals(-code).name}"
-        if code < 0
-        else f"ended with exit code {code}"
-    )
-    last_line = "its output is gone"
-    with suppress(OSError):  # the run folder was removed
-        output = child.log.read_text(encoding="utf-8", errors="replace")
-        last_line = output.strip().rpartition("\n")[2]
+    error = child.last_words or "it has left no error"
     # A child refuses the same options and scenario as this command would; any other end is that of
     # a peer.
     passed_on = code if code in (codes.EXIT_USAGE, codes.EXIT_SCENARIO) else codes.EXIT_UNREACHABLE
-    return RunError(f"{child.name} {how} before the run began: {last_line}", passed_on)
+    text = f"{child.name} {child.how_it_ended} before the run began: {error}; logs in {logs}"
+    return RunError(text, passed_on)

@@ -147,11 +147,25 @@ def _identify(folder: Path, identity: dict[str, Any]) -> None:
 class Progress(Protocol):
     """Display of a search while it runs."""
 
+    def simulated(self) -> None:
+        """Count a run, whose evaluation may wait for those of its batch."""
+
     def show(self, case: Case) -> None:
         """Tell a case and its evaluation."""
 
     def shrinking(self, candidate: Candidate, evaluations: int) -> None:
         """Tell the minimal case so far, and how many evaluations it took."""
+
+
+def _counted(fly: Fly, progress: Progress) -> Fly:
+    """Return a function that flies, and tells each run at once."""
+
+    def counted(problem: Problem, candidates: Sequence[Candidate]) -> Iterator[Evaluation]:
+        for evaluation in fly(problem, candidates):
+            progress.simulated()
+            yield evaluation
+
+    return counted
 
 
 def flying(workers: Workers) -> Fly:
@@ -194,6 +208,7 @@ class Search:
             text = f"expected a scenario that holds its limit without events, got {words}"
             raise ScenarioError(self.problem.base.source, "", text)
 
+        fly = _counted(fly, progress)
         cases = list(self._cases(evaluations, fly, progress))
         _check_simulated(cases)
         worst = min(cases, key=lambda case: case.order)

@@ -53,6 +53,25 @@ def test_weather_has_rows_of_silences_that_begin(duration_s: float, *, is_long: 
     assert ("5 s of 10 silent" in networks) is is_long
 
 
+def test_one_cell_of_the_weather() -> None:
+    """One network and one weather give the one point that all of them have for these, its settings too."""
+    flown = scenarios("precise")
+    everything = EXPERIMENTS["weather"].experiment(flown, {}).points
+    cell = {"weather": "gusts 2 m/s", "network": "200 ms, 30 % loss"}
+    chosen = {"air": [cell["weather"]], "network": [cell["network"]]}
+    (point,) = EXPERIMENTS["weather"].experiment(flown, chosen).points
+    assert point.labels == cell
+    (same,) = [one for one in everything if one.labels == cell]
+    assert point.settings == same.settings
+    assert len(everything) == 25
+
+
+def test_a_scenario_without_a_network_to_choose_keeps_its_own() -> None:
+    """UAVs alone have a row also where another network is chosen for the others."""
+    experiment = EXPERIMENTS["weather"].experiment(scenarios("alone"), {"network": ["perfect"]})
+    assert {point.labels["network"] for point in experiment.points} == {"none"}
+
+
 @pytest.mark.parametrize(
     "name", ["latency", "loss", "jitter", "kill", "matrix", "horizon", "deaths", "sharing"]
 )
@@ -204,6 +223,8 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
         {"loss": [0.9], "burst": 2.0},
         "--loss: expected at most 0.667 with bursts of 2 ticks on average, got 0.9",
     ),
+    ("weather", {"network": ["good"]}, "--network: expected one of perfect; 200 ms, 30 % loss; "),
+    ("weather", {"air": ["storm"]}, "--air: expected one of still air, gusts 1 m/s, "),
     ("jitter", {"distribution": ["cauchy"]}, "--distribution: expected one of uniform, normal,"),
     (
         "jitter",

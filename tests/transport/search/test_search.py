@@ -1,5 +1,6 @@
 """Searches: deterministic, resumed, better than chance, and minimal in what they hand over."""
 
+import io
 import json
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import orjson
 import pytest
+from rich.console import Console
 
 import transport
 from tests.support import runs
@@ -30,6 +32,7 @@ from transport.search.evaluation import REFUSED, Evaluation, Problem
 from transport.search.events import Death, Gusts, Silence
 from transport.search.objective import Objective
 from transport.search.optimiser import BATCH, Layout, Optimiser
+from transport.search.progress import SearchProgress
 from transport.search.report import summary
 from transport.search.search import Case, Evaluations, Search, SearchResult, random_search
 from transport.search.space import Space, read_bounds
@@ -41,6 +44,9 @@ WINDOW_S = (6.0, 7.0)  # the planted fault: a silence that begins here, while ag
 
 class Quiet:
     """Progress without a display."""
+
+    def simulated(self) -> None:
+        """Tell nothing."""
 
     def show(self, case: Case) -> None:
         """Tell nothing."""
@@ -435,3 +441,17 @@ def test_python_takes_kinds_as_text_and_bounds_from_a_file() -> None:
         transport.worst("resilient", bounds={})  # type: ignore[arg-type]  # the error of a user
     result = search(8).run(Evaluations(None, {}), fly, Quiet())
     assert repr(Worst(result)) == "<Worst: 8 cases, 0 of them fail>"
+
+
+def test_a_search_without_a_terminal_tells_how_far_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A line counts the runs of a batch as they end, also before the first case has its result."""
+    monkeypatch.setattr("transport.flight.progress._LINE_EVERY_S", 0.0)
+    budget = 2 * BATCH + 1  # flown are whole batches
+    output = io.StringIO()
+    console = Console(file=output, width=200)
+    with SearchProgress(planted(), budget, console) as progress:
+        search(budget).run(Evaluations(None, {}), fly, progress)
+    lines = output.getvalue().splitlines()
+    assert lines[0].startswith("1 of 24 cases")
+    told = [int(line.partition(" of ")[0]) for line in lines if " of 24 cases" in line]
+    assert told == list(range(1, 3 * BATCH + 1))
