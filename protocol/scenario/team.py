@@ -235,7 +235,7 @@ def resized(
 
     tree["name"] = f"{basis}-{team.uavs}" if team.name is None else team.name
     tree["system"] = ring(team.uavs, template.system.gravity_mps2, airframe, team.load_kg)
-    tree["agents"] = {"owned": _owned(template, team)}
+    tree["agents"] = {**tree.get("agents", {}), "owned": _owned(template, team)}
 
     try:
         return validate(tree, source)

@@ -125,6 +125,15 @@ def test_the_rest_is_the_templates(template: str) -> None:
     assert scenario.name == f"{template}-6"
 
 
+def test_agents_are_the_templates_but_for_what_they_own() -> None:
+    """Controller and share of failed steps are not those of the defaults."""
+    template = read_scenario(PAPER, ["agents.controller=own:Law", "agents.failed_share=0.5"])
+    agents = resized(template, Team(uavs=3, group=1), "team").agents
+    assert agents.controller == "own:Law"
+    assert agents.failed_share == 0.5
+    assert agents.owned == [[1], [2], [3]]
+
+
 @pytest.mark.parametrize(
     ("template", "uavs", "group", "owned"),
     [

@@ -66,7 +66,9 @@ def worst(
     ] = False,
     strict: Annotated[
         bool,
-        Option("--strict", help="Exit code 6 if a case fails that perfect information survives."),
+        Option(
+            "--strict", help="Exit code 6 if a case fails, unless it is shown to be beyond physics."
+        ),
     ] = False,
     output: FormatOption = Format.text,
 ) -> None:
@@ -100,7 +102,7 @@ def worst(
     content = {**summary(result), "folder": str(folder)}
     show(output, content, _in_words(result, folder))
     minimal = result.minimal
-    if strict and minimal is not None and not minimal.beyond_physics:
+    if strict and minimal is not None and not minimal.verdict.beyond_physics:
         raise typer.Exit(EXIT_DIVERGED)
 
 

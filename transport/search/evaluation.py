@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from transport.agent.own import PROJECT
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
 from transport.flight.memory import simulate
 from transport.log.run_log import Recorded, RunLog
 from transport.model.state import StateView
 from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.file import validate
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Message, PlantState
@@ -63,6 +65,15 @@ class Evaluation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """Whether a case that fails is beyond physics and the control law, not a fault of the network."""
+
+    # The project's centralized controller with perfect information fails as well; None: not known.
+    beyond_physics: bool | None
+    reason: str = ""  # why it is not known
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
     """Scenario and objective of a search: what turns a candidate into a number."""
 
@@ -77,21 +88,20 @@ class Problem:
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def evaluate(self, candidate: Candidate) -> Evaluation:
-        """Simulate a candidate. One that the scenario refuses is as far from failing as can be."""
+        """Simulate a candidate.
+
+        One that the scenario refuses, or a class of the user when it starts, is as far from failing
+        as can be.
+        """
         key = self.key(candidate)
         try:
             scenario = candidate.scenario(self.base)
-            setup = Setup.of(scenario, self.base.source)
+            return self.flown(key, Setup.of(scenario, self.base.source))
         except ScenarioError as error:
-            reason = str(error)
-            return Evaluation(
-                key=key, robustness=1.0, value=0.0, outcome=REFUSED, end_s=0.0, reason=reason
-            )
-
-        return self.flown(key, setup)
+            return _refusal(key, error)
 
     def flown(self, key: str, setup: Setup) -> Evaluation:
-        """Simulate a run."""
+        """Simulate a run. Raises: ScenarioError: a class of the user cannot be used."""
         period_s = setup.settings.sampling_period_s
         messages: list[Recorded] = []
         end_tick = 0
@@ -135,17 +145,42 @@ class Problem:
     def with_perfect_information(self, candidate: Candidate) -> Evaluation:
         """Evaluate the events with one agent for all UAVs, the plant's state, and a perfect network.
 
-        A case that fails here as well is beyond physics and the control law, not a fault of the
-        network.
+        The agent has the project's controller: a class of the user may be one for a single UAV.
         """
-        base = Base(scenario=_centralized(self.base.scenario), source=self.base.source)
+        try:
+            scenario = _centralized(self.base)
+        except ScenarioError as error:
+            return _refusal(self.key(candidate), error)
+        base = Base(scenario=scenario, source=self.base.source)
         problem = Problem(base=base, objective=self.objective)
         return problem.evaluate(candidate.beyond_network())
 
+    def verdict(self, candidate: Candidate) -> Verdict:
+        """Return whether a case that fails does so with perfect information as well."""
+        with_events = self.with_perfect_information(candidate)
+        if with_events.outcome == REFUSED:
+            return Verdict(beyond_physics=None, reason=with_events.reason)
+        if not with_events.failed:
+            return Verdict(beyond_physics=False)
+        if self.with_perfect_information(Candidate(())).failed:
+            return Verdict(beyond_physics=None, reason="it fails without any event as well")
+        return Verdict(beyond_physics=True)
 
-def _centralized(scenario: Scenario) -> Scenario:
-    """Return a scenario with one agent for all UAVs, which knows the state at once."""
-    tree: dict[str, Any] = scenario.tree()
+
+def _refusal(key: str, error: ScenarioError) -> Evaluation:
+    """Return the evaluation of a candidate that is refused."""
+    return Evaluation(
+        key=key, robustness=1.0, value=0.0, outcome=REFUSED, end_s=0.0, reason=str(error)
+    )
+
+
+def _centralized(base: Base) -> Scenario:
+    """Return a scenario with the project's controller for all UAVs, which knows the state at once.
+
+    Raises: ScenarioError: there is no such scenario.
+    """
+    tree: dict[str, Any] = base.scenario.tree()
+    tree["agents"]["controller"] = PROJECT
     tree["agents"]["owned"] = [[uav["id"] for uav in tree["system"]["uav"]]]
     tree.pop("links", None)
     tree.pop("radio", None)
@@ -156,4 +191,4 @@ def _centralized(scenario: Scenario) -> Scenario:
     tree["plant"].pop("noise", None)
     tree["controller"]["estimator"] = "measured"
 
-    return Scenario.model_validate(tree)
+    return validate(tree, base.source)

@@ -8,6 +8,7 @@ from rich.console import Console
 
 from transport.experiments.workers import Workers
 from transport.flight.progress import compile_models
+from transport.flight.run_files import checked
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
 from transport.search.candidate import Base
@@ -47,6 +48,7 @@ def search(
     objective = Objective.of(options.objective, options.limit, scenario)
     problem = Problem(base=base, objective=objective)
     setup = Setup.of(scenario, source)
+    checked(setup)
     duration_s = setup.ticks * setup.settings.sampling_period_s
     bounds = read_bounds(options.bounds, duration_s, options.over)
     chosen = Search(

@@ -22,6 +22,7 @@ from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Message
 from transport.report.column import column_panels
 from transport.report.style import RC, save
+from transport.search.evaluation import Verdict
 from transport.search.events import Death, Event, Silence, TargetEvent
 from transport.search.search import Case, Minimal, SearchResult
 
@@ -98,22 +99,27 @@ def _minimal(minimal: Minimal) -> dict[str, Any]:
         "value": minimal.evaluation.value,
         "end_s": minimal.evaluation.end_s,
         "failed_s": minimal.evaluation.failed_s,
-        "beyond_physics": minimal.beyond_physics,
+        "beyond_physics": minimal.verdict.beyond_physics,
+        "verdict": _verdict_in_words(minimal.verdict),
     }
 
 
 def in_words(minimal: Minimal) -> list[str]:
     """Return what happens in the minimal case, a sentence each."""
     events = [f"{_capital(event.in_words())}." for event in minimal.candidate.events]
-    verdict = (
-        "One agent for all UAVs with perfect information fails as well: the case is beyond physics."
-        if minimal.beyond_physics
-        else "One agent for all UAVs with perfect information survives the same weather and targets."
-    )
-
     uavs = len(minimal.problem.base.scenario.system.uav)
     team = [f"The team is made smaller, to {uavs} UAVs."] if uavs < minimal.whole_team else []
-    return [*team, *events, _failure_in_words(minimal), verdict]
+    return [*team, *events, _failure_in_words(minimal), _verdict_in_words(minimal.verdict)]
+
+
+def _verdict_in_words(verdict: Verdict) -> str:
+    """Return whether the case is one of the network or beyond physics, as a sentence."""
+    controller = "The project's controller for all UAVs with perfect information"
+    if verdict.beyond_physics is None:
+        return f"{controller} cannot tell whether the case is beyond physics: {verdict.reason}."
+    if verdict.beyond_physics:
+        return f"{controller} fails as well: the case is beyond physics."
+    return f"{controller} survives the same weather and targets."
 
 
 def _failure_in_words(minimal: Minimal) -> str:

@@ -14,7 +14,7 @@ from transport.experiments.workers import Workers
 from transport.log.whole_files import PARTIAL, write_whole
 from transport.protocol.scenario.errors import ScenarioError
 from transport.search.candidate import Candidate
-from transport.search.evaluation import REFUSED, Evaluation, Problem
+from transport.search.evaluation import REFUSED, Evaluation, Problem, Verdict
 from transport.search.optimiser import BATCH, Optimiser
 from transport.search.shrink import Evaluate, Shrinker
 from transport.search.space import Space
@@ -48,7 +48,7 @@ class Minimal:
     whole_team: int  # UAVs of the scenario that was searched
     candidate: Candidate
     evaluation: Evaluation
-    beyond_physics: bool  # the centralized controller with perfect information fails as well
+    verdict: Verdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -203,6 +203,9 @@ class Search:
         nothing = Candidate(())
         without_events = evaluations.of(self.problem, [nothing], fly)[0]
 
+        if without_events.outcome == REFUSED:
+            text = f"expected a scenario that can be flown, got {without_events.reason}"
+            raise ScenarioError(self.problem.base.source, "", text)
         if without_events.failed:
             words = self.problem.objective.in_words(without_events.value)
             text = f"expected a scenario that holds its limit without events, got {words}"
@@ -236,7 +239,7 @@ class Search:
             whole_team=len(self.problem.base.scenario.system.uav),
             candidate=candidate,
             evaluation=evaluate(problem, [candidate])[0],
-            beyond_physics=shrinker.beyond_physics,
+            verdict=shrinker.verdict,
         )
 
     def _cases(self, evaluations: Evaluations, fly: Fly, progress: Progress) -> Iterator[Case]:

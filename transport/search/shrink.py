@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import partial
 
 from transport.search.candidate import Candidate
-from transport.search.evaluation import Evaluation, Problem
+from transport.search.evaluation import REFUSED, Evaluation, Problem, Verdict
 
 _MOST = 400  # evaluations of one shrinking: each takes about a second
 Evaluate = Callable[[Problem, Sequence[Candidate]], Sequence[Evaluation]]
@@ -21,7 +21,7 @@ class Shrinker:
     """State of one shrinking: the minimal case so far, and how many evaluations it took.
 
     Attributes:
-        beyond_physics: Whether perfect information does not save the minimal case; known after `run`.
+        verdict: Whether perfect information saves the minimal case; known after `run`.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class Shrinker:
         self.problem = problem
         self.candidate = candidate
         self.evaluations = 0
-        self.beyond_physics = False
+        self.verdict = Verdict(beyond_physics=None, reason="it was not simulated")
         self._evaluate = evaluate
         self._progress = progress
         self._at_once = at_once
@@ -96,15 +96,15 @@ class Shrinker:
         in this process, and not among the evaluations.
         """
         whole = self.problem
-        self.beyond_physics = whole.with_perfect_information(self.candidate).failed
+        self.verdict = whole.verdict(self.candidate)
 
         for base in self.candidate.smaller_teams(whole.base):
             self.problem = replace(whole, base=base)
             fails_by_events = self._holds_without_events()
             if not fails_by_events or self._first_failing([self.candidate]) is None:
                 continue
-            verdict = self.problem.with_perfect_information(self.candidate)
-            if verdict.failed == self.beyond_physics:
+            verdict = self.problem.verdict(self.candidate)
+            if verdict.beyond_physics == self.verdict.beyond_physics:
                 self._progress(self.candidate, self.evaluations)
                 return
         self.problem = whole
@@ -113,7 +113,7 @@ class Shrinker:
         """Return whether the team keeps the limit without any event."""
         (evaluation,) = self._evaluate(self.problem, [Candidate(())])
         self.evaluations += 1
-        return not evaluation.failed
+        return not evaluation.failed and evaluation.outcome != REFUSED
 
 
 def _simpler(index: int, candidate: Candidate) -> Sequence[Candidate]:

@@ -28,13 +28,14 @@ from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.file import read_scenario
 from transport.protocol.scenario.setup import Setup
 from transport.search.candidate import Base, Candidate
-from transport.search.evaluation import REFUSED, Evaluation, Problem
+from transport.search.evaluation import REFUSED, Evaluation, Problem, Verdict
 from transport.search.events import Death, Gusts, Silence
 from transport.search.objective import Objective
 from transport.search.optimiser import BATCH, Layout, Optimiser
 from transport.search.progress import SearchProgress
 from transport.search.report import summary
 from transport.search.search import Case, Evaluations, Search, SearchResult, random_search
+from transport.search.shrink import Shrinker
 from transport.search.space import Space, read_bounds
 
 FILE = SCENARIOS / "resilient.toml"
@@ -99,8 +100,9 @@ class SmallTeamsBeyondPhysics(Planted):
 
     def with_perfect_information(self, candidate: Candidate) -> Evaluation:
         """Return that the centralized controller survives with the whole team alone."""
-        self.verdicts.append(len(self.base.scenario.owned))
-        if len(self.base.scenario.owned) == 4:
+        if candidate.events:
+            self.verdicts.append(len(self.base.scenario.owned))
+        if len(self.base.scenario.owned) == 4 or not candidate.events:
             return super().with_perfect_information(candidate)
         return self.evaluate(candidate)
 
@@ -189,7 +191,7 @@ def test_a_minimal_case_keeps_the_verdict_of_the_whole_team() -> None:
     minimal = replace(whole, problem=problem).run(Evaluations(None, {}), fly, Quiet()).minimal
     assert minimal is not None
     assert len(minimal.problem.base.scenario.owned) == 4
-    assert not minimal.beyond_physics
+    assert minimal.verdict.beyond_physics is False
     assert problem.verdicts == [4, 3]
 
 
@@ -354,7 +356,7 @@ def test_the_minimal_case_has_the_two_events_of_the_coincidence() -> None:
     death = next(event for event in result.minimal.candidate.events if isinstance(event, Death))
     assert 2.0 * death.at_s == round(2.0 * death.at_s)
     assert death.back_after_s is None
-    assert not result.minimal.beyond_physics
+    assert result.minimal.verdict.beyond_physics is False
 
 
 VALLEY = np.full(12, 0.3)
@@ -455,3 +457,79 @@ def test_a_search_without_a_terminal_tells_how_far_it_is(monkeypatch: pytest.Mon
     assert lines[0].startswith("1 of 24 cases")
     told = [int(line.partition(" of ")[0]) for line in lines if " of 24 cases" in line]
     assert told == list(range(1, 3 * BATCH + 1))
+
+
+ONE_UAV = """
+import numpy as np
+class One:
+    "A class for one UAV of four, which stops to stabilise it after a second."
+    version = "1"
+    def start(self, run):
+        if len(run.owned) != 1 or run.system.N != 4:
+            raise ValueError("one UAV of four for each agent")
+        self.run = run
+    def step(self, measurement, messages):
+        uav = self.run.owned[0]
+        state = measurement.uav_states[0]
+        u = self.run.u_hover.reshape(-1, 4)[uav].copy()
+        inertia = self.run.system.uavs[uav].inertia
+        u[1:] = inertia @ (-100.0 * state[6:9] - 16.0 * state[9:12])
+        if self.run.tick > 20 and len(self.run.agents) < 4:
+            u[1:] = 0.5
+        return u
+    def stop(self):
+        pass
+"""
+
+
+def own_class_problem(folder: Path, limit_deg: float) -> Problem:
+    """Return a hover of four UAVs with the class above."""
+    (folder / "only_one.py").write_text(ONE_UAV, encoding="utf-8")
+    hover = "maneuver.phase=[{name='hover',duration_s=2.0,displacement_m=[0.0,0.0,0.0]}]"
+    scenario = read_scenario(FILE, [hover, "agents.controller=only_one:One"])
+    base = Base(scenario=scenario, source=str(FILE))
+    return Problem(base=base, objective=Objective.of("attitude", limit_deg, scenario))
+
+
+def test_the_verdict_on_a_class_of_the_user_is_that_of_the_projects_controller(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A class for a single UAV cannot be the one agent for all; the project's controller is, and survives."""
+    monkeypatch.chdir(tmp_path)
+    problem = own_class_problem(tmp_path, limit_deg=5.0)
+    death = Candidate((Death(agent=2, at_s=0.5),))
+    assert problem.evaluate(death).failed
+    assert problem.verdict(death) == Verdict(beyond_physics=False)
+
+
+def test_a_verdict_that_cannot_be_told_is_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A limit that the project's controller does not keep without any event tells nothing of the events."""
+    monkeypatch.chdir(tmp_path)
+    whole = own_class_problem(tmp_path, limit_deg=1e-3)
+    leg = "maneuver.phase=[{name='leg',duration_s=2.0,displacement_m=[0.2,0.0,0.0]}]"
+    scenario = read_scenario(FILE, [leg, "agents.controller=only_one:One"])
+    problem = replace(whole, base=Base(scenario=scenario, source=str(FILE)))
+    verdict = problem.verdict(Candidate((Gusts(speed_mps=0.5, seed=7),)))
+    assert verdict.beyond_physics is None
+    assert verdict.reason == "it fails without any event as well"
+
+
+def test_a_class_that_refuses_a_smaller_team_does_not_end_the_search(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its case is refused, as one that the scenario refuses, and the minimal case keeps the whole team."""
+    monkeypatch.chdir(tmp_path)
+    problem = own_class_problem(tmp_path, limit_deg=5.0)
+    smaller = replace(problem, base=problem.base.of_size(3))
+    refused = smaller.evaluate(Candidate(()))
+    assert refused.outcome == REFUSED
+    assert "one UAV of four for each agent" in refused.reason
+
+    shrinker = Shrinker(
+        problem, Candidate((Death(agent=2, at_s=0.5),)), lambda *of: list(fly(*of)), lambda *_: None
+    )
+    shrinker.run()
+    assert len(shrinker.problem.base.scenario.owned) == 4
+    assert shrinker.verdict.beyond_physics is False

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from tests.support.runs import SCENARIOS
 from transport.protocol.scenario.file import read_scenario
 from transport.search.candidate import Base, Candidate
-from transport.search.evaluation import Evaluation, Problem
+from transport.search.evaluation import Evaluation, Problem, Verdict
 from transport.search.events import Death, Event, Gusts, Silence, TargetEvent
 from transport.search.objective import Objective
 from transport.search.report import draw, in_words, scenario_text, window_s
@@ -46,7 +46,7 @@ def minimal(
         whole_team=4,
         candidate=Candidate(events),
         evaluation=evaluation,
-        beyond_physics=False,
+        verdict=Verdict(beyond_physics=False),
     )
 
 
@@ -56,15 +56,21 @@ def test_sentences_tell_events_failure_and_verdict() -> None:
         "From 1.5 to 2.5 s the whole network is silent.",
         "Gusts of 0.5 m/s, seed 7.",
         "At 1.75 s the run fails: attitude 12.50 deg (limit 10 deg).",
-        "One agent for all UAVs with perfect information survives the same weather and targets.",
+        "The project's controller for all UAVs with perfect information survives the same weather and targets.",
     ]
 
 
 def test_a_case_beyond_physics_is_told_as_one() -> None:
     """The verdict is the last sentence."""
-    beyond = replace(minimal(SILENCE), beyond_physics=True)
+    beyond = replace(minimal(SILENCE), verdict=Verdict(beyond_physics=True))
     assert in_words(beyond)[-1] == (
-        "One agent for all UAVs with perfect information fails as well: the case is beyond physics."
+        "The project's controller for all UAVs with perfect information fails as well: the case is "
+        "beyond physics."
+    )
+    unknown = Verdict(beyond_physics=None, reason="it fails without any event as well")
+    assert in_words(replace(minimal(SILENCE), verdict=unknown))[-1] == (
+        "The project's controller for all UAVs with perfect information cannot tell whether the case "
+        "is beyond physics: it fails without any event as well."
     )
 
 
