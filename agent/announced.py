@@ -74,6 +74,10 @@ class Assumed:
     start_tick: int  # first tick that they are for
     inputs: Array  # (steps, 4 owned), none for an agent that acted alone
 
+    def played(self, tick: int) -> int:
+        """Return the number of steps played before a tick."""
+        return tick - self.start_tick
+
 
 @dataclass(frozen=True, kw_only=True)
 class StateAt:
@@ -175,7 +179,7 @@ class AnnouncedInputs:
         """Return the announced inputs over the horizon: the newest plans, held at their ends.
 
         Of an agent off the roster: its last plan as far as the actuators play it, or what is assumed in
-        its place, then hover.
+        its place, then hover. Of one whose plans are stale and over: hover.
 
         Returns: Inputs over N_p steps from tick `start` on, (N_p, 4 N).
         Source: docs/equations.md (32); paper, section IV-A.
@@ -193,7 +197,7 @@ class AnnouncedInputs:
             elif plan is not None and agent in self.heard.off_roster:
                 played = plan.inputs[: self._steps_played(len(plan.inputs))]
                 entries = self._aligned(played, plan, start, steps)
-            elif plan is not None:
+            elif plan is not None and not self._is_silent(plan, start):
                 entries = self._aligned(plan.inputs, plan, start, steps)
                 end = plan.inputs[-1]
             else:
@@ -213,7 +217,7 @@ class AnnouncedInputs:
             plan = self.plans.newest(agent, before)
             if plan is None or agent in self.heard.off_roster:
                 continue
-            if plan.tick < self.heard.failed_since:
+            if plan.tick < self.heard.failed_since or self._is_silent(plan, start):
                 continue
             entries = self._aligned(plan.corrections, plan, start, steps)
             c[: len(entries), columns] = entries
@@ -244,6 +248,7 @@ class AnnouncedInputs:
         - Later ones have been replaced by plans that were not received: the shared control law, where
           there is one, and in part the law of a UAV alone, by the age of the plan.
         - An agent off the roster: its last plan as far as the actuators play it, then its fail-safe.
+        - An agent whose plans are stale: its fail-safe once they are over.
         - An agent without any plan: hover; once its first plan is overdue, as after a plan.
 
         The state x at t_k, (n,), serves to evaluate control laws and fail-safe; None leaves them
@@ -271,6 +276,7 @@ class AnnouncedInputs:
 
         - An agent off the roster: by the fail-safe once its last plan has been played; without a plan
           its UAVs have hover inputs, as the plant knows.
+        - One whose plans are stale and over: by the fail-safe.
         - Before its return: by the fail-safe.
         - Another agent: by the law after the first step of its plan, or without a plan, also where
           `in_force` has hover inputs or announced ones.
@@ -279,9 +285,10 @@ class AnnouncedInputs:
         untold = Untold(by_law=np.zeros(m, dtype=bool), by_fail_safe=np.zeros(m, dtype=bool))
         for agent, columns in self._columns.items():
             plan = self.plans.newest(agent, before, started=tick)
+            is_over = plan is not None and self._is_on_fail_safe(plan, tick)
             if agent in self.heard.off_roster:
-                untold.by_fail_safe[columns] = plan is not None and self._is_over(plan, tick)
-            elif plan is None and self.heard.is_before_return(agent, tick):
+                untold.by_fail_safe[columns] = is_over
+            elif is_over or (plan is None and self.heard.is_before_return(agent, tick)):
                 untold.by_fail_safe[columns] = True
             elif agent != self._own:
                 untold.by_law[columns] = plan is None or plan.start_tick < tick
@@ -309,7 +316,7 @@ class AnnouncedInputs:
         played = self._played(plan, tick)
         step = tick - played.start_tick
         is_off = plan.agent in self.heard.off_roster
-        if is_off and self._is_over(plan, tick):
+        if self._is_on_fail_safe(plan, tick):
             return self._by_fail_safe(plan.agent, instant)
 
         #   u_a(k) = U_a(min(k - s_a, N_p - 1))    (32)
@@ -364,13 +371,25 @@ class AnnouncedInputs:
             return assumed
         return plan
 
+    def _is_silent(self, plan: Plan, tick: int) -> bool:
+        """Return whether another agent goes on sending inputs that are not played any more."""
+        return plan.agent != self._own and self._is_on_fail_safe(plan, tick)
+
+    def _is_on_fail_safe(self, plan: Plan, tick: int) -> bool:
+        """Return whether the actuators have played an agent's last fresh inputs, and none are expected.
+
+        It is off the roster, or has not solved a step since.
+        """
+        is_last = plan.agent in self.heard.off_roster or plan.stale > 0
+        return is_last and self._is_over(plan, tick)
+
     def _is_over(self, plan: Plan, tick: int) -> bool:
         """Return whether the actuators have played all of a plan, or of what stands for it."""
         played = self._played(plan, tick)
-        return tick - played.start_tick >= self._steps_played(len(played.inputs))
+        return played.played(tick) >= self._steps_played(len(played.inputs))
 
     def _steps_played(self, steps: int) -> int:
-        """Return how many steps of the last plan of an agent that left its actuators play."""
+        """Return how many steps of a last plan the actuators play."""
         if self.fail_safe is None or self._period_s is None:
             return steps
         return self.fail_safe.played(steps, self._period_s)

@@ -1,6 +1,7 @@
 """The others as one agent has heard them: how old their news are, and how much each acts alone.
 
-Source: docs/equations.md (32c), (63c).
+News count from the last solved step of their sender: an agent that goes on sending without solving is
+silent. Source: docs/equations.md (32c), (63c).
 """
 
 from collections.abc import Iterable
@@ -88,7 +89,7 @@ class HeardOthers:
         for agent in self._agents:
             plan = self.plans.newest(agent, before=k)
             if plan is not None and agent != self._own:
-                self._news.observe(agent, k - plan.tick)
+                self._news.observe(agent, k - plan.solved_tick)
             age = self.age(agent, plan, k)
             mean = max(mean, age.mean)
             overdue = max(overdue, age.overdue)
@@ -99,7 +100,7 @@ class HeardOthers:
         if agent == self._own or agent in self.off_roster:
             return NO_WAIT
         # Without any plan, as if one had been made just before the first that can be expected.
-        newest = self._expected_since(agent) - 1 if plan is None else plan.tick
+        newest = self._expected_since(agent) - 1 if plan is None else plan.solved_tick
         overdue = max(0.0, float(tick - newest - self._news.usual(agent)))
         return NewsAge(mean=self._news.mean(agent), overdue=overdue)
 

@@ -2,9 +2,11 @@
 
 The class takes the place of estimator, prediction and program; docs/bring-your-own.md has its
 methods. A step that raises, or that returns anything but inputs, is data: the shifted previous plan
-is applied, as after a solve without solution, and a `Note` says why.
+is applied, as after a solve without solution, and a `Note` says why. So it does where the class returns
+the same for long although its measurements change. Plans say how old such inputs are (`agent.freshness`).
 """
 
+import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import prod
@@ -13,6 +15,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from transport.agent.estimation.reports import Reports, by_uav
+from transport.agent.freshness import Freshness, Repetition
 from transport.agent.own_object import OwnObject
 from transport.agent.own_returned import Returned
 from transport.agent.own_run import run_of
@@ -20,6 +23,7 @@ from transport.agent.received import Received
 from transport.agent.step import numbers_note, step_report
 from transport.model.arrays import Array
 from transport.model.state import REPORTS, StateView, input_indices
+from transport.mpc.fail_safe import PLAYED_S
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.own_calls import OwnClassError
 from transport.protocol.scenario.own_class import own_class, version_of
@@ -31,6 +35,10 @@ PROJECT = "mpc"  # the controller of the project
 OF_PROJECT = PROJECT, "alone"
 
 _NO_DATA = np.zeros(0)
+_UNCHANGED = (
+    f"the inputs have been the same for more than {PLAYED_S:g} s while the measurements changed: "
+    "suspicious, the UAVs fly as without plans until they change"
+)
 
 
 def checked_controller(setup: Setup) -> str:
@@ -58,11 +66,15 @@ class Outcome:
     """Result of a call: that of the class, or the shifted previous inputs with the reason."""
 
     inputs: Array  # (rows, 4 owned)
+    asked: Array | None = (
+        None  # the same as the class returned them, before limits; None if it did not
+    )
     data: Array  # for the others, flat; none after a failure
     numbers: Mapping[str, float]  # for the log, by name
     status: PlanStatus
     send: bool  # whether the others get the plan
     problem: str = ""  # why the step failed; empty if it did not
+    unchanged: int = 0  # ticks for which the inputs have been the same, if that is suspicious
 
 
 @dataclass(slots=True, kw_only=True)
@@ -89,9 +101,10 @@ class Previous:
     inputs: Array  # (rows, 4 owned)
 
     def from_tick(self, tick: int) -> Array:
-        """Return the inputs from a tick on; the last row is held."""
-        skipped = min(tick - self.start, len(self.inputs) - 1)
-        return self.inputs[skipped:]
+        """Return as many inputs from a tick on; the last row is held."""
+        last = len(self.inputs) - 1
+        rows = np.arange(len(self.inputs)) + tick - self.start
+        return self.inputs[np.minimum(rows, last)]
 
 
 class OwnPlanner:
@@ -120,8 +133,10 @@ class OwnPlanner:
         self.stop()
         self._run = run_of(self._setup, self._agent)
         self._measurement: Measurement | None = None  # the newest that is usable
-        self._newest: dict[int, int] = {}  # tick of the newest plan used, by agent
+        self._newest: dict[int, Plan] = {}  # newest plan used, by agent
         self._sensed = Reports()  # own measurements of the last ticks
+        self._freshness = Freshness()
+        self._repetition = Repetition(self._setup.settings.sampling_period_s)
         self._told_roster = -1  # version under which a plan was last sent to the others
         hover = self._setup.hover.u[input_indices(self._owned)]
         self._previous = Previous(start=0, inputs=hover[None])
@@ -169,7 +184,9 @@ class OwnPlanner:
                 self._sensed.tell(measurement.tick, uav, report)
         self._sensed.forget_before(received.tick - REPORTS)
         for plan in received.plans:
-            self._newest[plan.agent] = max(plan.tick, self._newest.get(plan.agent, -1))
+            newest = self._newest.get(plan.agent)
+            if newest is None or plan.tick > newest.tick:
+                self._newest[plan.agent] = plan
 
         self._run.begin(received, must_send=received.measurement.roster != self._told_roster)
         step = OwnStep(
@@ -192,6 +209,8 @@ class OwnPlanner:
         step.solve_ns += self._stopwatch() - begun_ns
 
         is_last = step.negotiation == 0
+        if is_last:
+            outcome = step.outcome = self._without_repetition(step, outcome)
         is_shared = not is_last or outcome.send or self._run.must_send
         plan = self._plan(step, outcome, out, is_shared=is_shared)
         if not is_last:
@@ -250,6 +269,7 @@ class OwnPlanner:
             )
         return Outcome(
             inputs=returned.inputs,
+            asked=returned.asked,
             data=returned.data,
             numbers=returned.numbers,
             status="solved",
@@ -264,8 +284,21 @@ class OwnPlanner:
             return self._object.step(measurement, step.plans)
         return self._object.negotiate(step.iteration, step.plans)
 
+    def _without_repetition(self, step: OwnStep, outcome: Outcome) -> Outcome:
+        """Return the last outcome of a tick, with the time for which the class has repeated itself."""
+        measured = self._measurement
+        if outcome.asked is None or measured is None:
+            return outcome
+        unchanged = self._repetition.age(step.received.tick, outcome.asked, measured)
+        if not unchanged:
+            return outcome
+        return dataclasses.replace(
+            outcome, status="unchanged", unchanged=unchanged, problem=_UNCHANGED
+        )
+
     def _conclude(self, step: OwnStep, plan: Plan) -> None:
         """Remember the plan of a tick."""
+        self._freshness.conclude(plan.tick, is_solved=plan.status == "solved")
         self._previous = Previous(start=step.start_tick, inputs=plan.inputs)
         self._run.announce(plan)
         if plan.shared:
@@ -273,6 +306,8 @@ class OwnPlanner:
 
     def _plan(self, step: OwnStep, outcome: Outcome, out: Outbox, *, is_shared: bool) -> Plan:
         """Return the plan, or proposal, of an outcome."""
+        tick = step.received.tick
+        stale = self._freshness.age(tick, is_solved=outcome.status == "solved")
         return out.stamp(
             Plan,
             tick=step.received.tick,
@@ -286,6 +321,7 @@ class OwnPlanner:
             negotiation=step.negotiation,
             shared=is_shared,
             data=outcome.data,
+            stale=max(stale, outcome.unchanged),
         )
 
     def _uav_states(self, tick: int) -> Array:
@@ -313,7 +349,7 @@ class OwnPlanner:
             "total": now_ns - received.started_ns,
         }
         measured = self._measurement
-        ages = tuple(k - self._newest[peer] if peer in self._newest else -1 for peer in self._peers)
+        newest = [self._newest.get(peer) for peer in self._peers]
         return step_report(
             received,
             self._agent,
@@ -325,8 +361,8 @@ class OwnPlanner:
             residual=-1.0,
             force=np.zeros(3),
             peers=self._peers,
-            plan_ages=ages,
-            state_ages=ages,
+            plan_ages=tuple(-1 if plan is None else k - plan.solved_tick for plan in newest),
+            state_ages=tuple(-1 if plan is None else k - plan.tick for plan in newest),
             measurement_age=-1 if measured is None else k - measured.tick,
             times_ns=times_ns,
         )

@@ -30,6 +30,7 @@ class Returned:
     """Result of a step as arrays."""
 
     inputs: Array  # (rows, 4 owned), of the ticks from the first on that the plan acts at
+    asked: Array  # the same before limits
     data: Array  # flat, (k,); none without a declared shape
     numbers: Mapping[str, float]  # for the log, by name
     send: bool
@@ -46,6 +47,7 @@ def converted(returned: object, method: str, data_shape: tuple[int, ...] | None)
     inputs = real_array(step.inputs)
     return Returned(
         inputs=np.atleast_2d(inputs),
+        asked=np.atleast_2d(inputs),
         data=_data(step.data, method, data_shape),
         numbers={str(name): float(value) for name, value in dict(step.numbers).items()},
         send=bool(step.send),

@@ -12,6 +12,7 @@ import numpy as np
 
 from transport.agent.estimation.belief import Belief
 from transport.agent.estimation.motion import STEPS
+from transport.agent.freshness import Freshness
 from transport.agent.handover_inputs import HandOver
 from transport.agent.received import Received
 from transport.agent.sharing import Corrections, Sharing
@@ -98,6 +99,7 @@ class Planner:
         self._sharing = Sharing(
             self._setup.scenario.controller, settings.lower(uavs), settings.upper(uavs)
         )
+        self._freshness = Freshness()
         self._times = StageTimes(self._stopwatch)
         self._handover = HandOver(self._setup, self._team, self._owned)
         self._noted_resets = set[int]()  # ticks at which the filter began anew, as far as noted
@@ -225,6 +227,7 @@ class Planner:
         plan = self._plan(step, result, out)
         # The plan is announced first: the report gives its age. The times end here.
         self._team.announced.add(plan)
+        self._freshness.conclude(plan.tick, is_solved=plan.status == "solved")
         self._times.conclude(publish_ns)
         report = self._report(step, result, out)
         k = step.received.tick
@@ -262,6 +265,7 @@ class Planner:
             negotiation=step.negotiation,
             shared=is_shared,
             alone=self._handover.share,
+            stale=self._freshness.age(received.tick, is_solved=result.solution.status == "solved"),
         )
 
     def _handed_over(self, step: Step, result: StepResult) -> StepResult:
@@ -396,7 +400,7 @@ class Planner:
             iterations=solution.iterations,
             residual=worst if np.isfinite(worst) else _NO_NUMBER,
             peers=team.peers,
-            plan_ages=tuple(_NO_AGE if plan is None else k - plan.tick for plan in newest),
+            plan_ages=tuple(_NO_AGE if plan is None else k - plan.solved_tick for plan in newest),
             state_ages=tuple(team.estimator.news.age(agent, k) for agent in team.peers),
             measurement_age=_NO_AGE if measured < 0 else k - measured,
             force=force,

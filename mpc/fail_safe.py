@@ -20,7 +20,7 @@ from transport.mpc.undisturbed import UndisturbedMotion
 
 # Time for which a UAV plays its last plan before it flies alone, s: plans that are
 # lost on their way to the actuators, or late, are bridged.
-_PLAYED_S = 0.4
+PLAYED_S = 0.4
 
 
 class FailSafe:
@@ -96,7 +96,7 @@ class FailSafe:
         One that follows is soon better than inputs that nothing corrects: in gusts they drift off by
         decimetres in a second. One that keeps level does not know where it is: it comes at the end.
         """
-        return min(steps, max(1, round(_PLAYED_S / period_s))) if self.follows else steps
+        return min(steps, max(1, round(PLAYED_S / period_s))) if self.follows else steps
 
     def law(self, uav: int) -> AloneLaw:
         """Return the control law of a UAV, 0-based, alone."""

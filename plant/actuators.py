@@ -1,6 +1,7 @@
 """Actuators of the plant: schedule of the plans, inner loops, and motors, for any engine.
 
-Each UAV follows the newest plan that has started, and a fail-safe once that has been played. From commanded
+Each UAV follows the newest plan that has started, and a fail-safe once its inputs, counted from the last
+solved step, have been played. From commanded
 body rates an inner loop makes thrust and moments. Motors round the command's thrust to its steps;
 distribute thrust and moments to the four rotors, limit them there, and sum them up again; follow
 with a first-order lag, or each rotor with a lag for rising and one for falling thrust; and multiply
@@ -81,10 +82,10 @@ class ActuatorSchedule:
             if plan is None:
                 continue
             own = state.input_slice(uav)
-            step = tick - plan.start_tick
-            if step < self.fail_safe.played(len(plan.inputs), self._period_s):
+            # A plan that repeats older inputs does not renew the time for which these are played.
+            if plan.played(tick) < self.fail_safe.played(len(plan.inputs), self._period_s):
                 planned = state.input_slice(plan.uavs.index(uav + 1))
-                u[own] = plan.inputs[step, planned]
+                u[own] = plan.inputs[tick - plan.start_tick, planned]
                 sources[uav] = plan.tick
                 self._held_I.pop(uav, None)
             else:

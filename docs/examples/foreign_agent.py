@@ -31,7 +31,7 @@ RHO_Z, LENGTH = -0.125, 3.2
 MEASUREMENT = ("agent", "answered", "shared", "roster", "payload", "uavs", "uav_states", "inputs")
 PLAN = (
     *("agent", "start_tick", "negotiation", "shared", "uavs", "uav_states", "inputs"),
-    *("corrections", "status", "alone", "data"),
+    *("corrections", "status", "alone", "data", "stale"),
 )
 
 
@@ -119,6 +119,7 @@ def answer(me, tick, measured, others, heights):
         "status": "solved",
         "alone": 0.0,  # no part of the inputs is by the control law of a UAV alone
         "data": pack(np.array([z])),  # own data, which classes of the user find as plan.data
+        "stale": 0,  # ticks since the inputs were fresh: those of this tick are
     }
     return [plan[name] for name in PLAN]
 

@@ -30,9 +30,10 @@ _AXES = 3
 _FLOAT64 = np.dtype("<f8")
 
 
-*_PLAN_WITHOUT_DATA, _last = Plan.__struct_fields__
-if _last != Plan.optional:
-    raise TypeError(f"the last field of a plan has to be {Plan.optional}, and is {_last}")
+_PLAN_FIELDS = Plan.__struct_fields__
+_PLAN_LEAST = len(_PLAN_FIELDS) - len(Plan.optional)
+if _PLAN_FIELDS[_PLAN_LEAST:] != Plan.optional:
+    raise TypeError(f"the last fields of a plan have to be {Plan.optional}, got {_PLAN_FIELDS}")
 
 
 class _Kind(msgspec.Struct, frozen=True, array_like=True):
@@ -49,11 +50,18 @@ class Header(_Kind, frozen=True):
 
 
 def encode(message: Message) -> bytes:
-    """Return the bytes of a message; a plan without own data leaves out that last field."""
-    if isinstance(message, Plan) and not message.data.size:
-        fields = [getattr(message, name) for name in _PLAN_WITHOUT_DATA]
+    """Return the bytes of a message; a plan leaves out its last fields that have their defaults."""
+    if isinstance(message, Plan) and not message.stale:
+        fields = [getattr(message, name) for name in _PLAN_FIELDS[: _fields_sent(message)]]
         return _VERSION + _ENCODER.encode([message.kind, *fields])
     return _VERSION + _ENCODER.encode(message)
+
+
+def _fields_sent(plan: Plan) -> int:
+    """Return how many fields of a plan travel."""
+    if plan.stale:
+        return len(_PLAN_FIELDS)
+    return _PLAN_LEAST + bool(plan.data.size)
 
 
 def encoded_length(plan: Plan) -> int:
@@ -61,8 +69,11 @@ def encoded_length(plan: Plan) -> int:
     arrays = plan.uav_states, plan.inputs, plan.corrections, plan.data
     length = len(_VERSION) + len(_WITHOUT_ARRAYS.encode(plan)) - _NOTHING * len(arrays)
     length += sum([_array_length(8 * array.size) for array in arrays])
-    if not plan.data.size:
-        length -= _array_length(0) + _LAST_FIELD
+    fields = _fields_sent(plan)
+    if fields < len(_PLAN_FIELDS):
+        length -= _NOT_STALE
+    if fields == _PLAN_LEAST:
+        length -= _array_length(0) + _FIELDS_HEADER
     return length
 
 
@@ -176,9 +187,10 @@ _ENCODER = msgspec.msgpack.Encoder(enc_hook=_pack)
 _WITHOUT_ARRAYS = msgspec.msgpack.Encoder(enc_hook=_pack_without_arrays)
 _NOTHING = 1  # bytes of None
 _LARGEST_FLOAT = "e+308"  # in the text of a bound of `Finite`
-# Bytes by which the header of the list of a plan's fields is longer for its last one: with it the list
-# has 16 entries, its kind among them, and headers are of 1 byte up to 15 entries, then of 3.
-_LAST_FIELD = 2
+_NOT_STALE = 1  # bytes of the number 0
+# Bytes by which the header of the list of a plan's fields is longer for its last ones: with own data
+# the list has 16 entries, its kind among them, and headers are of 1 byte up to 15 entries, then of 3.
+_FIELDS_HEADER = 2
 _DECODER: Any = msgspec.msgpack.Decoder(reduce(or_, CLASSES.values()), ext_hook=_unpack_array)
 _HEADER_DECODER = msgspec.msgpack.Decoder(Header)
 _KIND_DECODER = msgspec.msgpack.Decoder(_Kind)

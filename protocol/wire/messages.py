@@ -159,7 +159,7 @@ NO_NEWS = -9.0
 CONTINUED = "continued"  # in `FaultNote.what`, by which a replay knows the process
 
 Outcome = Literal["completed", "failed", "diverged", "aborted"]
-PlanStatus = Literal["solved", "infeasible", "limit", "numerical"]
+PlanStatus = Literal["solved", "infeasible", "limit", "numerical", "unchanged"]
 FaultOrigin = Literal["script", "person", "unknown"]
 
 # Stages of an agent's step: waiting for the measurement, the computation, publishing; the total is
@@ -352,8 +352,8 @@ frozen(_NO_NUMBERS)
 class Plan(Message, tag="plan", frozen=True, kw_only=True):
     """Agent to plant and coordinator: states of its UAVs and inputs to apply.
 
-    To the other agents too, if it is shared. The last field, `optional`, does not travel where it is
-    empty. A new one goes in front of it, with a default, and `VERSION` grows.
+    To the other agents too, if it is shared. The last fields, `optional`, do not travel where they
+    and those after them have their defaults.
     """
 
     route: ClassVar[Route] = Route(
@@ -370,7 +370,7 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
         "corrections": _steps,
         "data": lambda _: (None,),
     }
-    optional: ClassVar[str] = "data"
+    optional: ClassVar[tuple[str, ...]] = ("data", "stale")
 
     agent: Agent  # the agent that planned
     start_tick: Count  # first sampling instant the inputs are for
@@ -386,15 +386,29 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
     inputs: Array
     # Corrections of these inputs to the shared control law, (steps, 4 owned); no rows without one.
     corrections: Array
-    status: PlanStatus  # result of the solve; anything but "solved" means the shifted previous plan
+    # Result of the solve. "unchanged": a class of the user returned the same as for some time, whatever
+    # it measured. Any other but "solved" means the shifted previous plan.
+    status: PlanStatus
     # How much of the inputs is of the control law of a UAV alone, not of the shared one: the agent lacks news.
     alone: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     # Numbers that a controller of the user shares, (k,) with k at most `MAX_DATA`, in the shape that
     # the receiver's own class has declared; without any the field does not travel.
     data: Array = msgspec.field(default_factory=lambda: _NO_NUMBERS)
+    # Ticks since the last solved step, 0 if it is this one: so long ago the inputs were fresh, and
+    # actuators and other agents count from there.
+    stale: Count = 0
+
+    @property
+    def solved_tick(self) -> int:
+        """Tick of the last solved step."""
+        return self.tick - self.stale
+
+    def played(self, tick: int) -> int:
+        """Return the number of steps played before a tick since the inputs were fresh."""
+        return tick - self.start_tick + self.stale
 
     def check(self) -> None:
-        """Check the arrays, and that inputs and corrections are over the same steps."""
+        """Check the arrays, their steps, and that inputs were fresh at some tick of the run."""
         Message.check(self)
         steps = len(self.inputs)
         if not 1 <= steps <= MAX_HORIZON:
@@ -406,6 +420,9 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
             raise MessageError("wrong_shape", text)
         if len(self.data) > MAX_DATA:
             text = f"data: expected at most {MAX_DATA} numbers, got {len(self.data)}"
+            raise MessageError("out_of_range", text)
+        if self.stale > self.tick:
+            text = f"stale: expected at most the {self.tick} ticks so far, got {self.stale}"
             raise MessageError("out_of_range", text)
 
 

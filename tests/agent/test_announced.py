@@ -14,6 +14,7 @@ from msgspec.structs import replace
 
 from transport.agent.announced import Alignment, AnnouncedInputs, SharedLaw
 from transport.agent.handover import Silence
+from transport.agent.heard import HeardOthers
 from transport.model.arrays import Array
 from transport.model.state import input_indices
 from transport.mpc.settings import ControllerSettings, Limits
@@ -23,6 +24,7 @@ Law = Callable[[int, Array], Array | None]
 
 OWNED = ((0, 2), (1,))  # agent 1 owns UAV1 and UAV3, agent 2 owns UAV2
 U_HOVER = -np.arange(1.0, 13.0)
+OWN = 2  # agent of tests in which one agent knows its own plans
 COLUMNS = {agent: input_indices(uavs) for agent, uavs in enumerate(OWNED, start=1)}
 STEPS = 5
 
@@ -84,6 +86,52 @@ def test_fail_safe_begins_where_the_inputs_in_force_end() -> None:
         np.testing.assert_array_equal(rows(2, inputs.in_force(tick, before=tick)), expected)
         by_fail_safe = inputs.untold(tick, before=tick).by_fail_safe
         assert (by_fail_safe[COLUMNS[2]] == is_over).all()
+
+
+@pytest.mark.parametrize("agent", [1, 2])
+def test_stale_plans_are_played_like_a_last_one(agent: int) -> None:
+    """An agent that only repeats old inputs is assumed on its fail-safe once these have been played.
+
+    That holds for the own plans as well.
+    """
+    inputs = announced(own=OWN)
+    solved = 3
+    for tick in range(solved, solved + STEPS + 3):
+        age = tick - solved
+        plan = replace(labelled(agent, tick), stale=age)
+        inputs.add(plan)
+        is_over = age >= STEPS
+        in_force = rows(agent, inputs.in_force(tick, before=tick + 1))
+        U = rows(agent, inputs.sequence(tick, STEPS, before=tick + 1))
+        c = rows(agent, inputs.corrections(tick, STEPS, before=tick + 1))
+        untold = inputs.untold(tick, before=tick + 1)
+        hover = U_HOVER[COLUMNS[agent]]
+        np.testing.assert_array_equal(in_force, hover if is_over else plan.inputs[0])
+        assert (untold.by_fail_safe[COLUMNS[agent]] == is_over).all()
+        # The own shifted plan stays what the next solution is mixed with.
+        is_known = not is_over or agent == OWN
+        np.testing.assert_array_equal(U, plan.inputs if is_known else np.tile(hover, (STEPS, 1)))
+        np.testing.assert_array_equal(c, plan.corrections if is_known else np.zeros_like(c))
+
+
+def test_news_are_as_old_as_the_last_solved_step() -> None:
+    """Another agent that only repeats old inputs is as silent as one that sends none."""
+    silence = Silence.of(0.05, is_filtered=False)
+    repeating = HeardOthers((1, 2), own=OWN, silence=silence)
+    silent = HeardOthers((1, 2), own=OWN, silence=silence)
+    silent.plans.add(labelled(1, 0))
+    for tick in range(60):
+        repeating.plans.add(replace(labelled(1, tick), stale=tick))
+        repeating.observe(tick + 1)
+        silent.observe(tick + 1)
+        assert repeating.oldest_news == silent.oldest_news
+        plans = [heard.plans.newest(1, before=tick + 1) for heard in (repeating, silent)]
+        shares = [
+            heard.share_alone(1, plan, tick + 1)
+            for heard, plan in zip((repeating, silent), plans, strict=True)
+        ]
+        assert shares[0] == shares[1]
+    assert shares[0] == 1.0
 
 
 @pytest.mark.parametrize("age", range(STEPS + 3))

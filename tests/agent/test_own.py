@@ -156,7 +156,8 @@ def test_a_wrong_step_is_a_failure(
     assert [message.status for message in messages if isinstance(message, StepReport)] == [
         p.status for p in plans
     ]
-    shares = [[1.0, 1.1, 1.2], [1.1, 1.2], [1.2], [1.2]]
+    assert [plan.stale for plan in plans] == [0, 1, 2, 3]
+    shares = [[1.0, 1.1, 1.2], [1.1, 1.2, 1.2], [1.2, 1.2, 1.2], [1.2, 1.2, 1.2]]
     for plan, share in zip(plans, shares, strict=True):
         np.testing.assert_allclose(plan.inputs, np.outer(share, run.hover.u[:4]), rtol=1e-15)
     text = WRONG[step].replace("my_own.py:6", "my_own.py:7")

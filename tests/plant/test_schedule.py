@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from transport.model import state
 from transport.model.arrays import Array
@@ -125,6 +126,18 @@ def test_a_fail_safe_that_follows_takes_over_before_the_end() -> None:
     actuators = schedule(labelled(2, 0), fail_safe=follows, period_s=0.2)
     sources = [actuators.inputs(k, X, U_HOVER)[1][UAV] for k in range(STEPS)]
     assert sources == [0, 0, FAIL_SAFE, FAIL_SAFE]
+
+
+def test_copies_of_old_inputs_do_not_put_off_the_fail_safe() -> None:
+    """A plan says how long ago its inputs were fresh, and they are played from then on, however often sent.
+
+    A fresh plan ends the fail-safe.
+    """
+    copies = [replace(labelled(2, made), stale=made) for made in range(2 * STEPS)]
+    fresh = labelled(2, 2 * STEPS)
+    actuators = schedule(*copies, fresh)
+    sources = [actuators.inputs(k, X, U_HOVER)[1][UAV] for k in range(2 * STEPS + 1)]
+    assert sources == [*range(STEPS), *[FAIL_SAFE] * STEPS, 2 * STEPS]
 
 
 def test_the_integral_begins_anew_after_a_plan() -> None:

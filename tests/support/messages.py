@@ -114,8 +114,9 @@ def content(message: Message) -> list[Any]:
         )
 
     values = [plain(getattr(message, field)) for field in message.__struct_fields__]
-    is_without_data = isinstance(message, Plan) and not len(message.data)
-    return [message.kind, *(values[:-1] if is_without_data else values)]
+    if isinstance(message, Plan) and not message.stale:
+        values = values[: -1 if len(message.data) else -2]
+    return [message.kind, *values]
 
 
 def _types(kind: type[Message]) -> dict[str, inspect.Type]:
@@ -176,6 +177,8 @@ def _message(draw: DrawFn, kind: type[Message]) -> Message:
     values |= {field: values[field][:shortest] for field in kind.as_long}
     if kind is Roster:
         values["released"] = values["off"][1:]
+    if kind is Plan:
+        values["stale"] = draw(st.just(0) | st.integers(0, values["tick"]))
     rows = draw(st.integers(1, FEW))
     for field, shape_of in kind.shapes.items():
         none = field in ("corrections", "data") and draw(st.booleans())
