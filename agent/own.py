@@ -27,6 +27,7 @@ from transport.mpc.fail_safe import PLAYED_S
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.own_calls import OwnClassError
 from transport.protocol.scenario.own_class import own_class, version_of
+from transport.protocol.scenario.radio_settings import PlanShape, has_own_controller
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import STAGES, Measurement, Message, Note, Plan, PlanStatus
 from transport.protocol.wire.node import Outbox
@@ -59,6 +60,24 @@ def controller_version(name: str) -> str:
     Raises: OwnClassError: it is not found.
     """
     return "" if name in OF_PROJECT else version_of(own_class(name))
+
+
+def plan_shapes(setup: Setup) -> dict[str, PlanShape]:
+    """Return the shapes that plans of a run have, the smallest first, by what tells them apart.
+
+    A class of the user returns the inputs of one tick, or of more up to the horizon, with the data
+    that it declares as it starts. Raises: ScenarioError: the class cannot be used.
+    """
+    if not has_own_controller(setup.scenario):
+        return {"": PlanShape.of(setup)}
+    planner = OwnPlanner(setup, 1, lambda: 0)
+    planner.stop()
+    data = planner.data_numbers
+    horizon = setup.settings.horizon
+    return {
+        "with the inputs of one tick ": PlanShape(inputs=1, corrections=0, data=data),
+        "with those of the horizon ": PlanShape(inputs=horizon, corrections=0, data=data),
+    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,6 +146,12 @@ class OwnPlanner:
         self.restart()
         if self._problem:
             raise ScenarioError(setup.scenario.name, "agents.controller", self._problem)
+
+    @property
+    def data_numbers(self) -> int:
+        """Return how many numbers of own data each plan has."""
+        shape = self._run.data_shape
+        return 0 if shape is None else prod(shape)
 
     def restart(self) -> None:
         """Start a new object of the class, without knowledge of the run so far."""
@@ -238,7 +263,7 @@ class OwnPlanner:
         Data of another number are refused: the plan has none then.
         """
         shape = self._run.data_shape
-        numbers = 0 if shape is None else prod(shape)
+        numbers = self.data_numbers
         for plan in plans:
             count = len(plan.data)
             if count == 0:

@@ -74,7 +74,9 @@ class TeamAir:
 
         Which of them had come before an agent was lost depends on the host.
         """
-        for plan in sorted(self._plans, key=_by_agent):
+        plans = sorted(self._plans, key=_by_agent)
+        self._radio.fit_slots(plans)
+        for plan in plans:
             self._radio.send(plan, members)
         self._plans.clear()
 

@@ -4,6 +4,7 @@ Channel, propagation, instants at which agents send, and lengths of their slots,
 `protocol/radio`.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from transport.protocol.radio.sends import SendTimes
 from transport.protocol.radio.slots import fewest_periods, frame_lengths, occupied_ns
 from transport.protocol.radio.standard import STANDARDS
 from transport.protocol.scenario.radio_section import RadioSection
+from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.codec import encoded_length
 from transport.protocol.wire.messages import Plan
@@ -54,7 +56,48 @@ def propagation_of(section: RadioSection, seed: int) -> Propagation:
     )
 
 
-def send_times(setup: Setup, section: RadioSection) -> SendTimes:
+@dataclass(frozen=True, slots=True)
+class PlanShape:
+    """Numbers of a plan, by which its length on the air is known."""
+
+    inputs: int = 0  # rows
+    corrections: int = 0  # rows
+    data: int = 0  # numbers of a controller of the user
+
+    @staticmethod
+    def of(setup: Setup) -> "PlanShape":
+        """Return the shape of the plans of a run before its first plan.
+
+        A class of the user decides with each plan; its least are the inputs of one tick.
+        """
+        if has_own_controller(setup.scenario):
+            return PlanShape(inputs=1, corrections=0)
+        horizon = setup.settings.horizon
+        is_corrected = setup.settings.prediction == "closed_loop"
+        return PlanShape(inputs=horizon, corrections=horizon if is_corrected else 0)
+
+    def __or__(self, other: "PlanShape") -> "PlanShape":
+        """Return the smallest shape that holds the plans of both."""
+        return PlanShape(
+            inputs=max(self.inputs, other.inputs),
+            corrections=max(self.corrections, other.corrections),
+            data=max(self.data, other.data),
+        )
+
+    def holding(self, plans: Iterable[Plan]) -> "PlanShape":
+        """Return the smallest shape that also holds some plans."""
+        shape = self
+        for plan in plans:
+            shape |= PlanShape(len(plan.inputs), len(plan.corrections), plan.data.size)
+        return shape
+
+
+def has_own_controller(scenario: Scenario) -> bool:
+    """Return whether the controller is a class of the user, "package.module:Class"."""
+    return ":" in scenario.agents.controller
+
+
+def send_times(setup: Setup, section: RadioSection, shape: PlanShape) -> SendTimes:
     """Return the instants at which the agents send, with slots as long as a plan needs.
 
     Where not all slots fit into a period, agents take turns. They do not where the section has a
@@ -68,7 +111,7 @@ def send_times(setup: Setup, section: RadioSection) -> SendTimes:
 
     # The time that slots may take together does not depend on the cycle.
     spread_ns = _with_cycle(setup, section, cycle=1).spread_ns
-    need_ns = slot_need_ns(setup, section)
+    need_ns = slot_need_ns(setup, section, shape)
     cycle = fewest_periods(len(setup.owned), spread_ns, need_ns)
     return _with_cycle(setup, section, cycle=cycle)
 
@@ -113,26 +156,26 @@ class SlotLengths:
         return f"{plan}, longer than its slot: plans wait for each other and collide; {slots}; {remedies}"
 
 
-def slot_lengths(setup: Setup) -> SlotLengths | None:
-    """Return the slots of a run; None without a radio, and without slots."""
+def slot_lengths(setup: Setup, shape: PlanShape) -> SlotLengths | None:
+    """Return the slots of a run whose plans have a shape; None without a radio, and without slots."""
     section = setup.scenario.radio
     if section is None or section.offsets != "slots":
         return None
-    sends = send_times(setup, section)
+    sends = send_times(setup, section, shape)
     return SlotLengths(
-        plan_bytes=plan_length(setup, section),
-        plan_s=slot_need_ns(setup, section) / NS_PER_S,
+        plan_bytes=plan_length(setup, section, shape),
+        plan_s=slot_need_ns(setup, section, shape) / NS_PER_S,
         slot_s=sends.slot_ns / NS_PER_S,
         slots=sends.slots,
         cycle_ticks=sends.cycle,
     )
 
 
-def slot_need_ns(setup: Setup, section: RadioSection) -> int:
+def slot_need_ns(setup: Setup, section: RadioSection, shape: PlanShape) -> int:
     """Return the time that a plan (`plan_length`) occupies an idle channel, ns, without repetitions."""
     receivers = len(setup.owned) - 1 if section.delivery == "unicast" else None
     standard = STANDARDS[section.standard]
-    lengths = frame_lengths(plan_length(setup, section))
+    lengths = frame_lengths(plan_length(setup, section, shape))
     return occupied_ns(lengths, standard, section.rate_mbps, receivers=receivers)
 
 
@@ -146,10 +189,10 @@ def length_on_air(plan: Plan, section: RadioSection) -> int:
     return encoded_length(replace(plan, inputs=plan.inputs[:1]))
 
 
-def plan_length(setup: Setup, section: RadioSection) -> int:
+def plan_length(setup: Setup, section: RadioSection, shape: PlanShape) -> int:
     """Return the bytes on the air of a solved plan of the agent with most UAVs at the end of the run.
 
-    Without data of a controller of the user. Plans of other statuses and with many notes and reports
+    Plans of other statuses and with many notes and reports
     before them, which count in their sequence, take some bytes more.
     """
     owned = max(setup.owned, key=len)
@@ -157,8 +200,6 @@ def plan_length(setup: Setup, section: RadioSection) -> int:
     last_agent = setup.agents[-1]
     last_tick = setup.ticks
 
-    horizon = setup.settings.horizon
-    is_corrected = setup.settings.prediction == "closed_loop"
     reported = REPORTS * REPORTED if setup.scenario.plant.sensors == "vehicle" else PER_UAV
     inputs = INPUTS * len(owned)
     plan = Plan(
@@ -172,8 +213,9 @@ def plan_length(setup: Setup, section: RadioSection) -> int:
         shared=True,
         uavs=tuple(uav + 1 for uav in owned),
         uav_states=np.zeros((len(owned), reported)),
-        inputs=np.zeros((horizon, inputs)),
-        corrections=np.zeros((horizon if is_corrected else 0, inputs)),
+        inputs=np.zeros((shape.inputs, inputs)),
+        corrections=np.zeros((shape.corrections, inputs)),
         status="solved",
+        data=np.zeros(shape.data),
     )
     return length_on_air(plan, section)

@@ -27,6 +27,7 @@ from transport.protocol.radio.standard import STANDARDS
 from transport.protocol.scenario.radio_section import RadioSection
 from transport.protocol.scenario.radio_settings import (
     NS_PER_S,
+    PlanShape,
     channel_parameters,
     length_on_air,
     propagation_of,
@@ -79,7 +80,8 @@ class TeamRadio:
         self._channel = Channel(channel_parameters(section, setup.scenario.seed))
         self._propagation = propagation_of(section, setup.scenario.seed)
         self._at_reference = self._propagation.at_reference(self._agents)
-        self._sends = send_times(setup, section)
+        self._shape = PlanShape.of(setup)  # that holds all plans so far
+        self._sends = send_times(setup, section, self._shape)
         self._background = Background(
             share=section.background,
             station=self._agents,
@@ -105,6 +107,20 @@ class TeamRadio:
         self._waiting: list[_Message] = []  # for the next turns of their stations
         self._replaced: list[_Message] = []  # since the last window
         self._messages: dict[tuple[int, int], _Message] = {}  # by station and sequence of a frame
+
+    def fit_slots(self, plans: Sequence[Plan]) -> None:
+        """Make the slots long enough for plans that are sent next; they never become shorter.
+
+        Own data, and the inputs of a class of the user, are known from its plans.
+        """
+        shape = self._shape.holding(plans)
+        if shape == self._shape:
+            return
+        self._shape = shape
+        self._sends = send_times(self._setup, self._section, shape)
+        for message in self._waiting:
+            _, tick, _ = message.plan
+            message.sent_ns = self._sends.instant_ns(message.station, tick)
 
     def send(self, plan: Plan, members: Collection[int]) -> None:
         """Take in a plan that its sender shares, for the other agents on the roster.

@@ -23,11 +23,12 @@ from tests.support.runs import (
     roster,
     setup,
 )
-from transport.agent.own import checked_controller
+from transport.agent.own import checked_controller, plan_shapes
 from transport.analysis.comparison import Comparison
 from transport.analysis.replay import Replay
 from transport.model.state import INPUTS, REPORTED, REPORTS
 from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.radio_settings import PlanShape
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import MAX_DATA, Measurement, Message, Note, Plan
 
@@ -204,6 +205,15 @@ def test_a_class_without_negotiate(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ScenarioError, match="got no negotiate"):
         checked_controller(setup(SHORT, CHAIN, THREE))
     assert checked_controller(setup(SHORT, CHAIN)).endswith(":Chain 1")
+
+
+def test_the_length_of_plans_is_told_with_the_declared_data() -> None:
+    """Plans of a class have its data, with the inputs of one tick or of up to the horizon."""
+    run = setup(SHORT, CHAIN)
+    one_tick, horizon = plan_shapes(run).values()
+    assert one_tick == PlanShape(inputs=1, data=math.prod(Chain.shape))
+    assert horizon == PlanShape(inputs=run.settings.horizon, data=math.prod(Chain.shape))
+    assert list(plan_shapes(setup(SHORT)).values()) == [PlanShape.of(setup(SHORT))]
 
 
 FAILURES = {

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from tests.support.own_classes import Bulky
 from tests.support.runs import ALL, plan, recorded, setup, ticks
 from transport.protocol.radio.frames import Result
 from transport.protocol.radio.slots import frame_lengths
@@ -14,7 +15,12 @@ from transport.protocol.radio.standard import MESSAGE_BYTES, OFDM
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.links import Link
 from transport.protocol.scenario.radio_section import RadioSection
-from transport.protocol.scenario.radio_settings import NS_PER_S, plan_length, slot_lengths
+from transport.protocol.scenario.radio_settings import (
+    NS_PER_S,
+    PlanShape,
+    plan_length,
+    slot_lengths,
+)
 from transport.protocol.scenario.team_radio import TeamRadio
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import (
@@ -231,7 +237,8 @@ def test_the_length_of_a_plan_is_known_before_the_run() -> None:
     assert run.scenario.radio is not None
     plans = [one for one in messages_of("radio={}") if isinstance(one, Plan)]
     longest = max(len(encode(plan)) for plan in plans)
-    assert 0 <= plan_length(run, run.scenario.radio) - longest <= SHORTER_BYTES
+    expected = plan_length(run, run.scenario.radio, PlanShape.of(run))
+    assert 0 <= expected - longest <= SHORTER_BYTES
 
 
 def test_slots_that_do_not_fit_into_a_period_take_turns() -> None:
@@ -251,12 +258,41 @@ def test_slots_that_do_not_fit_into_a_period_take_turns() -> None:
 
 def test_a_slow_plan_takes_as_long_as_stated() -> None:
     """Slots of all agents do not fit into a period with `SLOW`, those of two do."""
-    slots = slot_lengths(setup(ticks(TICKS), *CLOSED_LOOP, SLOW))
+    run = setup(ticks(TICKS), *CLOSED_LOOP, SLOW)
+    slots = slot_lengths(run, PlanShape.of(run))
     assert slots is not None
     assert slots.plan_s == pytest.approx(12.322e-3)
     assert slots.slots == AGENTS_OF_A_TICK
     assert slots.slots * slots.slot_s == pytest.approx(42e-3)
     assert AGENTS * slots.plan_s > slots.slots * slots.slot_s
+
+
+@pytest.mark.parametrize(("rate_mbps", "cycle"), [(2.0, 2), (1.0, 4)])
+def test_slots_hold_the_own_data_of_a_class(rate_mbps: float, cycle: int) -> None:
+    """A plan with 512 numbers has a slot as long as it needs, so that each plan sent arrives.
+
+    Its 4.3 KB take some 19 ms at 2 Mb/s, so that two of them fit into the 42 ms of the slots of a
+    tick, and 37 ms at 1 Mb/s. With the inputs of ten ticks it is longer, and fits still.
+    """
+    radio = f"radio={{standard='802.11b',rate_mbps={rate_mbps}}}"
+    own = f"agents.controller={Bulky.__module__}:Bulky"
+    run = setup(ticks(TICKS), radio, own)
+    messages = recorded(run)
+    plans = [one for one in messages if isinstance(one, Plan)]
+    assert {one.data.size for one in plans} == {512}
+
+    slots = slot_lengths(run, PlanShape.of(run).holding(plans))
+    assert slots is not None
+    assert slots.cycle_ticks == cycle
+    assert 0 <= slots.plan_bytes - max(len(encode(one)) for one in plans) <= SHORTER_BYTES
+    assert slots.are_enough
+
+    told = [one for one in messages if isinstance(one, Airtime)]
+    sent = np.concatenate([one.of_sent() for one in told])
+    assert len(sent) > 0
+    assert np.all(sent > 0.0)
+    # From the sender's turn to its arrival: within its slot, in the tick of its turn.
+    assert max(one.arrivals.max() for one in told) < cycle * PERIOD_S
 
 
 def test_replaced_plans_are_not_lost() -> None:

@@ -66,6 +66,21 @@ class Chain:
         """Nothing is open."""
 
 
+class Bulky(Chain):
+    """A class with as many data as a plan may have, and the inputs of ten ticks from tick 5 on."""
+
+    shape = (512, 1)
+
+    def hear(self, messages: Sequence[Plan]) -> None:
+        """Hear nothing."""
+
+    def result(self) -> tuple[Array, Array, dict[str, float]]:
+        """Return hover inputs and the data."""
+        u = self.run.u_hover.reshape(-1, 4)[list(self.run.owned)].ravel()
+        rows = 1 if self.run.tick < 5 else 10
+        return np.tile(u, (rows, 1)), np.full(self.shape, float(self.run.tick)), {}
+
+
 class Seldom(Chain):
     """A class that sends nothing but at every fifth tick."""
 

@@ -1,14 +1,19 @@
 """Radio in summary, report and viewer: the numbers of the coordinator's news."""
 
+from pathlib import Path
+
 import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from tests.support.logs import log_of, record_run
+from tests.support.own_classes import Bulky
 from tests.support.runs import recorded, setup, ticks
 from transport.analysis.airtime import radio_of
 from transport.analysis.analysed_run import AnalysedRun
 from transport.experiments.cases import run_in_memory
+from transport.log.run_log import open_run
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Airtime
 from transport.report.figures import fill
@@ -59,6 +64,29 @@ def test_slots_shorter_than_a_plan_are_told() -> None:
     run = run_of("radio={standard='802.11b',rate_mbps=1.0,cycle_ticks=1}")
     text = radio_text(radio_of(run, run_in_memory(run)) or {})
     assert "slots of 10.50 ms are shorter than a plan, 12.3" in text
+
+
+def test_no_more_time_is_busy_than_there_is() -> None:
+    """The news of the exchanges of the last tick reach beyond it, and so does the time they are of."""
+    run = run_of(
+        "radio={standard='802.11b',rate_mbps=1.0}",
+        "controller.negotiation_iterations=5",
+    )
+    radio = radio_of(run, run_in_memory(run))
+    assert radio is not None
+    # Five exchanges of four plans of 12 ms in 50 ms: the channel is never idle for long.
+    assert 0.9 < radio["airtime_share"] <= 1.0
+
+
+def test_slots_are_those_of_the_plans_that_were_sent(tmp_path: Path) -> None:
+    """Own data count in the slots of a run's summary, also where its log is read without them."""
+    own = f"agents.controller={Bulky.__module__}:Bulky"
+    run = run_of("radio={standard='802.11b',rate_mbps=2.0}", own)
+    radio = radio_of(run, log_of(record_run(run, tmp_path)))
+    assert radio is not None
+    assert radio["slots"]["cycle_ticks"] == 2
+    assert 18.0 < radio["slots"]["plan_ms"] < 21.0
+    assert radio_of(run, open_run(tmp_path, horizons=False).log) == radio
 
 
 def test_numbers_at_one_instant() -> None:

@@ -8,9 +8,9 @@ import numpy as np
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.protocol.radio.frames import Result
-from transport.protocol.scenario.radio_settings import slot_lengths
+from transport.protocol.scenario.radio_settings import PlanShape, slot_lengths
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.wire.messages import NO_NEWS, REPLACED, Airtime
+from transport.protocol.wire.messages import NO_NEWS, REPLACED, Airtime, Plan
 from transport.protocol.wire.names import agent_name
 
 _MS_PER_S = 1e3
@@ -31,8 +31,9 @@ def radio_of(setup: Setup, log: RunLog) -> dict[str, Any] | None:
 
     news = list(log.of(Airtime))
     fates = _Fates(news)
-    last_tick = max((one.tick for one in news), default=0)
-    duration_s = last_tick * setup.settings.sampling_period_s
+    exchanges = setup.scenario.controller.negotiation_iterations
+    ends = [_end_ticks(one, exchanges) for one in news]
+    duration_s = max(ends, default=0.0) * setup.settings.sampling_period_s
     busy_s = sum(one.busy_s for one in news)
     losses = {name: fates.count(result) for name, result in _LOSSES.items()}
 
@@ -46,7 +47,7 @@ def radio_of(setup: Setup, log: RunLog) -> dict[str, Any] | None:
         "transmissions": sum(one.transmissions for one in news),
         "repetitions": sum(one.repetitions for one in news),
         "replaced": fates.replaced,
-        "slots": _slots(setup),
+        "slots": _slots(setup, log),
         "links": _links(setup, fates),
     }
 
@@ -98,9 +99,21 @@ def _rows(news: Airtime) -> Array:
     return decided
 
 
-def _slots(setup: Setup) -> dict[str, Any] | None:
-    """Return the slots of the agents and what a plan needs of them, as JSON data; None without."""
-    slots = slot_lengths(setup)
+def _end_ticks(news: Airtime, exchanges: int) -> float:
+    """Return the end of the window of news, ticks: a tick, or an exchange that ends within one."""
+    if news.negotiation == 0:
+        return news.tick
+    ended_exchanges = exchanges - news.negotiation
+    return news.tick + ended_exchanges / exchanges
+
+
+def _slots(setup: Setup, log: RunLog) -> dict[str, Any] | None:
+    """Return the slots of the agents and what a plan needs of them, as JSON data; None without.
+
+    They are those of the end of the run: plans of a class of the user may have become longer.
+    """
+    shape = (PlanShape.of(setup) | log.plans_sent).holding(log.of(Plan))
+    slots = slot_lengths(setup, shape)
     if slots is None:
         return None
     return {

@@ -8,6 +8,7 @@ import tomli_w
 import typer
 from typer import Argument, Option
 
+from transport.agent.own import plan_shapes
 from transport.cli.options import FormatOption, LargeOption, ScenarioArgument, SetOption, read_setup
 from transport.cli.output import Format, blame, fail, show
 from transport.flight.run_files import checked
@@ -147,9 +148,12 @@ def validate(
     thrusts = hover_thrusts(setup)
     classes = ", ".join(f"{kind} {name}" for kind, name in own_classes.items())
     typer.echo(f"valid: {sizes}, {thrusts}, digest {digest}, {classes}", err=True)
-    slots = slot_lengths(setup)
-    if slots is not None:
-        typer.echo(f"radio{'' if slots.are_enough else ', warning'}: {slots.text()}", err=True)
+    shapes = plan_shapes(setup) if setup.scenario.radio else {}
+    for label, shape in shapes.items():
+        slots = slot_lengths(setup, shape)
+        if slots is not None:
+            kind = "radio" if slots.are_enough else "radio, warning"
+            typer.echo(f"{kind}: {label}{slots.text()}", err=True)
     for problem in after_the_end(setup.scenario):
         typer.echo(f"warning: {problem}", err=True)
     typer.echo(f"estimate: {estimate(setup.scenario).text()}", err=True)

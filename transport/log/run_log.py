@@ -6,7 +6,7 @@
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +18,7 @@ from mcap.exceptions import McapError
 from transport.log.parser import Parser
 from transport.protocol.admission.gate import Gate
 from transport.protocol.scenario.file import ScenarioError, read_scenario, validate
+from transport.protocol.scenario.radio_settings import PlanShape
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire import messages as wire
 from transport.protocol.wire.codec import VERSION, decode
@@ -77,6 +78,8 @@ class RunLog:
     header: dict[str, str]  # metadata of the run: run_id, scenario (TOML), versions, machine, ...
     messages: tuple[Recorded, ...]  # in the order they were received
     cut: str  # sentence about what is missing; empty for a complete log
+    # Holds the plans as they were sent, where those in `messages` are shortened.
+    plans_sent: PlanShape = field(default_factory=PlanShape)
 
     @cached_property
     def _by_kind(self) -> dict[type[Message], list[Recorded]]:
@@ -208,7 +211,12 @@ def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -
     Raises: LogError: no such file, not an MCAP file, or not the log of a run.
     """
     tail = LogTail(path, setup=setup)
-    messages = [entry if horizons else _first_step(entry) for entry in tail.entries()]
+    messages = []
+    plans_sent = PlanShape()
+    for entry in tail.entries():
+        if isinstance(entry.message, Plan):
+            plans_sent = plans_sent.holding([entry.message])
+        messages.append(entry if horizons else _first_step(entry))
 
     last_ns = messages[-1].received_ns if messages else 0
     messages += [Recorded(message=notice, received_ns=last_ns) for notice in tail.last_notices()]
@@ -222,7 +230,7 @@ def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -
     last = f", up to tick {max(entry.message.tick for entry in messages)}" if messages else ""
     readable = f"{len(messages) or 'no'} messages are readable{last}"
     cut = f"the log is incomplete ({'; '.join(problems)}): {readable}" if problems else ""
-    return RunLog(header=header or {}, messages=tuple(messages), cut=cut)
+    return RunLog(header=header or {}, messages=tuple(messages), cut=cut, plans_sent=plans_sent)
 
 
 def _first_step(entry: Recorded) -> Recorded:
