@@ -25,6 +25,7 @@ from transport.model.arrays import Array
 from transport.model.hover import released_state
 from transport.protocol.wire.messages import ActualInputs, Control, Message, Outcome
 from transport.report.summary_table import summary_table
+from transport.report.summary_texts import limits_text
 
 # A few roundings of numbers of order one to a hundred.
 ROUNDING = 1e-12
@@ -225,6 +226,37 @@ def test_violations_are_shares_of_the_range() -> None:
     assert worst(on_reference(run, 0, close)) == pytest.approx(
         (0.4 - distance_m) / 0.4, rel=ROUNDING
     )
+
+
+def test_a_saturated_uav_is_named() -> None:
+    """A limit that an input stays at holds: the summary says who was at it for which share of the ticks.
+
+    Ticks with motors off do not count, changes across a gap in the record are at no limit.
+    """
+    run = runs.setup(HOVER, "faults.event=[{at_s=0.1,do='motor_off',target='uav2'}]")
+
+    def saturated(x: Array, u: Array) -> None:
+        u[8] = 45.0  # largest thrust of UAV3
+        u[9] = -run.settings.limits.moments_Nm[0]
+
+    def off(x: Array, u: Array) -> None:
+        u[4:8] = 0.0  # UAV2
+
+    ticks = [
+        on_reference(run, 0),
+        on_reference(run, 1, saturated),
+        on_reference(run, 3, off),
+        on_reference(run, 5, saturated),
+    ]
+    summary = summarise(AnalysedRun.of(run, log_of(ticks)))
+    assert summary["limits_reached"] == [
+        {"uav": 3, "limit": "largest thrust", "share": 0.5},
+        {"uav": 3, "limit": "smallest roll moment", "share": 0.5},
+        {"uav": 3, "limit": "change of thrust", "share": 0.25},
+        {"uav": 3, "limit": "change of roll moment", "share": 0.25},
+    ]
+    assert "at the largest thrust UAV3 50% of the ticks" in limits_text(summary)
+    assert summarise(AnalysedRun.of(run, log_of(ticks[:1])))["limits_reached"] == []
 
 
 REALTIME = ("clock.mode=realtime", "clock.speed=1", "clock.actuation=next_tick")

@@ -9,6 +9,14 @@ from transport.model.obstacles import clearances
 from transport.protocol.scenario.faults import failures
 from transport.protocol.scenario.setup import Setup
 
+# Share of its range from which on an input is at its limit.
+AT_LIMIT = 1e-4
+# Inputs of a UAV: of one that is commanded moments, and of one that is commanded body rates.
+_INPUTS = {
+    False: ("thrust", "roll moment", "pitch moment", "yaw moment"),
+    True: ("thrust", "roll rate", "pitch rate", "yaw rate"),
+}
+
 
 def separation_of(uavs_I: Array, on_rods: npt.NDArray[np.bool_]) -> Array:
     """Return the smallest distance between any two UAVs on their rods, (T,), m."""
@@ -80,3 +88,40 @@ def _change_excess(setup: Setup, ticks: npt.NDArray[np.int64], u: Array) -> Arra
 
     consecutive = np.diff(ticks, prepend=-1) == 1
     return np.where(consecutive, excess.max(axis=1, initial=0.0), 0.0)
+
+
+def limits_reached(
+    setup: Setup, ticks: npt.NDArray[np.int64], u: Array
+) -> dict[tuple[int, str], float]:
+    """Return at which limits of its inputs each UAV was, and for which share of its ticks.
+
+    The shares, above 0, are by UAV (0-based) and limit, largest first. Ticks with its motors off do
+    not count. At a limit is an input within `AT_LIMIT` of its range from it, so that a solver's
+    tolerance does not decide; a change across a gap in the record is at none.
+    """
+    N = setup.system.N
+    lower = setup.settings.lower(N)
+    upper = setup.settings.upper(N)
+    step = setup.settings.largest_step(N)
+    before = np.vstack([setup.hover.u[None], u[:-1]])[: len(u)]
+    is_followed = np.diff(ticks, prepend=-1) == 1
+
+    at_limit = {
+        "smallest": u <= lower + AT_LIMIT * (upper - lower),
+        "largest": u >= upper - AT_LIMIT * (upper - lower),
+        "change": is_followed[:, None] & (np.abs(u - before) >= (1.0 - 2.0 * AT_LIMIT) * step),
+    }
+    stopped = {fault.uav: fault.tick for fault in failures(setup.faults)}
+
+    shares: dict[tuple[int, str], float] = {}
+    for uav in range(N):
+        is_on = ticks < stopped.get(uav, np.inf)
+        entries = range(*state.input_slice(uav).indices(u.shape[1]))
+        for name, entry in zip(_INPUTS[setup.system.commands_rates], entries, strict=True):
+            for kind, reached in at_limit.items():
+                share = float(reached[is_on, entry].mean()) if is_on.any() else 0.0
+                if share > 0.0:
+                    shares[uav, f"{kind} of {name}" if kind == "change" else f"{kind} {name}"] = (
+                        share
+                    )
+    return dict(sorted(shares.items(), key=lambda entry: -entry[1]))

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.special import gammaincinv
 
+from transport.analysis.constraints import limits_reached
 from transport.analysis.estimates import estimates_of
 from transport.analysis.events import TIME_DIGITS
 from transport.analysis.series import Series, swing_of
@@ -50,6 +51,10 @@ def cost_and_tracking(setup: Setup, series: Series) -> dict[str, Any]:
         "clearance_min_m": _clearance(setup, series),
         "constraint_violation_max": largest(series.violation),
         "constraint_violation": _worst_limit(series),
+        "limits_reached": [
+            {"uav": uav + 1, "limit": limit, "share": share}
+            for (uav, limit), share in limits_reached(setup, series.ticks, series.u).items()
+        ],
         "local_error_max": largest(series.local_error),
     }
 

@@ -1,12 +1,15 @@
 """Sections of a summary in words, a line each: limits, deadlines, plans, radio and solver."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from transport.analysis.own_constraints import HELD as OWN_HELD
 
 # Violations below this share of a constraint's range are within the solver's tolerance.
 HELD = 1e-6
+# Limits that a UAV is at for a smaller share of the ticks are in the summary alone.
+_TOLD_SHARE = 0.01
+_MOST_TOLD = 4  # UAVs at a limit
 _LOSSES = {
     "collisions": "lost by collisions",
     "weak": "too weak",
@@ -50,8 +53,23 @@ def limits_text(summary: Mapping[str, Any]) -> str:
 
     if solver["beyond_share"]:
         excess = exceeded if is_exceeded else "none exceeded"
-        return f"{excess}, but {solver['failures']} steps without a controller"
-    return exceeded if is_exceeded else "held"
+        exceeded = f"{excess}, but {solver['failures']} steps without a controller"
+    elif not is_exceeded:
+        exceeded = "held"
+    return "; ".join([exceeded, *_reached_texts(summary.get("limits_reached", ()))])
+
+
+def _reached_texts(reached: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return for each limit which UAVs were at it in how many of their ticks, the most first."""
+    by_limit: dict[str, list[str]] = {}
+    for one in reached:
+        if one["share"] >= _TOLD_SHARE:
+            by_limit.setdefault(one["limit"], []).append(f"UAV{one['uav']} {one['share']:.0%}")
+    return [
+        f"at the {limit} {', '.join(uavs[:_MOST_TOLD])} of the ticks"
+        + (f", and {len(uavs) - _MOST_TOLD} more UAVs" if len(uavs) > _MOST_TOLD else "")
+        for limit, uavs in by_limit.items()
+    ]
 
 
 def deadlines_text(deadline: Mapping[str, Any]) -> str:
