@@ -19,7 +19,7 @@ from transport.mpc.alone import steps_alone
 from transport.mpc.alone_team import AloneTeam
 from transport.mpc.own_sensors import OwnSensors
 from transport.mpc.regulation import Regulation
-from transport.mpc.uav_motion import Motion, ahead, motion_of
+from transport.mpc.uav_motion import Motion, ahead, motion_of, turned_by_inputs
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import STAGES, Measurement, Message, Plan
 from transport.protocol.wire.node import Outbox
@@ -164,19 +164,17 @@ class AlonePlanner:
         """Return the inputs of the owned UAVs within rates and limits, (4 owned,)."""
         settings = self._setup.settings
         start = measured.tick + int(self._setup.scenario.clock.next_tick)
+        before = self._inputs_before(measured)
         wanted = []
-        for uav, values, until in zip(
-            self._owned, measured.uav_states, measured.inputs, strict=True
-        ):
+        for i, uav in enumerate(self._owned):
             law = self._team.law(uav)
             setpoint = self._team.setpoint(uav, start)
-            motion = self._motion(uav, values, float(until[0]), measured, start)
+            motion = self._motion(i, measured, start, before)
             held_I = self._held_I[uav]
 
             wanted.append(law.inputs(motion, setpoint, held_I))
             self._held_I[uav] = law.held(held_I, motion, setpoint, settings.sampling_period_s)
 
-        before = self._inputs_before(measured)
         step = settings.largest_step(len(self._owned))
         inputs = np.clip(np.concatenate(wanted), before - step, before + step)
         return np.clip(inputs, settings.lower(len(self._owned)), settings.upper(len(self._owned)))
@@ -191,30 +189,28 @@ class AlonePlanner:
             return self._inputs
         return measured.inputs.reshape(-1)
 
-    def _motion(
-        self, uav: int, values: Array, thrust_N: float, measured: Measurement, start: int
-    ) -> Motion:
-        """Return the motion of a UAV, 0-based, at tick `start` by its own measurements.
+    def _motion(self, i: int, measured: Measurement, start: int, before: Array) -> Motion:
+        """Return the motion of the i-th owned UAV at tick `start` by its own measurements.
 
-        The thrust is the one applied until them.
+        `before` are the inputs of the owned UAVs in force until then, (4 owned,).
         """
         system = self._setup.system
-        tick = measured.tick
+        period_s = self._setup.settings.sampling_period_s
+        uav, values, tick = self._owned[i], measured.uav_states[i], measured.tick
         reference = self._reference(uav)
         if self._setup.sensors.vehicle:
             sensors = self._sensors[uav]
-            sensors.observe(values, thrust_N, tick, reference)
-            return sensors.motion(values, tick, start, reference)
-        x = np.zeros(system.n)
-        x[: state.PAYLOAD] = measured.payload
-        x[state.uav_slice(uav)] = values
-        return ahead(
-            motion_of(system, uav, x),
-            tick,
-            start,
-            reference,
-            self._setup.settings.sampling_period_s,
-        )
+            sensors.observe(values, float(measured.inputs[i][0]), tick, reference)
+            motion = sensors.motion(values, tick, start, reference)
+        else:
+            x = np.zeros(system.n)
+            x[: state.PAYLOAD] = measured.payload
+            x[state.uav_slice(uav)] = values
+            motion = ahead(motion_of(system, uav, x), tick, start, reference, period_s)
+        if start == tick:
+            return motion
+        driven = before[state.input_slice(i)][1:] - self._team.setpoint(uav, tick).turning
+        return turned_by_inputs(motion, reference(start), system, uav, driven, period_s)
 
     def _reference(self, uav: int) -> Callable[[int], Motion]:
         return lambda tick: self._team.setpoint(uav, tick).motion

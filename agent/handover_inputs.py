@@ -13,7 +13,7 @@ from transport.model.rotations import rotation
 from transport.mpc.alone import steps_alone
 from transport.mpc.own_sensors import OwnSensors
 from transport.mpc.prediction import Linear
-from transport.mpc.uav_motion import Motion, motion_of
+from transport.mpc.uav_motion import Motion, motion_of, turned_by_inputs
 from transport.protocol.scenario.setup import Setup
 
 # Time over which the thrust of the team, that the integral begins with, is averaged, s.
@@ -59,13 +59,13 @@ class HandOver:
 
         if share == 1.0:
             team = team[: steps_alone(self._period_s)]
-        alone = np.hstack([self._alone(uav, k, start, linear.x0, len(team)) for uav in self._owned])
+        alone = np.hstack([self._alone(uav, k, start, linear, len(team)) for uav in self._owned])
         settings, count = self._setup.settings, len(self._owned)
         before = linear.u0[state.input_indices(self._owned)]
         inputs = mixed(team, alone, share, before, settings.largest_step(count))
         return np.clip(inputs, settings.lower(count), settings.upper(count))
 
-    def _alone(self, uav: int, k: int, start: int, x: Array, steps: int) -> Array:
+    def _alone(self, uav: int, k: int, start: int, linear: Linear, steps: int) -> Array:
         """Return the inputs of a UAV alone over a plan, (steps, 4).
 
         Those of the setpoints, and a deviation that fades.
@@ -74,7 +74,7 @@ class HandOver:
         if uav not in self._held_I:
             self._held_I[uav] = self._preload(uav, k)
         held_I = self._held_I[uav]
-        motion = self._motion(uav, k, start, x)
+        motion = self._motion(uav, k, start, linear)
         deviation = law.inputs(motion, setpoint, held_I) - setpoint.inputs
         self._held_I[uav] = law.held(held_I, motion, setpoint, self._period_s)
 
@@ -82,11 +82,13 @@ class HandOver:
         ahead = self._team.alone_ahead(uav, start, steps)
         return np.asarray(ahead + fading[:, None] * deviation)
 
-    def _motion(self, uav: int, k: int, start: int, x: Array) -> Motion:
+    def _motion(self, uav: int, k: int, start: int, linear: Linear) -> Motion:
         """Return the motion of a UAV at tick `start` by its own sensors.
 
-        Without measurements of tick k: by the estimate, (n,).
+        Without measurements of tick k: by the estimate at that tick. The inputs in force until then are
+        those before it.
         """
+        x, before = linear.x0, linear.u0[state.input_slice(uav)]
         system, estimator = self._setup.system, self._team.estimator
         if not isinstance(estimator, SensorEstimator):
             return motion_of(system, uav, x)
@@ -109,6 +111,11 @@ class HandOver:
             sensors.observe(told.values, float(told.inputs[0]), tick, reference)
             if tick == k:
                 motion = sensors.motion(told.values, k, start, reference)
+                if start > k:
+                    driven = before[1:] - self._team.alone(uav, k)[1].turning
+                    motion = turned_by_inputs(
+                        motion, reference(start), system, uav, driven, self._period_s
+                    )
         return motion
 
     def _preload(self, uav: int, k: int) -> Array:

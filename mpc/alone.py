@@ -6,7 +6,6 @@ Source: docs/equations.md (31a)-(31c), (31g).
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,7 +13,8 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.model.parameters import System
 from transport.model.rotations import rotation
-from transport.mpc.attitude_loop import FOLLOWING, attitude_loop
+from transport.mpc.attitude_loop import OuterGain, attitude_loop
+from transport.mpc.settings import AloneGains
 from transport.mpc.thrust_direction import roll_and_pitch, roll_and_pitch_slopes
 from transport.mpc.uav_motion import (
     Motion,
@@ -22,28 +22,14 @@ from transport.mpc.uav_motion import (
     Setpoint,
     hover_motion_slopes,
     motion_slopes,
+    turn_by_inputs,
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AloneGains:
-    """Gains of the position loop and limits; docs/equations.md (31a)-(31c) has the reasons."""
-
-    position: float = 6.0  # 1/s^2
-    velocity: float = 5.0  # 1/s; as stiff as the attitude loop allows at 20 Hz
-    integral: float = 2.5  # 1/s^3
-    # Time in which the integral forgets, s: UAVs on a rigid body could otherwise hold any force
-    # against each other, which biases of their sensors would let grow.
-    forgets_s: float = 20.0
-    # Acceleration per velocity of the rod's lower end relative to the UAV, 1/s, for a rod of 1 m. It
-    # grows with the period of the rod, sqrt(l): the lag of the attitude loop limits it.
-    swing: float = 0.5
-    steepest_rad: float = 0.5  # largest change of roll and of pitch that a deviation asks for
-    most_held: float = 0.4  # largest force of the integral, as a share of the hover thrust
-
 
 GAINS = AloneGains()
 
+# Gain from an attitude error to commanded body rates over that of the inner loop: damping ratio 0.7. The
+# faster attitude loop leaves room for the position loop around it.
+_OUTER = 0.5
 # Stiffness of the heading over that of roll and pitch: it returns within some seconds. The moment
 # about the vertical is small: an error of half a turn asks for no more than there is.
 _HEADING = 0.08
@@ -81,7 +67,9 @@ class AloneLaw:
         self._masses = np.array([mass, mass, hover_N / system.gravity])
 
         # G_Theta and G_omega of (31c).
-        loop = attitude_loop(system, uav, FOLLOWING, heading=_HEADING)
+        outer = OuterGain(share=_OUTER, largest=gains.rates)
+        frequency_rad_s = gains.attitude_rads
+        loop = attitude_loop(system, uav, outer, frequency_rad_s=frequency_rad_s, heading=_HEADING)
         self._stiffness = loop.stiffness
         self._damping = loop.damping
 
@@ -146,17 +134,14 @@ class AloneLaw:
         most_N = self._gains.most_held * self._hover_N
         return np.minimum(np.maximum(held_I, -most_N), most_N)
 
-    def gain(self, ahead_s: float = 0.0) -> Array:
-        """Return the derivative of `inputs` about hover by the state of the team, (4, n): (31c).
-
-        Where inputs act later by a time, s, deviations go on at their rates until then, (31e).
-        """
-        slopes = hover_motion_slopes(self._system, self._uav, ahead_s)
+    def gain(self) -> Array:
+        """Return the derivative of `inputs` about hover by the state of the team, (4, n): (31c)."""
+        slopes = hover_motion_slopes(self._system, self._uav)
         gain = self._by_force() @ self._force_slopes(slopes)
 
         by_own = gain[1:, state.uav_slice(self._uav)]  # a view
         by_own[:, state.THETA] -= self._stiffness
-        by_own[:, state.OMEGA] -= self._damping + ahead_s * self._stiffness
+        by_own[:, state.OMEGA] -= self._damping
         return gain
 
     def gain_along(self, x: Array, setpoint: Setpoint) -> Array:
@@ -192,15 +177,33 @@ class AloneLaw:
         """Time in which the integral forgets, s."""
         return self._gains.forgets_s
 
-    def held_gains(self, ahead_s: float = 0.0) -> tuple[Array, Array]:
-        """Return two derivatives about hover for the force h of the integral: (31a), (31c).
+    def by_position(self) -> Array:
+        """Return the change of the integral's force by the deviation of position, (3, 3), N/(m s): (31a)."""
+        return -np.diag(self._masses * self._gains.integral)
 
-        That of dh/dt by the state of the team, (3, n), but for what the integral forgets, and that of
-        `inputs` by h, (4, 3). `ahead_s` is as for `gain`.
+    def by_held(self) -> Array:
+        """Return the derivative of `inputs` about hover by the force of the integral, (4, 3): G_F of (31c)."""
+        return self._by_force()
+
+    def by_swing(self) -> Array:
+        """Return the derivative of `inputs` about hover by the velocity of the rod's lower end, (4, 3): (31c)."""
+        level = np.diag(self._masses * [1.0, 1.0, 0.0])
+        slopes: Array = -self._swing * (self._by_force() @ level)
+        return slopes
+
+    def by_inputs_before(self, period_s: float) -> tuple[Array, Array]:
+        """Return how `inputs` answer, as they act a period later, to those in force until then: (31e).
+
+        By these inputs, (4, 4), and by the own body rates, (4, 3), of which a constant rate is taken
+        already.
         """
-        integral = self._masses * self._gains.integral
-        position = hover_motion_slopes(self._system, self._uav, ahead_s).position_I
-        return -integral[:, None] * position, self._by_force()
+        by_turning, by_rates = turn_by_inputs(self._system, self._uav, period_s)
+        answer = np.hstack([-self._stiffness, -self._damping])
+        before = np.zeros((state.INPUTS, state.INPUTS))
+        before[1:, 1:] = answer @ by_turning
+        rates = np.zeros((state.INPUTS, 3))
+        rates[1:] = answer @ by_rates
+        return before, rates
 
     def by_sensors(self) -> Array:
         """Return the derivative of `inputs` about hover by the own sensors, (4, 15), but for the swing: (31c).

@@ -53,7 +53,10 @@ class AloneTeam:
         self._reference = reference
         self._motion: UndisturbedMotion | None = None  # of the present team
         self._version: object = None  # of its law
-        self._on_reference = FailSafe(self._system, self._hover.u, reference.X, reference.track)
+        gains = self._settings.alone_gains
+        self._on_reference = FailSafe(
+            self._system, self._hover.u, reference.X, reference.track, gains=gains
+        )
         self.fail(self._off, self._released)
 
     def fail(self, off: Collection[int], released: Collection[int]) -> None:

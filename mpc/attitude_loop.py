@@ -12,9 +12,9 @@ import numpy as np
 from transport.model.arrays import Array
 from transport.model.parameters import System
 
-# The loop on moments: slow enough for the moment limits of small quadrotors, faster than the
-# pendulum of a rod.
-_FREQUENCY_RAD_S = 6.0
+# The loop on moments of a UAV that keeps level: slow enough for the moment limits of small quadrotors,
+# faster than the pendulum of a rod.
+LEVELLING_RAD_S = 6.0
 _DAMPING_RATIO = 0.8
 
 
@@ -31,8 +31,6 @@ class OuterGain:
 
 # Critical damping, as autopilots usually have it.
 LEVELLING = OuterGain(share=0.25, largest=6.0)
-# Damping ratio 0.7: the faster attitude loop leaves room for the position loop around it.
-FOLLOWING = OuterGain(share=0.5, largest=10.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,10 +41,12 @@ class AttitudeLoop:
     damping: Array  # (3, 3), N m s/rad; zero for commanded body rates, which the inner loop damps
 
 
-def attitude_loop(system: System, uav: int, outer: OuterGain, *, heading: float) -> AttitudeLoop:
+def attitude_loop(
+    system: System, uav: int, outer: OuterGain, *, frequency_rad_s: float, heading: float
+) -> AttitudeLoop:
     """Return the attitude loop of a UAV, 0-based; `heading` is its stiffness about yaw over that about roll and pitch.
 
-    `outer` holds where the inputs are body rates.
+    `outer` holds where the inputs are body rates, the frequency where they are moments.
     """
     weights = np.diag([1.0, 1.0, heading])
     if system.rate_gains is not None:
@@ -55,6 +55,6 @@ def attitude_loop(system: System, uav: int, outer: OuterGain, *, heading: float)
 
     inertia = system.uavs[uav].inertia
     return AttitudeLoop(
-        stiffness=_FREQUENCY_RAD_S**2 * inertia @ weights,
-        damping=2.0 * _DAMPING_RATIO * _FREQUENCY_RAD_S * inertia,
+        stiffness=frequency_rad_s**2 * inertia @ weights,
+        damping=2.0 * _DAMPING_RATIO * frequency_rad_s * inertia,
     )

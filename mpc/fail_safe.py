@@ -13,8 +13,9 @@ from transport.model.flat import Track
 from transport.model.hover import hover_after_failures, with_released
 from transport.model.identity import digest
 from transport.model.parameters import ParameterError, System
-from transport.mpc.alone import AloneLaw
-from transport.mpc.attitude_loop import LEVELLING, attitude_loop
+from transport.mpc.alone import GAINS, AloneLaw
+from transport.mpc.attitude_loop import LEVELLING, LEVELLING_RAD_S, attitude_loop
+from transport.mpc.settings import AloneGains
 from transport.mpc.uav_motion import Setpoint, motion_of, setpoint_of
 from transport.mpc.undisturbed import UndisturbedMotion
 
@@ -28,7 +29,7 @@ class FailSafe:
 
     They follow the states X_ref, (K, n), the last one held, each UAV alone by its own motion;
     without them they keep level. With the undisturbed motion of the whole team along X_ref they
-    follow that: its payload does not swing.
+    follow that: its payload does not swing. UAVs alone have the gains.
     """
 
     def __init__(
@@ -38,7 +39,9 @@ class FailSafe:
         X_ref: Array | None = None,
         track: Track | None = None,
         motion: UndisturbedMotion | None = None,
+        gains: AloneGains = GAINS,
     ) -> None:
+        self.gains = gains
         self.u_hover = u_hover
         self.track = track
         self.motion = motion
@@ -46,7 +49,9 @@ class FailSafe:
         self._system = system
         self._gains = [_attitude_gain(system, uav) for uav in range(system.N)]
         thrusts_N = u_hover[:: state.INPUTS]
-        self._laws = [AloneLaw(system, uav, float(thrusts_N[uav])) for uav in range(system.N)]
+        self._laws = [
+            AloneLaw(system, uav, float(thrusts_N[uav]), gains) for uav in range(system.N)
+        ]
 
     @property
     def follows(self) -> bool:
@@ -57,7 +62,7 @@ class FailSafe:
     def key(self) -> bytes:
         """Digest of the numbers that `of_team` follows from."""
         by_track = None if self.track is None else self.track.key
-        return digest(self._system, self.u_hover, self._X_ref, by_track)
+        return digest(self._system, self.u_hover, self._X_ref, by_track, repr(self.gains))
 
     def of_team(self, off: Collection[int], released: Collection[int]) -> "FailSafe":
         """Return the fail-safe whose thrusts hold the payload without UAVs off or released.
@@ -83,7 +88,7 @@ class FailSafe:
             track = flat.track(system, hover, track.paths, track.first, released)
             if X_ref is not None:
                 X_ref = np.concatenate([X_ref[: track.first], track.X])
-        return FailSafe(self._system, u_hover, X_ref, track)
+        return FailSafe(self._system, u_hover, X_ref, track, gains=self.gains)
 
     def warm_up(self) -> None:
         """Compute what UAVs follow, as far as it has an end."""
@@ -157,7 +162,8 @@ class FailSafe:
 
 def _attitude_gain(system: System, uav: int) -> Array:
     """Return the feedback on a UAV's own state that levels it, (4, 12): (31), (58)."""
-    loop = attitude_loop(system, uav, LEVELLING, heading=0.0)  # the heading is free
+    # The heading is free.
+    loop = attitude_loop(system, uav, LEVELLING, frequency_rad_s=LEVELLING_RAD_S, heading=0.0)
     gain = np.zeros((state.INPUTS, state.PER_UAV))
     gain[1:, state.THETA] = -loop.stiffness
     gain[1:, state.OMEGA] = -loop.damping

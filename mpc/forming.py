@@ -182,7 +182,9 @@ def _fail_safe(
 ) -> FailSafe:
     """Return the fail-safe of the whole team, which follows states or a motion, or keeps level."""
     follows = crew.settings.fail_safe == "follow"
-    return FailSafe(crew.model.system, crew.hover.u, X if follows else None, track, motion)
+    gains = crew.settings.alone_gains
+    X_ref = X if follows else None
+    return FailSafe(crew.model.system, crew.hover.u, X_ref, track, motion, gains)
 
 
 def _preview(law: HoverLaw, followed: Followed, motion: UndisturbedMotion | None) -> Preview | None:

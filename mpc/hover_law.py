@@ -33,9 +33,13 @@ class Crew:
 
     @property
     def key(self) -> bytes:
-        """Digest of the numbers that control laws follow from."""
+        """Digest of the numbers that control laws follow from.
+
+        Gains of UAVs alone count where a fail-safe has them.
+        """
         kind = type(self.model).__qualname__
-        return digest(kind, self.model.system, self.hover, repr(self.settings))
+        settings = self.settings.model_copy(update={"alone": None})
+        return digest(kind, self.model.system, self.hover, repr(settings))
 
     @property
     def needs_regulator(self) -> bool:
@@ -89,8 +93,9 @@ def hover_law(crew: Crew, fail_safe: FailSafe, team: Team) -> HoverLaw:
 
     Raises: ParameterError: the team has no hover. FeedbackError: no gain stabilises it.
     """
-    follows = fail_safe.follows if team.gone else None  # UAVs with an agent use none
-    key = digest(crew.key, follows, team)
+    # UAVs with an agent use none.
+    answer = (fail_safe.follows, repr(fail_safe.gains)) if team.gone else None
+    key = digest(crew.key, answer, team)
     return _HOVER_LAWS.get(key, lambda: _hover_law(key, crew, fail_safe, team))
 
 

@@ -280,15 +280,18 @@ class Margin:
     upper: float | None
 
 
-def margins(loop: SampledLoop) -> dict[str, Margin]:
-    """Return the margin to each property of `Mismatch`, the others as known.
+_PROPERTIES = tuple(field.name for field in fields(Mismatch))
+
+
+def margins(loop: SampledLoop, names: Sequence[str] = _PROPERTIES) -> dict[str, Margin]:
+    """Return the margin to properties of `Mismatch`, by default all, each with the others as known.
 
     Empty if the loop is unstable as known.
     """
     nominal = Mismatch(lag_s=loop.known_lag_s)
     if loop.growth(nominal) > GROWTH:
         return {}
-    return {field.name: _margin(loop, nominal, field.name) for field in fields(Mismatch)}
+    return {name: _margin(loop, nominal, name) for name in names}
 
 
 def _margin(loop: SampledLoop, nominal: Mismatch, name: str) -> Margin:

@@ -17,6 +17,9 @@ from transport.mpc.uav_motion import Motion
 # the noise.
 _FREQUENCY_RAD_S = 3.0
 _DAMPING_RATIO = 0.7
+# Growth of the offset, 1/s, and of its rate, 1/s^2, by the deviation of the measured rod from the offset.
+OFFSET_GAIN = 2.0 * _DAMPING_RATIO * _FREQUENCY_RAD_S
+RATE_GAIN = _FREQUENCY_RAD_S**2
 # Tension from which on a rod shows its direction, as a share of that at hover. With less the noise of
 # the accelerometer and the error of the thrust have a large part in the direction.
 _TAUT = 0.25
@@ -66,9 +69,8 @@ class OwnSensors:
         # sigma' = nu + 2 zeta omega (s - s_ref - sigma),  nu' = omega^2 (s - s_ref - sigma)
         strength_N = float(np.linalg.norm(pull_I))
         error_I = self._rod_length / strength_N * pull_I - rod_ref_I - self._offset_I
-        damping = 2.0 * _DAMPING_RATIO * _FREQUENCY_RAD_S
-        self._offset_I = self._offset_I + self._period_s * (self._rate_I + damping * error_I)
-        self._rate_I = self._rate_I + self._period_s * _FREQUENCY_RAD_S**2 * error_I
+        self._offset_I = self._offset_I + self._period_s * (self._rate_I + OFFSET_GAIN * error_I)
+        self._rate_I = self._rate_I + self._period_s * RATE_GAIN * error_I
 
     def motion(
         self, sensed: Array, tick: int, start: int, reference: Callable[[int], Motion]

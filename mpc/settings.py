@@ -6,7 +6,7 @@ sets, and a `relaxation` that follows from the team ("auto").
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Interval, Len
@@ -274,6 +274,38 @@ class CostTerm(Section):
     `controller.weights.terminal` times as much, or the cost-to-go"""
 
 
+class AloneGains(Section):
+    """Gains of the control law of UAVs alone (docs/equations.md (31a), (31b)). If omitted: designed for the team.
+
+    The limits of the law are no keys: they are the same for all teams.
+    """
+
+    # Time in which the integral forgets, s: UAVs on a rigid body could otherwise hold any force
+    # against each other, which biases of their sensors would let grow.
+    forgets_s: ClassVar[float] = 20.0
+    steepest_rad: ClassVar[float] = (
+        0.5  # largest change of roll and pitch that a deviation asks for
+    )
+    most_held: ClassVar[float] = (
+        0.4  # largest force of the integral, as a share of the hover thrust
+    )
+
+    position: Annotated[Positive, Key(unit="1/s²")] = 6.0
+    """acceleration per deviation of position"""
+    velocity: Annotated[Positive, Key(unit="1/s")] = 5.0
+    """acceleration per deviation of velocity"""
+    integral: Annotated[Positive, Key(unit="1/s³")] = 2.5
+    """growth of the held acceleration per deviation of position"""
+    swing: Annotated[NotNegative, Key(unit="1/s")] = 0.5
+    """acceleration per velocity of the rod's lower end relative to the UAV, for a rod of 1 m; it grows with
+    the square root of the rod's length"""
+    attitude_rads: Positive = 6.0
+    """frequency of the attitude loop; only with `controller.inputs=moments`"""
+    rates: Annotated[Positive, Key(unit="1/s")] = 10.0
+    """largest gain from attitude to commanded body rates; at most half that of the inner loop; only with
+    `controller.inputs=rates`"""
+
+
 class ControllerSettings(Section):
     """All settings of one controller."""
 
@@ -333,8 +365,14 @@ class ControllerSettings(Section):
     separation: Separation | None = None
     tilt: Tilt | None = None
     tension: Tension | None = None
+    alone: AloneGains | None = None
     constraint: Annotated[tuple[Constraint, ...], BeforeValidator(_as_tuple)] = ()
     cost: Annotated[tuple[CostTerm, ...], BeforeValidator(_as_tuple)] = ()
+
+    @property
+    def alone_gains(self) -> AloneGains:
+        """Gains of UAVs alone: the given or designed ones, else the defaults."""
+        return AloneGains() if self.alone is None else self.alone
 
     def lower(self, uavs: int) -> Array:
         """Return the smallest inputs of that many UAVs, (4 uavs,)."""

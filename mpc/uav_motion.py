@@ -1,7 +1,7 @@
 """The motion of one UAV, as its own sensors can show it, and the setpoint that a UAV alone follows."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -91,12 +91,43 @@ def ahead(
     )
 
 
+def turn_by_inputs(system: System, uav: int, duration_s: float) -> tuple[Array, Array]:
+    """Return what turns a UAV, 0-based, beside its constant body rates, in attitude and body rates after a time.
+
+    By a deviation of moments, or of commanded body rates, (6, 3), and by that of the body rates, (6, 3).
+    Small angles; gyroscopic moments are left out. Source: docs/equations.md (13), (57), integrated.
+    """
+    if system.rate_gains is None:
+        #   J omega' = tau
+        acceleration = np.linalg.inv(system.uavs[uav].inertia)
+        turn = np.vstack([0.5 * duration_s**2 * acceleration, duration_s * acceleration])
+        return turn, np.zeros((6, 3))
+    #   omega' = K (omega_c - omega)
+    decayed = 1.0 - np.exp(-system.rate_gains * duration_s)
+    turn = np.vstack([np.diag(duration_s - decayed / system.rate_gains), np.diag(decayed)])
+    return turn, -turn
+
+
+def turned_by_inputs(
+    motion: Motion, there: Motion, system: System, uav: int, driven: Array, duration_s: float
+) -> Motion:
+    """Return a motion `ahead` by a time, s, with the turn by the inputs in force until then: (31e).
+
+    `there` is the reference at that time, `driven` the deviation of moments, or of commanded body rates,
+    from those of the reference, (3,).
+    """
+    by_driven, by_rates = turn_by_inputs(system, uav, duration_s)
+    turn = by_driven @ driven + by_rates @ (motion.omega_B - there.omega_B)
+    return replace(motion, Theta=motion.Theta + turn[:3], omega_B=motion.omega_B + turn[3:])
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionSlopes:
     """Derivatives of the motion of one UAV by the state of the team, (3, n) each."""
 
     position_I: Array
     velocity_I: Array
+    rod_I: Array
     swing_I: Array
 
 
@@ -127,24 +158,27 @@ def motion_slopes(system: System, uav: int, x: Array) -> MotionSlopes:
     position = np.zeros((3, len(x)))
     position[:, state.uav_slice(uav)][:, state.E] = -length * np.eye(3)
 
-    # All three turn with the payload: dphi is the turn by a change of its Euler angles, payload frame.
+    rod = np.zeros((3, len(x)))
+    rod[:, state.uav_slice(uav)][:, state.E] = length * np.eye(3)
+
+    # All of them turn with the payload: dphi is the turn by a change of its Euler angles, payload frame.
     #   d(R0 a) = R0 (da + dphi x a)
     turn_P = np.linalg.inv(euler_rates(x[state.THETA0]))
     position[:, state.THETA0] = -_skew(rho - rod_P) @ turn_P
     velocity[:, state.THETA0] = -_skew(velocity_P) @ turn_P
     swing[:, state.THETA0] = -_skew(swing_P) @ turn_P
+    rod[:, state.THETA0] = -_skew(rod_P) @ turn_P
 
     R0 = rotation(x[state.THETA0])
     position_I = R0 @ position
     position_I[:, state.R0] = np.eye(3)
-    return MotionSlopes(position_I=position_I, velocity_I=R0 @ velocity, swing_I=R0 @ swing)
+    return MotionSlopes(
+        position_I=position_I, velocity_I=R0 @ velocity, rod_I=R0 @ rod, swing_I=R0 @ swing
+    )
 
 
-def hover_motion_slopes(system: System, uav: int, ahead_s: float) -> MotionSlopes:
-    """Return the derivatives of `motion_of` about hover, with the position a time later, s, at a constant velocity.
-
-    Source: docs/equations.md (31c), (31e).
-    """
+def hover_motion_slopes(system: System, uav: int) -> MotionSlopes:
+    """Return the derivatives of `motion_of` about hover. Source: docs/equations.md (31c)."""
     rho = system.uavs[uav].rho
     length = system.uavs[uav].rod_length
     rod = length * np.array([0.0, 0.0, 1.0])
@@ -162,9 +196,11 @@ def hover_motion_slopes(system: System, uav: int, ahead_s: float) -> MotionSlope
     position[:, state.R0] = np.eye(3)
     position[:, state.THETA0] = np.cross(np.eye(3), rho - rod).T
     position[:, own][:, state.E] = -length * np.eye(3)
-    return MotionSlopes(
-        position_I=position + ahead_s * velocity, velocity_I=velocity, swing_I=swing
-    )
+
+    end = np.zeros((3, system.n))
+    end[:, state.THETA0] = np.cross(np.eye(3), rod).T
+    end[:, own][:, state.E] = length * np.eye(3)
+    return MotionSlopes(position_I=position, velocity_I=velocity, rod_I=end, swing_I=swing)
 
 
 def _skew(a: Array) -> Array:

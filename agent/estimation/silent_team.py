@@ -34,7 +34,8 @@ class SilentTeam:
 
     def __init__(self, setup: Setup) -> None:
         system = setup.system
-        alone = FailSafe(system, setup.hover.u, setup.hover.x[None])
+        gains = setup.settings.alone_gains
+        alone = FailSafe(system, setup.hover.u, setup.hover.x[None], gains=gains)
         columns = system.n + (system.m if setup.settings.motor_lag_s > 0.0 else 0)
         self._gain = padded(np.vstack([alone.gain(uav) for uav in range(system.N)]), columns)
         slopes = np.vstack([alone.law(uav).by_sensors() for uav in range(system.N)])

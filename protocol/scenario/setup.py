@@ -16,11 +16,13 @@ from transport.model.maneuver import Maneuver
 from transport.model.obstacles import Obstacle
 from transport.model.parameters import System
 from transport.model.target import Target
+from transport.mpc.alone_design import AloneDesign, TeamAlone
 from transport.mpc.expressions import check_constraints, check_costs
 from transport.mpc.hover_law import Crew
 from transport.mpc.reference import Reference
 from transport.mpc.regulation import Regulation, WholeTeam
 from transport.mpc.settings import ControllerSettings
+from transport.protocol.scenario.acting_alone import check_design, hands_over, may_act_alone
 from transport.protocol.scenario.budget import ticks_of
 from transport.protocol.scenario.built import maneuver_of, obstacle_of, system_of
 from transport.protocol.scenario.checks import (
@@ -69,6 +71,8 @@ class Setup:
     reference: Reference  # with the targets so far
     settings: ControllerSettings  # the same for every agent
     owned: tuple[tuple[int, ...], ...]  # 0-based UAVs of agent 1, agent 2, ...
+    # Design of the law of UAVs alone, whose gains `settings` has; None where none of them acts alone.
+    alone: AloneDesign | None = None
 
     @staticmethod
     def of(scenario: Scenario, source: str) -> "Setup":
@@ -99,7 +103,34 @@ class Setup:
             owned=tuple(tuple(uav - 1 for uav in group) for group in scenario.owned),
         )
         setup._check(source)
-        return setup
+        return setup._with_gains_alone(source)
+
+    def _with_gains_alone(self, source: str) -> "Setup":
+        """Return the run with the gains of UAVs alone that are designed for its team.
+
+        Raises: ScenarioError: UAVs act alone in this run, and no gains hold the team.
+        """
+        if not may_act_alone(self.scenario):
+            return self
+        design = self.team_alone(next_tick=self.scenario.clock.next_tick).design()
+        check_design(self.scenario, source, design)
+        settings = self.settings.model_copy(update={"alone": design.gains})
+        return replace(self, settings=settings, alone=design)
+
+    def team_alone(self, *, next_tick: bool) -> TeamAlone:
+        """Return the team whose UAVs may act alone; with `next_tick` inputs act a period later."""
+        settings = self.settings.model_copy(update={"alone": self.scenario.controller.alone})
+        team_gain = None
+        # The regulator with known motor lag is of more states than UAVs alone have.
+        if hands_over(self.scenario) and settings.motor_lag_s == 0.0:
+            team_gain = Regulation(self.model, self.hover, settings).gain(0)
+        return TeamAlone(
+            system=self.system,
+            settings=settings,
+            next_tick=next_tick,
+            ages=self.sensors.ages if self.sensors.vehicle else None,
+            team_gain=team_gain,
+        )
 
     def _check(self, source: str) -> None:
         """Check that controllers exist, and that hover, reference and targets keep the limits.

@@ -15,7 +15,6 @@ from transport.model.hover import hover
 from transport.model.parameters import System, table_1
 from transport.mpc.actual_plant import Mismatch
 from transport.mpc.alone import GAINS, AloneLaw, steps_alone
-from transport.mpc.alone_margins import AloneLoop
 from transport.mpc.compiled_alone import CompiledAloneLaw, CompiledSetpoint
 from transport.mpc.controller import Controller
 from transport.mpc.fail_safe import FailSafe
@@ -203,10 +202,10 @@ def test_without_a_deviation_the_integral_forgets() -> None:
 @pytest.mark.parametrize("next_tick", [False, True])
 def test_a_team_of_uavs_alone_is_stable(name: str, next_tick: bool) -> None:
     """All deviations from hover decay, also those of the integrals, with inputs at once and a period later."""
-    run = ready(name)
-    loop = AloneLoop(run.system, run.settings.sampling_period_s, next_tick=next_tick)
+    team = ready(name).team_alone(next_tick=next_tick)
+    loop = team.loop(team.design().gains)
     assert loop.growth(Mismatch()) < 0.0
-    assert loop.growth(Mismatch(lag_s=0.03)) < 0.0
+    assert loop.growth(Mismatch(lag_s=0.025)) < 0.0
 
 
 @pytest.mark.parametrize("name", READY)
@@ -218,7 +217,8 @@ def test_a_team_of_which_some_act_alone_is_stable(name: str) -> None:
     run = ready(name)
     whole = Controller(run.model, run.hover, run.settings, range(run.system.N))
     K_team = whole.regulation.gain(0)[:, : run.system.n]
-    follows = FailSafe(run.system, run.hover.u, run.hover.x[None])
+    gains = run.settings.alone_gains
+    follows = FailSafe(run.system, run.hover.u, run.hover.x[None], gains=gains)
     K_alone = np.vstack([follows.gain(uav) for uav in range(run.system.N)])
     T = tangent(run.hover.x)
     held = zero_order_hold(

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from transport.model.parameters import System, table_1
-from transport.mpc.attitude_loop import FOLLOWING, LEVELLING, OuterGain, attitude_loop
+from transport.mpc.attitude_loop import LEVELLING, OuterGain, attitude_loop
 
 PAPER = table_1()
+# That of a UAV alone.
+FOLLOWING = OuterGain(share=0.5, largest=10.0)
 ROUNDING = 1e-6  # of a double pole, whose error is the root of that of its coefficients
 
 
@@ -21,7 +23,7 @@ def test_both_loops_together_have_their_damping(
 ) -> None:
     """The poles of an attitude whose body rate follows its command with a lag of 1 / K, (57), (58)."""
     system = System(payload=PAPER.payload, uavs=PAPER.uavs, rate_gains=[K, K, K])
-    gain = attitude_loop(system, 0, outer, heading=0.0).stiffness[0, 0]
+    gain = attitude_loop(system, 0, outer, frequency_rad_s=6.0, heading=0.0).stiffness[0, 0]
 
     # dTheta/dt = omega, domega/dt = K (-gain Theta - omega)
     poles = np.linalg.eigvals(np.array([[0.0, 1.0], [-K * gain, -K]]))

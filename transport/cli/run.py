@@ -9,6 +9,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
+from itertools import chain
 from pathlib import Path
 from typing import Self
 
@@ -23,6 +24,7 @@ from transport.flight.harness import Child, start_child
 from transport.flight.run import simulate
 from transport.flight.run_files import new_folder
 from transport.protocol.network.endpoints import process_names
+from transport.protocol.scenario.acting_alone import lacks
 from transport.protocol.scenario.relations import after_the_end
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
@@ -62,7 +64,7 @@ def run(
     setup = options.read_setup(scenario, settings, allow_large=allow_large)
     started_by_user = external or []
     _check_external(setup, started_by_user)
-    for problem in after_the_end(setup.scenario):
+    for problem in chain(after_the_end(setup.scenario), lacks(setup.alone)):
         typer.echo(f"warning: {problem}", err=True)
     folder = out if out is not None else new_folder(options.RUNS, setup.scenario.name)
 

@@ -2,6 +2,7 @@
 
 import shlex
 from collections import Counter
+from itertools import chain
 from pathlib import Path
 
 import tomli_w
@@ -14,6 +15,7 @@ from transport.cli.output import Format, blame, fail, show
 from transport.flight.run_files import checked
 from transport.interface.scenario import Scenario
 from transport.model.state import INPUTS
+from transport.protocol.scenario.acting_alone import lacks
 from transport.protocol.scenario.budget import check_budget, estimate
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.radio_settings import slot_lengths
@@ -21,6 +23,7 @@ from transport.protocol.scenario.relations import after_the_end
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.team import FEWEST, MOST, Team, given_values
 from transport.protocol.wire.exit_codes import EXIT_CHECK_FAILED
+from transport.report.laws import MOST_UAVS, in_words
 
 # Share of the largest thrust at hover above which a scenario is said to have little left.
 _MOST_HOVER = 0.85
@@ -154,7 +157,10 @@ def validate(
         if slots is not None:
             kind = "radio" if slots.are_enough else "radio, warning"
             typer.echo(f"{kind}: {label}{slots.text()}", err=True)
-    for problem in after_the_end(setup.scenario):
+    if setup.system.N <= MOST_UAVS:
+        for line in in_words(setup):
+            typer.echo(line, err=True)
+    for problem in chain(after_the_end(setup.scenario), lacks(setup.alone)):
         typer.echo(f"warning: {problem}", err=True)
     typer.echo(f"estimate: {estimate(setup.scenario).text()}", err=True)
 

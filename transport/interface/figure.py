@@ -14,7 +14,8 @@ from transport.interface.scenario import Scenario
 from transport.interface.settings import ArgumentError, Settings, ShortSettings
 from transport.protocol.scenario.setup import Setup
 from transport.report.figures import FIGURES, fill
-from transport.report.margins import ACTUATIONS, HoverMargins, draw, hover_margins, rows
+from transport.report.laws import ACTUATIONS
+from transport.report.margins import HoverMargins, draw, hover_margins, rows
 from transport.report.style import RC
 
 

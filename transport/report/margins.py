@@ -3,7 +3,6 @@
 How far the plant may differ from the controllers' model; table and figure.
 """
 
-import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -13,12 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from transport.mpc.actual_plant import Mismatch
-from transport.mpc.alone_margins import AloneLoop
-from transport.mpc.controller import Controller
-from transport.mpc.margins import FARTHEST, FARTHEST_S, Loop, Margin, SampledLoop, margins
-from transport.mpc.reference import Sampled
-from transport.protocol.scenario.errors import ScenarioError
+from transport.mpc.margins import FARTHEST, FARTHEST_S, Margin, SampledLoop, margins
 from transport.protocol.scenario.setup import Setup
+from transport.report.laws import ACTUATIONS, alone_loops, check_feedback, team_loops
 from transport.report.style import COLUMN_IN, CURVES
 
 # Label and unit of each property of the plant; factors are relative to the value that the
@@ -33,8 +29,6 @@ LABELS = {
     "payload_inertia": "payload inertia",
     "rod_length": "rod length",
 }
-ACTUATIONS = ("immediate", "next_tick")
-_FEEDBACK = "closed_loop, riccati, exact"  # prediction, terminal and discretisation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,70 +58,12 @@ def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
         some of several.
     """
     absent = tuple(sorted(set(without)))
-    if setup.scenario.agents.controller == "alone" and not absent:
-        return _alone(setup)
-    _check(setup, absent)
-
     # Several threads are slower than one with matrices of this size.
     with threadpoolctl.threadpool_limits(1):
-        return _of(setup.scenario.name, absent, _team_loops(setup, absent))
-
-
-def _check(setup: Setup, absent: Collection[int]) -> None:
-    """Refuse a controller whose plans are not a known feedback, and agents that cannot be gone.
-
-    Raises: ScenarioError.
-    """
-    name = setup.scenario.name
-    if setup.scenario.agents.controller != "mpc":
-        problem = "expected 'mpc', whose feedback is known, got a class"
-        raise ScenarioError(name, "agents.controller", problem)
-    if absent and not set(absent) < set(setup.agents):
-        problem = f"expected some of {list(setup.agents)} gone, got {list(absent)}"
-        raise ScenarioError(name, "agents", problem)
-
-    settings = setup.settings
-    got = f"{settings.prediction}, {settings.terminal}, {settings.discretisation}"
-    if got != _FEEDBACK:
-        problem = f"expected {_FEEDBACK}, whose plans are a feedback, got {got}"
-        raise ScenarioError(name, "controller", problem)
-
-
-def _team_loops(setup: Setup, absent: Collection[int]) -> dict[str, SampledLoop]:
-    """Return the loop of the team without the absent agents, for each actuation."""
-    present = [setup.owned[agent - 1] for agent in setup.agents if agent not in absent]
-    gone = [uav for agent in absent for uav in setup.owned[agent - 1]]
-
-    # About hover both linearisations are the same.
-    settings = setup.settings.model_copy(update={"linearisation": "present"})
-    reference = Sampled(X=setup.X_ref)
-    team = [Controller(setup.model, setup.hover, settings, owned, reference) for owned in present]
-    if gone:
-        for controller in team:
-            controller.without(gone)
-
-    # Sampling periods from a state to its use by the other agents.
-    delay_in_periods = setup.scenario.links.delay_s / settings.sampling_period_s
-    age = max(1, math.ceil(delay_in_periods - 1e-9))
-    fail_safe = setup.whole_team().law.fail_safe
-    uncontrolled = {uav: fail_safe.gain(uav) for uav in gone}
-    return {
-        actuation: Loop(
-            team, next_tick=actuation == "next_tick", age=age, uncontrolled=uncontrolled
-        )
-        for actuation in ACTUATIONS
-    }
-
-
-def _alone(setup: Setup) -> HoverMargins:
-    """Return the margins of UAVs that all follow the reference alone."""
-    period_s = setup.settings.sampling_period_s
-    with threadpoolctl.threadpool_limits(1):
-        loops = {
-            actuation: AloneLoop(setup.system, period_s, next_tick=actuation == "next_tick")
-            for actuation in ACTUATIONS
-        }
-        return _of(setup.scenario.name, (), loops)
+        if setup.scenario.agents.controller == "alone" and not absent:
+            return _of(setup.scenario.name, (), alone_loops(setup))
+        check_feedback(setup, absent)
+        return _of(setup.scenario.name, absent, team_loops(setup, absent))
 
 
 def _of(name: str, absent: tuple[int, ...], loops: Mapping[str, SampledLoop]) -> HoverMargins:

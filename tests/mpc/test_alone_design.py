@@ -1,0 +1,116 @@
+"""The law of UAVs alone is designed for its team (docs/equations.md (31h))."""
+
+import time
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from tests.support import runs
+from transport.mpc.actual_plant import Mismatch
+from transport.mpc.alone_design import DECAY_PER_S, FAMILY, REQUIRED, TeamAlone
+from transport.mpc.settings import AloneGains
+from transport.protocol.scenario.drawn_team import drawn
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.setup import Setup
+
+READY = (
+    "alone",
+    "resilient",
+    "precise",
+    "windy",
+    "eight",
+    "gap",
+    "playground",
+    "delivery",
+    "collision",
+)
+DRAWN = range(13)  # `python -m benchmarks.teams --margins` has sixty
+LARGE = 12  # a drawn team of eight
+
+
+@lru_cache
+def team(seed: int) -> Setup:
+    """Return a drawn team."""
+    path = find_scenario("precise")
+    return Setup.of(drawn(seed, read_scenario(path), str(path)), f"team {seed}")
+
+
+@pytest.mark.parametrize("name", READY)
+def test_ready_scenarios_keep_the_stiffest_gains(name: str) -> None:
+    """Rings of equal UAVs meet all criteria with the first member, whose tables the documents have."""
+    design = runs.ready(name).alone
+    assert design is not None
+    assert design.gains == FAMILY[0] == AloneGains()
+    assert design.holds
+
+
+@pytest.mark.parametrize("seed", DRAWN)
+def test_a_drawn_team_has_gains_with_margins(seed: int) -> None:
+    """All deviations decay as fast as the integral forgets, and at all with a further delay and a lag."""
+    setup = team(seed)
+    assert setup.alone is not None
+    loop = setup.team_alone(next_tick=setup.scenario.clock.next_tick).loop(setup.alone.gains)
+    assert loop.growth(Mismatch()) < -DECAY_PER_S
+    assert all(loop.growth(plant) < 0.0 for plant in REQUIRED)
+    assert setup.alone.holds
+
+
+def test_the_family_is_needed() -> None:
+    """The gains of rings let the load of some drawn teams grow: a design without a choice fails here."""
+    grows = []
+    for seed in DRAWN:
+        setup = team(seed)
+        loop = setup.team_alone(next_tick=setup.scenario.clock.next_tick).loop(FAMILY[0])
+        grows.append(loop.growth(Mismatch()) > 0.0)
+    assert any(grows)
+
+
+def test_the_design_follows_from_values() -> None:
+    """Two processes that read one scenario have the same gains, whatever they have designed before."""
+    setup = team(0)
+    fresh = Setup.of(setup.scenario, "again")
+    assert fresh.alone == setup.alone
+    again = replace(setup.team_alone(next_tick=False), ages=(1,) * 5)
+    assert isinstance(again.design().gains, AloneGains)
+    assert setup.team_alone(next_tick=setup.scenario.clock.next_tick).design() == setup.alone
+
+
+def test_given_gains_are_flown_as_they_are() -> None:
+    """Gains of the scenario are kept, and judged: `holds` tells that the ring's do not hold this team."""
+    setup = runs.ready("resilient", "controller.alone.attitude_rads=7.0")
+    assert setup.settings.alone == AloneGains(attitude_rads=7.0)
+
+
+def test_moments_limit_the_attitude_loop() -> None:
+    """A vehicle of little moment has no faster loop than its moments turn."""
+    setup = team(next(seed for seed in DRAWN if not team(seed).system.commands_rates))
+    inertia = max(float(uav.inertia[0, 0]) for uav in setup.system.uavs)
+    weak = setup.scenario.controller.limits.model_copy(
+        update={"moments_Nm": (18.0 * inertia, 18.0 * inertia, inertia)}
+    )
+    settings = setup.settings.model_copy(update={"limits": weak, "alone": None})
+    small = replace(setup.team_alone(next_tick=True), settings=settings)
+    assert small.design().gains.attitude_rads <= np.sqrt(18.0 / 0.25)
+
+
+def test_a_run_that_no_gains_hold_is_refused() -> None:
+    """Where silence can lead to UAVs alone that turn over, the run is refused, and says what does without."""
+    slow = ["controller.sampling_period_s=0.3", "controller.horizon=5", "clock.actuation=next_tick"]
+    slow += ["controller.fail_safe=level"]
+    with pytest.raises(ScenarioError, match=r"controller.alone: expected gains .* in silence, got"):
+        runs.ready("resilient", *slow, "links.loss=0.1")
+    assert runs.ready("resilient", *slow).alone is not None  # a perfect network: nobody acts alone
+    runs.ready("resilient", *slow, "links.loss=0.1", "controller.silence=law")
+
+
+def test_designing_eight_uavs_takes_less_than_a_second() -> None:
+    """In processor time, for the team of the drawn ones that tries the most of the family."""
+    setup = team(LARGE)
+    assert setup.system.N == 8
+    begun_s = time.process_time()
+    unknown: TeamAlone = setup.team_alone(next_tick=True)
+    unknown._designed()  # anew, not kept
+    assert time.process_time() - begun_s < 1.0
