@@ -79,7 +79,7 @@ def rows(start: int, steps: int, known: int) -> Rows:
 def continued(before: T, after: T, kept: int) -> T:
     """Return a dataclass of rows from `first` on with up to `kept` earlier ones ahead.
 
-    Functions, and digests, are those of the later.
+    Functions, digests and numbers are those of the later.
     """
     first: int = before.first  # type: ignore[attr-defined]
     now: int = after.first  # type: ignore[attr-defined]
@@ -90,7 +90,7 @@ def continued(before: T, after: T, kept: int) -> T:
             names = [field.name for field in fields(new) if field.name != "first"]
             parts = {name: joined(getattr(old, name), getattr(new, name)) for name in names}
             return replace(new, **parts)  # type: ignore[type-var]
-        if callable(new) or isinstance(new, bytes):
+        if callable(new) or isinstance(new, bytes | int):
             return new
 
         ahead = rows(now - first - count, count, len(old))

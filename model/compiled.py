@@ -12,6 +12,7 @@ import numpy as np
 from transport.model import compiler, dynamics, rotations, state
 from transport.model.arrays import Array
 from transport.model.dynamics import Symbols
+from transport.model.parameters import Kind
 
 # No contraction of products and sums: the same bits as CasADi's interpreter.
 _FLAGS = ("-Og", "-fno-math-errno", "-ffp-contract=off")
@@ -97,8 +98,8 @@ class Compiled:
         return self._results.copy()
 
 
-def functions(N: int, rates: bool = False) -> dict[str, ca.Function]:
-    """Return the CasADi functions of N UAVs, with thrust and moments or body rates as inputs.
+def functions(N: int, rates: bool = False, drag: bool = False) -> dict[str, ca.Function]:
+    """Return the CasADi functions of N UAVs, with thrust and moments or body rates, and with drag.
 
     Compiled if on disk.
 
@@ -111,11 +112,11 @@ def functions(N: int, rates: bool = False) -> dict[str, ca.Function]:
         those by (x, F) with the payload's acceleration held, sparse, by that acceleration, and its
         own by (x, F)
     """
-    return _loaded(N, rates, library(N, rates))
+    return _loaded(Kind(N, rates, drag), library(N, rates, drag))
 
 
 @lru_cache(maxsize=4)
-def _loaded(N: int, rates: bool, path: Path | None) -> dict[str, ca.Function]:
+def _loaded(kind: Kind, path: Path | None) -> dict[str, ca.Function]:
     """Return the functions in a library, and those that it lacks as built by CasADi."""
     compiled: dict[str, ca.Function] = {}
     if path is not None:
@@ -126,44 +127,49 @@ def _loaded(N: int, rates: bool, path: Path | None) -> dict[str, ca.Function]:
 
     if len(compiled) == len(_FUNCTIONS):
         return compiled
-    return _build(N, rates) | compiled
+    return _build(*kind) | compiled
 
 
-def needs_compilation(N: int, rates: bool = False) -> bool:
+def needs_compilation(N: int, rates: bool = False, drag: bool = False) -> bool:
     """Return whether `compile_functions` would compile.
 
     A compiler is there, and the functions are not compiled yet.
     """
-    return compiler.enabled() and compiler.find_compiler() is not None and library(N, rates) is None
+    return (
+        compiler.enabled()
+        and compiler.find_compiler() is not None
+        and library(N, rates, drag) is None
+    )
 
 
-def compile_functions(N: int, rates: bool = False) -> bool:
+def compile_functions(N: int, rates: bool = False, drag: bool = False) -> bool:
     """Compile the functions of N UAVs, with the same bits, for this processor, in seconds.
 
     Return whether they are.
     """
-    if needs_compilation(N, rates):
+    if needs_compilation(N, rates, drag):
         sources = []
-        for name, function in functions(N, rates).items():
+        for name, function in functions(N, rates, drag).items():
             if function.n_instructions() > _MAX_LENGTH:
                 continue
             source = _source(function)
             optimised = _OPTIMISED.format(source) if name == "step" else source
             sources.append(optimised.encode())
-        compiler.compile_library(_file(N, rates), sources, _flags())
-    return library(N, rates) is not None
+        compiler.compile_library(_file(N, rates, drag), sources, _flags())
+    return library(N, rates, drag) is not None
 
 
-def library(N: int, rates: bool) -> Path | None:
+def library(N: int, rates: bool, drag: bool = False) -> Path | None:
     """Return the file of the compiled functions of a system of N UAVs; None if there is none."""
-    path = _file(N, rates)
+    path = _file(N, rates, drag)
     return path if compiler.enabled() and compiler.intact(path) else None
 
 
-def _file(N: int, rates: bool) -> Path:
+def _file(N: int, rates: bool, drag: bool) -> Path:
     """Return the path of the library of a system of N UAVs."""
     inputs = "rates-" if rates else ""
-    return compiler.compiled_file(f"model-{inputs}N{N}", _digest(), _flags())
+    air = "drag-" if drag else ""
+    return compiler.compiled_file(f"model-{inputs}{air}N{N}", _digest(), _flags())
 
 
 @lru_cache
@@ -191,9 +197,9 @@ def _source(function: ca.Function) -> str:
 
 
 @lru_cache(maxsize=2)
-def _build(N: int, rates: bool) -> dict[str, ca.Function]:
+def _build(N: int, rates: bool, drag: bool) -> dict[str, ca.Function]:
     """Return all functions of N UAVs as CasADi evaluates them."""
-    s = Symbols.of(N, rates)
+    s = Symbols.of(N, rates, drag)
     arguments = [s.x, s.u, s.p, s.F]
     motion = dynamics.motion(s)
     y = dynamics.outputs(s)

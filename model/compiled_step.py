@@ -9,6 +9,7 @@ import numpy as np
 from transport.model import native
 from transport.model.arrays import Array, ShapeError
 from transport.model.compiled import library
+from transport.model.parameters import Kind
 
 # Arguments of `step`: x, u, p, F, h. The kernel sets the first two.
 _PARAMETERS = 2
@@ -65,9 +66,9 @@ class CompiledStep:
         self._addresses = [step, *(native.address(room) for room in rooms)]
 
     @staticmethod
-    def load(N: int, rates: bool) -> "CompiledStep | None":
-        """Return the step of N UAVs; None where it is not compiled."""
-        path = library(N, rates) if native.AVAILABLE else None
+    def load(kind: Kind) -> "CompiledStep | None":
+        """Return the step of a system of a kind; None where it is not compiled."""
+        path = library(*kind) if native.AVAILABLE else None
         functions: Any = None if path is None else ctypes.CDLL(str(path))
         if functions is None or not hasattr(functions, "step"):
             return None

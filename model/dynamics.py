@@ -28,6 +28,13 @@ class UavSymbols(NamedTuple):
     length: ca.SX  # l_i of the rod, m
 
 
+class DragSymbols(NamedTuple):
+    """Drag coefficients of a UAV, kg/s."""
+
+    across: ca.SX  # d_i, in the plane of its rotors
+    along: ca.SX  # d_i^z, along their axis
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Symbols:
     """The symbols of a system of N UAVs.
@@ -35,7 +42,8 @@ class Symbols:
     State x, input u, parameters p and external forces F (payload, UAVs), N.
 
     p holds g, m0, the upper triangle of J0, and for each UAV m_i, the upper triangle of J_i, rho_i,
-    l_i (`System.vector`), then the gains of inner loops on body rates.
+    l_i (`System.vector`), then the gains of inner loops on body rates, then d0 and d_i, d_i^z of each
+    UAV.
     """
 
     N: int
@@ -44,10 +52,11 @@ class Symbols:
     p: ca.SX
     F: ca.SX
     rates: bool
+    drag: bool
 
     @staticmethod
-    def of(N: int, rates: bool = False) -> "Symbols":
-        """Return new symbols for N UAVs.
+    def of(N: int, rates: bool = False, drag: bool = False) -> "Symbols":
+        """Return new symbols for N UAVs, with or without drag.
 
         Their inputs are thrust and moments, or thrust and commanded body rates.
         """
@@ -55,9 +64,10 @@ class Symbols:
             N=N,
             x=ca.SX.sym("x", 12 + 12 * N),
             u=ca.SX.sym("u", 4 * N),
-            p=ca.SX.sym("p", 8 + 11 * N + 3 * rates),
+            p=ca.SX.sym("p", 8 + 11 * N + 3 * rates + (1 + 2 * N) * drag),
             F=ca.SX.sym("F", 3 + 3 * N),
             rates=rates,
+            drag=drag,
         )
 
     @property
@@ -73,6 +83,22 @@ class Symbols:
         """Return the parameters of UAV i (0-based)."""
         q = self.p[8 + 11 * i : 8 + 11 * (i + 1)]
         return UavSymbols(mass=q[0], inertia=_symmetric(q[1:7]), rho=q[7:10], length=q[10])
+
+    @property
+    def payload_drag(self) -> ca.SX:
+        """Drag coefficient d0 of the payload, kg/s; zero without drag."""
+        return self.p[-1 - 2 * self.N] if self.drag else ca.SX(0)
+
+    def uav_drag(self, i: int) -> DragSymbols:
+        """Return the drag coefficients of UAV i (0-based)."""
+        first = self.p.numel() - 2 * (self.N - i)
+        return DragSymbols(across=self.p[first], along=self.p[first + 1])
+
+    @property
+    def rate_gains(self) -> ca.SX:
+        """K of the inner loops on body rates, (3,), 1/s; only where `rates`."""
+        first = 8 + 11 * self.N
+        return self.p[first : first + 3]
 
     def force(self, body: int) -> ca.SX:
         """External force on the payload (0) or on UAV 1..N, (3,), inertial frame, N."""
@@ -154,12 +180,14 @@ def motion(symbols: Symbols, given: ca.SX | None = None) -> Motion:
 def _payload_alone(symbols: Symbols, R0: ca.SX, g_P: ca.SX) -> _Balance:
     """Return the payload's balance without rods.
 
-    M = [m0 I, 0; 0, J0],  b = [m0 g R0'k + R0'F_0, -omega0 x J0 omega0]: (11), (37).
+    M = [m0 I, 0; 0, J0],  b = [m0 g R0'k + R0'F_0 - d0 v0, -omega0 x J0 omega0]: (11), (37), (42).
     """
     payload = symbols.payload()
     omega0 = symbols.x[state.OMEGA0]
 
     force = payload.mass * g_P + R0.T @ symbols.force(0)
+    if symbols.drag:
+        force = force - symbols.payload_drag * symbols.x[state.V0]
     gyroscopic = -ca.cross(omega0, payload.inertia @ omega0)
     M = ca.diagcat(payload.mass * ca.SX.eye(3), payload.inertia)
     return _Balance(M=M, b=ca.vertcat(force, gyroscopic))
@@ -194,8 +222,8 @@ def _payload_derivative(symbols: Symbols, R0: ca.SX, acceleration: ca.SX) -> lis
 def _rod(symbols: Symbols, i: int, R0: ca.SX, g_P: ca.SX) -> _Rod:
     """Return a UAV and its rod, 0-based.
 
-    s = g R0'k - f/m R0' R_i k + R0' F_i / m,
-    kappa = e . (omega0 x (omega0 x rho) - s) + l |Omega|^2,  w = [e, rho x e]: (6), (11), (37).
+    s = g R0'k - f/m R0' R_i k + R0' F_i / m + drag / m,
+    kappa = e . (omega0 x (omega0 x rho) - s) + l |Omega|^2,  w = [e, rho x e]: (6), (11), (37), (42).
     """
     m, _, rho, length = symbols.uav(i)
     omega0 = symbols.x[state.OMEGA0]
@@ -207,6 +235,8 @@ def _rod(symbols: Symbols, i: int, R0: ca.SX, g_P: ca.SX) -> _Rod:
     # Specific force without rod: gravity, lift along -b3 of the body, external force.
     lift = thrust / m * (R0.T @ rotation(block[state.THETA])[:, 2])
     s_P = g_P - lift + R0.T @ symbols.force(i + 1) / m
+    if symbols.drag:
+        s_P = s_P + _uav_drag(symbols, i, R0) / m
     centripetal = ca.cross(omega0, ca.cross(omega0, rho))
     return _Rod(
         m=m,
@@ -219,6 +249,29 @@ def _rod(symbols: Symbols, i: int, R0: ca.SX, g_P: ca.SX) -> _Rod:
         along=ca.dot(e, centripetal - s_P) + length * ca.dot(Omega, Omega),
         wrench=ca.vertcat(e, ca.cross(rho, e)),
     )
+
+
+def _uav_drag(symbols: Symbols, i: int, R0: ca.SX) -> ca.SX:
+    """Return the drag of a UAV in still air, 0-based, (3,), payload frame, N.
+
+    F = -d v - (d^z - d) (b . v) b,  b = R0' R_i k: the rotors' plane and their axis. Source:
+    docs/equations.md (42).
+    """
+    drag = symbols.uav_drag(i)
+    v_P = _uav_velocity(symbols, i)
+    b_P = R0.T @ rotation(symbols.x[state.uav_slice(i)][state.THETA])[:, 2]
+    along = (drag.along - drag.across) * ca.dot(b_P, v_P)
+    force: ca.SX = -drag.across * v_P - along * b_P
+    return force
+
+
+def _uav_velocity(symbols: Symbols, i: int) -> ca.SX:
+    """Return the velocity of a UAV, 0-based: v0 + omega0 x rho - l Omega x e, payload frame."""
+    uav = symbols.uav(i)
+    block = symbols.x[state.uav_slice(i)]
+    swing = uav.length * ca.cross(block[state.ROD_RATE], block[state.E])
+    v0 = symbols.x[state.V0]
+    return v0 + ca.cross(symbols.x[state.OMEGA0], uav.rho) - swing
 
 
 def _uav_derivative(symbols: Symbols, i: int, rod: _Rod, acceleration: ca.SX) -> list[ca.SX]:
@@ -237,9 +290,7 @@ def _uav_derivative(symbols: Symbols, i: int, rod: _Rod, acceleration: ca.SX) ->
     attachment = acceleration[:3] + ca.cross(acceleration[3:], rod.rho) + rod.centripetal
     Omega_dot = ca.cross(rod.e, attachment - rod.s_P) / rod.length - ca.cross(omega0, rod.Omega)
     if symbols.rates:
-        # K of the inner loops follows the parameters of the bodies, (3,), 1/s.
-        gains = symbols.p[8 + 11 * symbols.N :]
-        omega_dot = gains * (command - omega)
+        omega_dot = symbols.rate_gains * (command - omega)
     else:
         omega_dot = solve_positive_definite(J, command - ca.cross(omega, J @ omega))
     return [
@@ -272,16 +323,10 @@ def velocities(symbols: Symbols) -> ca.SX:
     """
     x = symbols.x
     R0 = rotation(x[state.THETA0])
-    v0 = x[state.V0]
-    omega0 = x[state.OMEGA0]
-
     # R0 v0, and R0 (v0 + omega0 x rho_i - l_i Omega_i x e_i) of each UAV.
-    rows: list[ca.SX] = [(R0 @ v0).T]
+    rows: list[ca.SX] = [(R0 @ x[state.V0]).T]
     for i in range(symbols.N):
-        uav = symbols.uav(i)
-        block = x[state.uav_slice(i)]
-        swing = uav.length * ca.cross(block[state.ROD_RATE], block[state.E])
-        rows.append((R0 @ (v0 + ca.cross(omega0, uav.rho) - swing)).T)
+        rows.append((R0 @ _uav_velocity(symbols, i)).T)
     return ca.vertcat(*rows)
 
 
@@ -309,8 +354,10 @@ def sensed(symbols: Symbols, tensions: ca.SX) -> ca.SX:
     for i, position in enumerate(uav_positions(symbols)):
         block = x[state.uav_slice(i)]
 
-        # Specific force (R_i'(T_i R0 e_i + F_i) - f_i b3) / m_i, body frame.
+        # Specific force (R_i'(T_i R0 e_i + F_i + drag) - f_i b3) / m_i, body frame.
         pull = R0 @ block[state.E] * tensions[i] + symbols.force(i + 1)
+        if symbols.drag:
+            pull = pull + R0 @ _uav_drag(symbols, i, R0)
         lift = ca.vertcat(0.0, 0.0, symbols.u[state.INPUTS * i])
         specific_force = (rotation(block[state.THETA]).T @ pull - lift) / symbols.uav(i).mass
 

@@ -33,6 +33,7 @@ class Track:
     # formation (K, 2, 7, 5).
     paths: Array
     first: int = 0  # number of the first instant
+    external: int  # number of external forces, with further mass and drag as `flight` takes them
     # The motion of the team along such a path under forces, as `flight`.
     flown: Callable[[Array, Any], Flight]
 
@@ -42,9 +43,9 @@ class Track:
         return digest(self.X, self.U, self.X_middle, self.paths, self.first)
 
     def by_forces(self, rows: Rows) -> tuple[Array, Array]:
-        """Return the derivatives of X and U at k rows by each external force and the mass error.
+        """Return the derivatives of X and U at k rows by each external force, mass and drag.
 
-        (k, n, 4 + 3 N), and (k, m, 4 + 3 N), SI.
+        (k, n, `external`), and (k, m, `external`), SI.
         """
         X_forces = []
         U_forces = []
@@ -65,7 +66,7 @@ class Track:
         """
         paths = self.paths[number * _BLOCK : (number + 1) * _BLOCK]
         rows = len(paths)
-        forces = 4 + 3 * (self.U.shape[1] // state.INPUTS)
+        forces = self.external
         by_order = np.ascontiguousarray(np.moveaxis(paths, 0, 2))
         path, middle = np.repeat(by_order, forces, axis=2)  # (orders, rows forces, 3) each
         steps = np.tile(1j * _STEP_N * np.eye(forces), (rows, 1))
@@ -87,10 +88,10 @@ class Track:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _ByForces:
-    """Change of a block of rows of a track per external force and mass, SI."""
+    """Change of a block of rows of a track per external force, mass and drag, SI."""
 
-    X: Array  # (rows, n, 4 + 3 N)
-    U: Array  # (rows, m, 4 + 3 N)
+    X: Array  # (rows, n, external)
+    U: Array  # (rows, m, external)
 
 
 class FlatReference:
@@ -166,5 +167,6 @@ def track(
         X_middle=between.x,
         paths=by_instant,
         first=first,
+        external=4 + 3 * system.N + 2 * system.has_drag,
         flown=flown,
     )

@@ -34,28 +34,35 @@ def flight(
     """Return the motion of a team whose level payload follows a path: equations.md (66)-(68).
 
     Given are jets of position, m, and of length and width of the team, relative to hover, (7, k,
-    5), or (7, k, 3), forces and further mass of the payload, (4 + 3 N,) or of each instant, also
-    complex, and released UAVs, now bobs.
+    5), or (7, k, 3), forces, further mass of the payload and further drag as `linearisation.Model`
+    takes them, (4 + 3 N,) or (6 + 3 N,), or of each instant, also complex, and released UAVs, now
+    bobs.
     """
-    F = np.zeros(4 + 3 * system.N) if forces is None else forces
+    further = _Further.of(system, forces)
     gone = sorted(released)
 
     # e = -t / |t|
-    t = _rod_forces(system, hover, path, F, released)
+    t = _rod_forces(system, hover, path, further, released)
     per_tension = jets.power(jets.dot(t, t), -0.5)
     e = -jets.product(t, per_tension)
 
-    # b = pushed / f with the thrust f = |pushed|.
-    pushed = _pushes(system, path[..., :3], e, t, F)
+    # b = pushed / |pushed|
+    r = _places(system, path[..., :3], e)
+    pushed = _pushes(system, r, t, further)
     pushed[:, :, gone] = 0.0
     pushed[0, :, gone, 2] = 1.0  # upright, for the directions below
-    per_thrust = jets.power(jets.dot(pushed, pushed), -0.5)
-    b = jets.product(pushed, per_thrust)
+    per_push = jets.power(jets.dot(pushed, pushed), -0.5)
+    b = jets.product(pushed, per_push)
     omega = _body_rates(b)
 
     X = _states(system, path, e, b[0], omega[0])
-    commands = _commands(system, omega[0], jets.derivative(omega)[0])
-    inputs = np.concatenate([1.0 / per_thrust[0], commands], axis=-1)
+    inputs = np.concatenate(
+        [
+            1.0 / per_push[0] - _drag_along(system, b[0], r[1]),
+            _commands(system, omega[0], jets.derivative(omega)[0]),
+        ],
+        axis=-1,
+    )
     inputs[:, gone] = 0.0
     U = inputs.reshape(len(X), -1)
     tensions = 1.0 / per_tension[0, ..., 0]
@@ -82,12 +89,41 @@ def _states(system: System, path: Array, e: Array, b: Array, omega: Array) -> Ar
     return X
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Further:
+    """External forces, and mass and drag beyond the known ones, at one or (k,) instants."""
+
+    on_payload: Array  # (..., 3), N
+    on_uavs: Array  # (..., N, 3), N
+    mass: Array  # of the payload, (..., 1), kg
+    payload_drag: Array  # (..., 1), kg/s
+    uav_drag: Array  # of each UAV, in all directions, (..., 1, 1), kg/s
+
+    @staticmethod
+    def of(system: System, forces: Any) -> "_Further":
+        """Return the parts of forces as `flight` takes them; all zero without any."""
+        N = system.N
+        F = np.zeros(4 + 3 * N) if forces is None else np.asarray(forces)
+        on_uavs = F[..., 3 : 3 + 3 * N]
+        mass = F[..., 3 + 3 * N : 4 + 3 * N]
+        drag = F[..., 4 + 3 * N :]
+        if not drag.shape[-1]:
+            drag = np.zeros(2)
+        return _Further(
+            on_payload=F[..., :3],
+            on_uavs=on_uavs.reshape(*on_uavs.shape[:-1], N, 3),
+            mass=mass,
+            payload_drag=drag[..., :1],
+            uav_drag=drag[..., 1:, None],
+        )
+
+
 def _rod_forces(
-    system: System, hover: Hover, path: Array, F: Any, released: Collection[int]
+    system: System, hover: Hover, path: Array, further: _Further, released: Collection[int]
 ) -> Array:
     """Return the jets of the rods' forces on the payload, (5, k, N, 3), N.
 
-    t = t_hover + W^+ [m0 r0'' - F_0, 0], and those that hold a formation.
+    t = t_hover + W^+ [m0 r0'' + d0 r0' - F_0, 0], and those that hold a formation.
     Source: docs/equations.md (66), (66a).
     """
     rho = np.array([uav.rho for uav in system.uavs])
@@ -103,10 +139,13 @@ def _rod_forces(
     W = np.hstack(columns)
     share = np.linalg.pinv(W)[:, :3].reshape(system.N, 3, 3)
 
-    # m r0'' - F_0 - (m - m_0) g k: a further mass also weighs.
-    mass = system.payload.mass + F[..., -1:]
-    needed = mass * jets.derivative(jets.derivative(place))
-    needed[0] -= F[..., :3] + F[..., -1:] * gravity
+    # m r0'' - F_0 - (m - m_0) g k + d0 r0': a further mass also weighs.
+    mass = system.payload.mass + further.mass
+    velocity = jets.derivative(place)
+    needed = mass * jets.derivative(velocity)
+    needed[0] -= further.on_payload + further.mass * gravity
+    if system.has_drag:
+        needed += (system.payload.drag + further.payload_drag) * velocity[: len(needed)]
 
     t = np.einsum("nij,okj->okni", share, needed)
     t[0] -= hover.tensions[:, None] * state.StateView(hover.x).e_P
@@ -115,21 +154,35 @@ def _rod_forces(
     return np.asarray(t)
 
 
-def _pushes(system: System, place: Array, e: Array, t: Array, F: Any) -> Array:
-    """Return the jets of thrust times direction of the UAVs, (3, k, N, 3), N.
+def _places(system: System, place: Array, e: Array) -> Array:
+    """Return the jets of the UAVs' positions, (5, k, N, 3), m: r_i = r0 + rho - l e."""
+    r = place[: len(e), :, None] - _column(system, "rod_length") * e
+    r[0] += np.array([uav.rho for uav in system.uavs])
+    return np.asarray(r)
 
-    f b = m (g k - r_i'') - t + F_i at r_i = r0 + rho - l e. Source: docs/equations.md (67).
+
+def _pushes(system: System, r: Array, t: Array, further: _Further) -> Array:
+    """Return the jets of the forces along the UAVs' axes b, (3, k, N, 3), N.
+
+    (f + (d^z - d) b . r_i') b = m (g k - r_i'') - t + F_i - d r_i'. Source: docs/equations.md (67).
     """
-    rho = np.array([uav.rho for uav in system.uavs])
     masses = _column(system, "mass")
     gravity = np.array([0.0, 0.0, system.gravity])
 
-    r = place[: len(e), :, None] - _column(system, "rod_length") * e
-    r[0] += rho
-
-    pushed = -masses * jets.derivative(jets.derivative(r)) - t[:3]
-    pushed[0] += masses * gravity + F[..., 3:-1].reshape(-1, system.N, 3)
+    velocity = jets.derivative(r)
+    pushed = -masses * jets.derivative(velocity) - t[:3]
+    pushed[0] += masses * gravity + further.on_uavs
+    if system.has_drag:
+        across = np.array([uav.drag[:1] for uav in system.uavs])
+        pushed = pushed - (across + further.uav_drag) * velocity[: len(pushed)]
     return np.asarray(pushed)
+
+
+def _drag_along(system: System, b: Array, velocity: Array) -> Array:
+    """Return the drag along the axes of UAVs beyond that of `_pushes`, (k, N, 1), N: (d^z - d) b . r'."""
+    drag = np.array([uav.drag for uav in system.uavs])
+    further = drag[:, 1:] - drag[:, :1]
+    return np.asarray(further * np.sum(b * velocity, axis=-1, keepdims=True))
 
 
 def _body_rates(b: Array) -> Array:

@@ -118,10 +118,10 @@ def _attitude(force_I: Array, thrust: float) -> Array:
 def with_released(system: System, released: Collection[int]) -> System:
     """Return the system with bobs in place of released UAVs.
 
-    They keep the inertia, which has no effect.
+    They have no drag, and keep the inertia, which has no effect.
     """
     uavs = [
-        replace(uav, mass=RELEASED_MASS_KG) if i in released else uav
+        replace(uav, mass=RELEASED_MASS_KG, drag=np.zeros(2)) if i in released else uav
         for i, uav in enumerate(system.uavs)
     ]
     return replace(system, uavs=tuple(uavs))

@@ -109,8 +109,9 @@ class Model:
     UAVs off have no motors, released ones no rod; their numbers are 0-based.
 
     External forces are (F_0, F_1, .., F_N) on the centres of mass of payload and UAVs, (3 + 3 N,),
-    inertial frame, N; the payload's mass beyond the known one, kg, may follow. Inputs of UAVs off
-    and forces on released ones do nothing.
+    inertial frame, N. May follow: the payload's mass beyond the known one, kg, and then, where the
+    system has drag, coefficients beyond the known ones of the payload and of each UAV, kg/s. Inputs
+    of UAVs off and forces on released ones do nothing.
     """
 
     def __init__(
@@ -126,7 +127,13 @@ class Model:
         self._no_forces = np.zeros(3 + 3 * system.N)
         self._p = self.system.vector()
 
-        built = functions(system.N, system.commands_rates)
+        # Places of the drag of payload and UAVs in the parameters, without released ones.
+        drag_places = np.arange(len(self._p) - 1 - 2 * system.N, len(self._p))
+        self._payload_drag = drag_places[0]
+        flying = [uav for uav in range(system.N) if uav not in released]
+        self._uav_drag = drag_places[1:].reshape(-1, 2)[flying].reshape(-1)
+
+        built = functions(*system.kind)
         self._compiled = {name: Compiled(function) for name, function in built.items()}
         self._built = built
         self._outputs_by_count: dict[int, Compiled] = {}  # of that many states in one call
@@ -152,7 +159,8 @@ class Model:
     def _acting(self, forces: Array | None) -> tuple[Array, Array]:
         """Return the parameters, and external forces without those on released UAVs, (3 + 3 N,).
 
-        Further mass of the payload, behind the forces, scales its inertia too.
+        Further mass of the payload, behind the forces, scales its inertia too. Further drag of a UAV
+        is the same in all directions.
         """
         if forces is None:
             return self._p, self._no_forces
@@ -164,6 +172,9 @@ class Model:
             p = p.copy()
             p[PAYLOAD_INERTIA] *= 1.0 + further_kg / p[PAYLOAD_MASS]
             p[PAYLOAD_MASS] += further_kg
+            if len(forces) > count + 1:
+                p[self._payload_drag] += forces[count + 1]
+                p[self._uav_drag] += forces[count + 2]
         return p, _zeroed(forces[:count], self._unforced)
 
     def _arguments(self, x: Array, u: Array, forces: Array | None) -> tuple[Array, ...]:
@@ -190,7 +201,7 @@ class Model:
     def derivatives(self, x: Array, u: Array, forces: Sequence[Array]) -> Array:
         """Return f(x, u, F), SI, under several external forces, in one call: (forces, n).
 
-        All have the mass error of the first. The bits are those of `derivative`.
+        All have the errors of mass and drag of the first. The bits are those of `derivative`.
         """
         count = len(forces)
         if count not in self._derivatives_by_count:
@@ -353,7 +364,7 @@ class Model:
 
     @cached_property
     def _compiled_step(self) -> CompiledStep | None:
-        return CompiledStep.load(self.system.N, self.system.commands_rates)
+        return CompiledStep.load(self.system.kind)
 
 
 def _zeroed(vector: Array, entries: npt.NDArray[np.intp]) -> Array:

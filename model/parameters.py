@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,14 @@ class ParameterError(ValueError):
     """A physical parameter out of its range."""
 
 
+class Kind(NamedTuple):
+    """What the equations of motion of a system depend on, beside its numbers."""
+
+    N: int  # number of UAVs
+    rates: bool = False  # inputs are thrust and commanded body rates instead of moments
+    drag: bool = False  # the bodies may have drag
+
+
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Payload:
     """The carried rigid body."""
@@ -32,9 +41,15 @@ class Payload:
     mass: float  # kg
     # About the centre of mass in the payload frame, (3, 3), kg m^2, given as such or as diagonal.
     inertia: Array
+    drag: float  # force against its velocity relative to the air, kg/s
 
-    def __init__(self, *, mass: float, inertia: ArrayLike) -> None:
-        assign(self, mass=float(mass), inertia=_inertia("payload inertia", inertia))
+    def __init__(self, *, mass: float, inertia: ArrayLike, drag: float = 0.0) -> None:
+        assign(
+            self,
+            mass=float(mass),
+            inertia=_inertia("payload inertia", inertia),
+            drag=float(drag),
+        )
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
@@ -46,9 +61,18 @@ class Uav:
     inertia: Array
     rho: Array  # attachment point in the payload frame, (3,), m
     rod_length: float  # m
+    # Force against its velocity relative to the air, in the plane of its rotors and along their
+    # axis, (2,), kg/s.
+    drag: Array
 
     def __init__(
-        self, *, mass: float, inertia: ArrayLike, rho: ArrayLike, rod_length: float
+        self,
+        *,
+        mass: float,
+        inertia: ArrayLike,
+        rho: ArrayLike,
+        rod_length: float,
+        drag: ArrayLike = (0.0, 0.0),
     ) -> None:
         assign(
             self,
@@ -56,6 +80,7 @@ class Uav:
             inertia=_inertia("UAV inertia", inertia),
             rho=checked("rho", rho, (3,)),
             rod_length=float(rod_length),
+            drag=checked("drag", drag, (2,)),
         )
 
 
@@ -69,6 +94,8 @@ class System:
     # K of the UAVs' inner loops about each body axis, (3,), 1/s: the inputs are then thrust and
     # commanded body rates; None: thrust and moments.
     rate_gains: Array | None
+    # True if the equations of motion have drag: a body has a coefficient, or one is estimated.
+    has_drag: bool
 
     def __init__(
         self,
@@ -77,9 +104,17 @@ class System:
         uavs: Sequence[Uav],
         gravity: float = GRAVITY,
         rate_gains: ArrayLike | None = None,
+        has_drag: bool = False,
     ) -> None:
         gains = None if rate_gains is None else checked("rate gains", rate_gains, (3,))
-        assign(self, payload=payload, uavs=tuple(uavs), gravity=float(gravity), rate_gains=gains)
+        assign(
+            self,
+            payload=payload,
+            uavs=tuple(uavs),
+            gravity=float(gravity),
+            rate_gains=gains,
+            has_drag=has_drag or payload.drag != 0.0 or any(uav.drag.any() for uav in uavs),
+        )
 
     @property
     def N(self) -> int:
@@ -111,11 +146,21 @@ class System:
         """True if the inputs are thrust and body rates instead of thrust and moments."""
         return self.rate_gains is not None
 
+    @property
+    def kind(self) -> Kind:
+        """Which equations of motion the system has."""
+        return Kind(self.N, self.commands_rates, self.has_drag)
+
+    @property
+    def drag(self) -> Array:
+        """Drag of the payload, then of each UAV across and along, (1 + 2 N,), kg/s."""
+        return np.concatenate([[self.payload.drag], *(uav.drag for uav in self.uavs)])
+
     def vector(self) -> Array:
         """Return all parameters in the order of `model.dynamics.Symbols`, SI.
 
-        (8 + 11 N,), with commanded body rates (11 + 11 N,). Those of the payload are at `PAYLOAD_MASS`
-        and `PAYLOAD_INERTIA`.
+        (8 + 11 N,), then three gains with commanded body rates, and `drag` where there is any. Mass and
+        inertia of the payload are at `PAYLOAD_MASS` and `PAYLOAD_INERTIA`.
         """
         upper = np.triu_indices(3)
         parts = [np.array([self.gravity, self.payload.mass]), self.payload.inertia[upper]]
@@ -123,6 +168,8 @@ class System:
             parts += [np.array([uav.mass]), uav.inertia[upper], uav.rho, np.array([uav.rod_length])]
         if self.rate_gains is not None:
             parts.append(self.rate_gains)
+        if self.has_drag:
+            parts.append(self.drag)
 
         vector = np.concatenate(parts)
         frozen(vector)

@@ -23,7 +23,7 @@ from transport.model import state
 from transport.model.arrays import Array, frozen
 from transport.model.compiled import Compiled
 from transport.model.dynamics import Symbols, uav_positions
-from transport.model.parameters import System
+from transport.model.parameters import Kind, System
 from transport.mpc.settings import Constraint, CostTerm, SettingsError
 
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
@@ -148,9 +148,9 @@ class Expressions:
 
 
 @lru_cache(maxsize=64)  # all agents of a run, and most runs of a sweep, have the same terms
-def _cost_formulas(texts: tuple[str, ...], N: int, rates: bool) -> Formulas:
+def _cost_formulas(texts: tuple[str, ...], kind: Kind) -> Formulas:
     """Return the formulas of cost terms. Raises: SettingsError: one cannot be read."""
-    symbols = Symbols.of(N, rates)
+    symbols = Symbols.of(*kind)
     values = [read_term(text, symbols) for text in texts]
     return Formulas.of(values, symbols.x, symbols.p)
 
@@ -167,7 +167,7 @@ class UserCosts(Expressions):
 
     def __init__(self, terms: Sequence[CostTerm], system: System) -> None:
         texts = tuple(term.expression for term in terms)
-        formulas = _cost_formulas(texts, system.N, system.commands_rates)
+        formulas = _cost_formulas(texts, system.kind)
         super().__init__(formulas, system.vector())
         self._terms = tuple(terms)
         # Weight of each term, per square of its unit, (t,).
@@ -198,7 +198,7 @@ class UserConstraints(Expressions):
         on: Variable,
         penalties: tuple[float, float] = (1.0, 1.0),
     ) -> None:
-        symbols = Symbols.of(system.N, system.commands_rates)
+        symbols = Symbols.of(*system.kind)
         chosen = []
         for constraint in constraints:
             relation = read(constraint.expression, symbols)

@@ -41,6 +41,7 @@ class OwnSensors:
         self, system: System, uav: int, hover_tension_N: float, ages: Sequence[int], period_s: float
     ) -> None:
         self._mass = system.uavs[uav].mass
+        self._across, self._along = system.uavs[uav].drag
         self._rod_length = system.uavs[uav].rod_length
         self._taut_N = max(_TAUT * hover_tension_N, 0.0)  # a rod that pushes shows no direction
         self._period_s = period_s
@@ -59,9 +60,14 @@ class OwnSensors:
         """
         rod_ref_I = self._delayed(reference, tick)[4].rod_I
 
-        # m a - f, the force of the rod on the UAV
+        # m a - f - drag, the force of the rod on the UAV
         R = rotation(sensed[state.THETA])
         pull_I = R @ (self._mass * sensed[state.SPECIFIC_FORCE] + thrust_N * _THRUST_AXIS_B)
+        if self._across or self._along:
+            # d v + (d^z - d) (b . v) b
+            v_I = sensed[state.VELOCITY]
+            b_I = R @ _THRUST_AXIS_B
+            pull_I += self._across * v_I + (self._along - self._across) * (b_I @ v_I) * b_I
         tension_N = float(pull_I @ rod_ref_I) / self._rod_length
         if not tension_N > self._taut_N:
             return

@@ -80,9 +80,8 @@ PositiveVector = Annotated[
 NotNegativeVector = Annotated[
     tuple[NotNegative, ...], BeforeValidator(_as_tuple), AfterValidator(_three_numbers)
 ]
-Range = Annotated[
-    tuple[NotNegative, ...], BeforeValidator(_as_tuple), Len(2, 2), AfterValidator(_growing)
-]
+Pair = Annotated[tuple[NotNegative, ...], BeforeValidator(_as_tuple), Len(2, 2)]
+Range = Annotated[Pair, AfterValidator(_growing)]
 
 
 def _weight_key(unit: str | None = None, label: str = "") -> Key:

@@ -63,10 +63,11 @@ class Rods:
 class Physics(Protocol):
     """Integration of the ground truth in the layout and the signs of `model.state`, SI.
 
-    An engine is made of the plant's actual `System` and its section of the scenario. The plant adds
-    wind, drag, noise, mass errors and failures. The run records the engine's `version`, or a hash of
-    its file if it has none. An engine with cables has `tensions`, the least tension of each in the
-    last interval, (N,), N. A run ends with the text of any exception.
+    An engine is made of the plant's actual `System` and its section of the scenario. Its bodies have
+    mass, inertia and drag against their own velocities; the plant adds wind, noise and failures. The
+    run records the engine's `version`, or a hash of its file if it has none. An engine with cables
+    has `tensions`, the least tension of each in the last interval, (N,), N. A run ends with the text
+    of any exception.
     """
 
     def reset(self, x: Array) -> None:

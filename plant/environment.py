@@ -15,6 +15,7 @@ from transport.model.arrays import Array
 from transport.model.hover import with_released
 from transport.model.linearisation import Model
 from transport.model.parameters import Payload, System, Uav
+from transport.model.rotations import rotation
 from transport.model.state import SENSED, StateView
 from transport.protocol.scenario.draws import Streams, draw_key
 from transport.protocol.scenario.setup import Setup
@@ -23,6 +24,8 @@ from transport.protocol.wire.names import PLANT
 # Gusts are drawn at these intervals, so that the wind is the same at any sampling period.
 GUST_STEP_S = 0.05
 _SAME = 1e-9  # tolerance, in intervals
+# Drag of payload and of each UAV in moving air where a scenario has no coefficients, kg/s.
+_DRAG_IN_WIND = 0.4, 0.2
 
 
 def drawn(seed: int, purpose: str, tick: int, count: int) -> Array:
@@ -47,8 +50,9 @@ class Environment:
     def __init__(self, setup: Setup) -> None:
         section = setup.scenario.plant
         N = setup.system.N
-        is_nominal = section.payload_mass_factor == section.uav_mass_factor == 1.0
-        self.system = _scaled(setup.system, section.payload_mass_factor, section.uav_mass_factor)
+        self.system = _actual_system(setup)
+        is_known = np.array_equal(self.system.drag, setup.system.drag)
+        is_nominal = section.payload_mass_factor == section.uav_mass_factor == 1.0 and is_known
         self.model = setup.model if is_nominal else Model(self.system)
         self._seed = setup.scenario.seed
 
@@ -59,13 +63,29 @@ class Environment:
         self._gust_decay = math.exp(-GUST_STEP_S / wind.gust_time_constant_s)
         self._gusts_per_tick = setup.settings.sampling_period_s / GUST_STEP_S
         self._gusts: list[Array] = []  # in units of their standard deviation, by interval
-        self._drag = np.array([wind.drag_payload_kgps, *[wind.drag_uav_kgps] * N])  # kg/s
+        self._unknown_drag = self._drag_without_coefficients(setup)
 
         # Standard deviations of all states, (12 + 12 N,): each number for three axes.
         noise = section.noise
         payload = [noise.position_m, noise.velocity_mps, noise.attitude_rad, noise.rate_rads]
         uav = [noise.rod_direction_rad, noise.rod_rate_rads, noise.attitude_rad, noise.rate_rads]
         self._deviations = np.repeat([*payload, *uav * N], 3)
+
+    def _drag_without_coefficients(self, setup: Setup) -> Array:
+        """Return the drag of payload and UAVs where `[system]` has none, (1 + N,), kg/s.
+
+        By default moving air has a hold on them and still air has none.
+        """
+        N = setup.system.N
+        if self.system.drag.any() or setup.system.drag.any():
+            return np.zeros(1 + N)
+        wind = setup.scenario.plant.wind
+        payload, uav = _DRAG_IN_WIND if self._is_windy else (0.0, 0.0)
+        if wind.drag_payload_kgps is not None:
+            payload = wind.drag_payload_kgps
+        if wind.drag_uav_kgps is not None:
+            uav = wind.drag_uav_kgps
+        return np.array([payload, *[uav] * N])
 
     def release(self, uav: int) -> None:
         """Replace a UAV, 0-based, by a bob of negligible mass and drag.
@@ -74,7 +94,7 @@ class Environment:
         """
         self.system = with_released(self.system, [uav])
         self.model = Model(self.system)
-        self._drag[1 + uav] = 0.0
+        self._unknown_drag[1 + uav] = 0.0
 
     def wind(self, tick: int) -> Array:
         """Return the velocity of the air, (3,), inertial frame, m/s.
@@ -106,17 +126,29 @@ class Environment:
         return self._gusts[interval]
 
     def forces(self, tick: int, x: Array) -> Array | None:
-        """Return the drag of the bodies over [t_k, t_{k+1}) at a state x(t_k), (n,).
+        """Return the forces of the air over [t_k, t_{k+1}) at a state x(t_k), (n,).
 
-        Returns: Forces on payload and UAVs, (3 + 3 N,), inertial frame, N; None without wind.
+        Drag against the bodies' own velocities is a part of the equations of motion where `[system]`
+        has coefficients; moving air then adds D W. Other drag is d (W - v), held over the period.
+
+        Returns: Forces on payload and UAVs, (3 + 3 N,), inertial frame, N; None if there are none.
         Source: docs/equations.md (42).
         """
-        if not self._is_windy:
+        if not (self._is_windy or self._unknown_drag.any()):
             return None
-        # F_i = d_i (v_air - v_i); docs/equations.md (42).
-        relative = self.wind(tick) - self.model.velocities(x)
-        forces: Array = (self._drag[:, None] * relative).reshape(-1)
-        return forces
+        air_I = self.wind(tick)
+        if not self.system.has_drag:
+            relative = air_I - self.model.velocities(x)
+            return np.asarray((self._unknown_drag[:, None] * relative).reshape(-1))
+
+        # D = d I + (d^z - d) b b'
+        view = StateView(x)
+        forces = [self.system.payload.drag * air_I]
+        for uav, Theta in zip(self.system.uavs, view.Theta, strict=True):
+            across, along = uav.drag
+            b_I = rotation(Theta)[:, 2]
+            forces.append(across * air_I + (along - across) * (b_I @ air_I) * b_I)
+        return np.concatenate(forces)
 
     def measured(self, tick: int, agent: int, x: Array) -> Array:
         """Return a state x(t_k), (n,), as measured by the sensors of an agent, 1-based.
@@ -179,19 +211,28 @@ class Sensors:
         return measured
 
 
-def _scaled(system: System, payload: float, uavs: float) -> System:
-    """Return the bodies with masses and inertias of payload and UAVs multiplied by factors.
+def _actual_system(setup: Setup) -> System:
+    """Return the actual bodies: masses and inertias of payload and UAVs, and drag, times factors.
 
     Inputs are moments.
     """
-    body = Payload(mass=payload * system.payload.mass, inertia=payload * system.payload.inertia)
-    scaled = [
-        Uav(
-            mass=uavs * uav.mass,
-            inertia=uavs * uav.inertia,
-            rho=uav.rho,
-            rod_length=uav.rod_length,
+    known = setup.system
+    scenario = setup.scenario
+    section = scenario.plant
+    payload = Payload(
+        mass=section.payload_mass_factor * known.payload.mass,
+        inertia=section.payload_mass_factor * known.payload.inertia,
+        drag=section.drag_factor * scenario.system.payload.drag_kgps,
+    )
+    uavs = []
+    for uav, own in zip(known.uavs, scenario.system.uav, strict=True):
+        uavs.append(
+            Uav(
+                mass=section.uav_mass_factor * uav.mass,
+                inertia=section.uav_mass_factor * uav.inertia,
+                rho=uav.rho,
+                rod_length=uav.rod_length,
+                drag=section.drag_factor * np.array(own.drag_kgps),
+            )
         )
-        for uav in system.uavs
-    ]
-    return System(payload=body, uavs=scaled, gravity=system.gravity)
+    return System(payload=payload, uavs=uavs, gravity=known.gravity)

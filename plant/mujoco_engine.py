@@ -50,6 +50,10 @@ class MujocoEngine:
         self._model = _specification(system, section).compile()
         self._data = mujoco.MjData(self._model)
         self.tensions = np.zeros(system.N if self._cables else 0)
+        names = ["payload", *(f"uav{i}" for i in range(system.N))]
+        self._bodies = [self._model.body(name).id for name in names]
+        drags = [[system.payload.drag] * 2, *(uav.drag for uav in system.uavs)]
+        self._coefficients = np.array(drags)
         # Attitudes of the last state, of payload and UAVs, (1 + N, 3).
         self._turns = np.zeros((1 + system.N, 3))
 
@@ -106,19 +110,43 @@ class MujocoEngine:
         steps = math.ceil(duration_s / self._section.mujoco.step_s - 1e-9)
         model.opt.timestep = duration_s / steps
         data.ctrl[:] = u
-        data.xfrc_applied[:] = 0.0
-        if forces is not None:
-            bodies = [data.body("payload"), *(data.body(f"uav{i}") for i in range(self._system.N))]
-            for body, force_I in zip(bodies, forces.reshape(-1, 3), strict=True):
-                body.xfrc_applied[:3] = force_I
+        held_I = np.zeros(3 + 3 * self._system.N) if forces is None else forces
+        data.xfrc_applied[self._bodies, :3] = held_I.reshape(-1, 3)
 
-        if not self._cables:
+        if not (self._cables or self._system.has_drag):
             mujoco.mj_step(model, data, nstep=steps)
             return
-        self.tensions = np.full(self._system.N, np.inf)
+        if self._cables:
+            self.tensions = np.full(self._system.N, np.inf)
         for _ in range(steps):
+            if self._system.has_drag:
+                data.xfrc_applied[self._bodies, :3] = held_I.reshape(-1, 3) + self._drag()
             mujoco.mj_step(model, data)
-            self.tensions = np.minimum(self.tensions, self._pulls())
+            if self._cables:
+                self.tensions = np.minimum(self.tensions, self._pulls())
+
+    def _drag(self) -> Array:
+        """Return the drag of payload and UAVs in still air before a step, (1 + N, 3), world frame, N.
+
+        -d v - (d^z - d) (b . v) b; docs/equations.md (42). It is held over the step.
+        """
+        model = self._model
+        data = self._data
+        # After a step the places and velocities of bodies are those of its last stage.
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_comVel(model, data)
+
+        velocity = np.empty(6)
+        drag = np.empty((1 + self._system.N, 3))
+        for row, body in enumerate(self._bodies):
+            # Rotation and velocity of its origin, the centre of mass, along the world's axes.
+            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, body, velocity, False)
+            v_I = velocity[3:]
+            across, along = self._coefficients[row]
+            b_I = data.xmat[body].reshape(3, 3)[:, 2]
+            drag[row] = -across * v_I - (along - across) * (b_I @ v_I) * b_I
+        return drag
 
     def _pulls(self) -> Array:
         """Return the tensions of the cables after a step, (N,), N: the forces at their limits."""

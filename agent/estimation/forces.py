@@ -30,7 +30,7 @@ class Situation:
     model: Model  # equations of motion there
     x: Array  # (n,)
     actual: Array  # actual inputs, (m,)
-    forces: Array | None  # as `Model` takes them, (4 + 3 N,); None if they are not estimated
+    forces: Array | None  # as `Model` takes them, with the mass error; None if not estimated
 
 
 class UnknownForces:
@@ -42,17 +42,22 @@ class UnknownForces:
         self._least_kg = -MOST_MISSING * model.system.payload.mass
 
         # Forces of all bodies, inertial frame, and the mass error, from the unknowns; drag depends
-        # on the velocities.
+        # on the velocities unless the model has it.
         self._spread = np.zeros((4 + 3 * N, COUNT))
         self._spread[:2, PAYLOAD_FORCE] = np.eye(2)
         self._spread[-1, MASS_ERROR] = 1.0
         self._spread[3:-1, UAV_FORCE] = np.tile(np.eye(3, 2), (N, 1))
 
     def on_bodies(self, x: Array, unknowns: Array) -> Array:
-        """Return the forces and the mass error as `Model` takes them, (4 + 3 N,), at a state."""
+        """Return the forces and the mass error as `Model` takes them, (4 + 3 N,), at a state.
+
+        (6 + 3 N,) with the errors of drag where the equations of motion have drag.
+        """
         forces: Array = self._spread @ unknowns
-        forces[:-1] += self._by_drag(x) @ unknowns[DRAG]
         forces[-1] = max(forces[-1], self._least_kg)
+        if self._model.system.has_drag:
+            return np.concatenate([forces, unknowns[DRAG]])
+        forces[:-1] += self._by_drag(x) @ unknowns[DRAG]
         return forces
 
     def derivative(self, place: Situation) -> Array:
@@ -82,9 +87,11 @@ class UnknownForces:
         if unknown is None:
             return np.zeros((len(A), 0))
 
-        # The equations of motion are affine in the forces, (38), but not in the mass.
-        still = np.append(np.zeros(len(unknown) - 1), unknown[-1])
-        units = np.vstack([self.derivative(place), np.zeros((1, COUNT))])
+        # The equations of motion are affine in the forces, (38), but not in mass and drag.
+        bodies = 3 + 3 * model.system.N
+        still = np.concatenate([np.zeros(bodies), unknown[bodies:]])
+        units = np.zeros((len(unknown), COUNT))
+        units[:bodies] = self.derivative(place)
         pushed = [still, *(still + unit for unit in units.T)]
         f, *by_unit = model.derivatives(place.x, place.actual, pushed)
         E = np.zeros((len(A), COUNT))

@@ -59,7 +59,7 @@ class Team(CasadiModel):
     def setup_system(self) -> Any:
         """Return the agent's share of the stage cost."""
         setup = Flight.now.setup
-        symbols = Symbols.of(setup.system.N)
+        symbols = Symbols.of(*setup.system.kind)
         cost = Cost(setup.settings.weights, setup.system, setup.hover)
         x, u, y_ref = (
             ca.vertcat(*(getattr(self, f"{name}_{k}").sym for k in range(size)))

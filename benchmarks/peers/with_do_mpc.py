@@ -36,7 +36,7 @@ class Centralized:
         self.run, system = run, run.system
         setup = transport.Scenario("centralized").setup
         weights, cost = setup.settings.weights, Cost(setup.settings.weights, system, setup.hover)
-        symbols = Symbols.of(system.N)
+        symbols = Symbols.of(*system.kind)
         derivative, seen = (
             ca.Function(
                 "f", [symbols.x, symbols.u], [ca.substitute(of, symbols.p, ca.DM(system.vector()))]

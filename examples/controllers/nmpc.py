@@ -104,7 +104,7 @@ class NMPC:
 
 def functions(system):
     """Return f(x, u) and h(x) of a team, docs/equations.md (1)-(13)."""
-    symbols = Symbols.of(system.N)
+    symbols = Symbols.of(*system.kind)
     parameters = ca.DM(system.vector())
     still = ca.substitute(motion(symbols).derivative, symbols.F, 0.0)  # no external forces
     f = ca.substitute(still, symbols.p, parameters)

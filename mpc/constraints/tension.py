@@ -25,7 +25,7 @@ class Tension:
 
     def __init__(self, decision: Decision, settings: Settings) -> None:
         system = decision.system
-        symbols = Symbols.of(system.N, system.commands_rates)
+        symbols = Symbols.of(*system.kind)
         no_forces = ca.SX.zeros(symbols.F.numel())
         tensions = ca.substitute(motion(symbols).tensions, symbols.F, no_forces)
 

@@ -9,7 +9,7 @@ from transport.model.arrays import ArrayLike
 from transport.model.curves import Curve
 from transport.model.maneuver import Maneuver
 from transport.model.obstacles import Obstacle, Solid
-from transport.model.parameters import Payload, System, Uav
+from transport.model.parameters import Kind, Payload, System, Uav
 from transport.model.phase import Phase
 from transport.protocol.scenario.errors import building
 from transport.protocol.scenario.maneuver_sections import ObstacleSection, PhaseSection
@@ -19,16 +19,24 @@ _WALL_M = 1e5  # width of the walls beside a gap: no path comes near their ends
 
 
 def system_of(scenario: Scenario, source: str) -> System:
-    """Return the bodies of a scenario. Raises: ScenarioError, which names the source."""
+    """Return the bodies of a scenario as the controllers assume them.
+
+    Raises: ScenarioError, which names the source.
+    """
     section = scenario.system
+    known = float(scenario.controller.knows_drag)  # share of the drag
     payload = building(
         source,
         "system.payload",
-        lambda: Payload(mass=section.payload.mass_kg, inertia=section.payload.inertia_kgm2),
+        lambda: Payload(
+            mass=section.payload.mass_kg,
+            inertia=section.payload.inertia_kgm2,
+            drag=known * section.payload.drag_kgps,
+        ),
     )
     uavs = []
     for uav in section.uav:
-        uavs.append(building(source, f"system.uav.{uav.id}", partial(_uav, uav)))
+        uavs.append(building(source, f"system.uav.{uav.id}", partial(_uav, uav, known)))
 
     rate_gains = None
     if scenario.controller.inputs == "rates":
@@ -37,18 +45,46 @@ def system_of(scenario: Scenario, source: str) -> System:
         source,
         "system",
         lambda: System(
-            payload=payload, uavs=uavs, gravity=section.gravity_mps2, rate_gains=rate_gains
+            payload=payload,
+            uavs=uavs,
+            gravity=section.gravity_mps2,
+            rate_gains=rate_gains,
+            has_drag=_estimates_drag(scenario),
         ),
     )
 
 
-def _uav(section: UavSection) -> Uav:
-    """Return a UAV and its rod."""
+def kinds_of(scenario: Scenario) -> set[Kind]:
+    """Return the equations of motion of controllers and plant, which may differ.
+
+    The plant has motors, that is thrust and moments, also where controllers command body rates.
+    """
+    N = len(scenario.system.uav)
+    section = scenario.system
+    drag = section.payload.drag_kgps > 0.0 or any(any(uav.drag_kgps) for uav in section.uav)
+    known = drag and scenario.controller.knows_drag
+    rates = scenario.controller.inputs == "rates"
+    return {
+        Kind(N, rates, known or _estimates_drag(scenario)),
+        Kind(N, False, drag and scenario.plant.drag_factor > 0.0),
+    }
+
+
+def _estimates_drag(scenario: Scenario) -> bool:
+    """Return whether agents estimate the drag of bodies along a reference that moves fast."""
+    section = scenario.controller
+    is_estimated = section.disturbance.estimate and section.estimator == "kalman"
+    return is_estimated and scenario.maneuver.reference == "flat"
+
+
+def _uav(section: UavSection, known_drag: float) -> Uav:
+    """Return a UAV and its rod, with a share of its drag."""
     return Uav(
         mass=section.mass_kg,
         inertia=section.inertia_kgm2,
         rho=section.rho_m,
         rod_length=section.rod_length_m,
+        drag=known_drag * np.array(section.drag_kgps),
     )
 
 

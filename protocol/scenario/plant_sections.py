@@ -61,7 +61,7 @@ class MotorsSection(Section):
 
 
 class WindSection(Section):
-    """Moving air, inertial frame, and the drag of the bodies in it."""
+    """Moving air, inertial frame, and a drag of the bodies in it that no controller knows."""
 
     speed_mps: Annotated[Vector, Key(label="wind speed", short="wind_mps")] = (0.0, 0.0, 0.0)
     """mean velocity of the air, inertial frame"""
@@ -71,10 +71,11 @@ class WindSection(Section):
     """standard deviation of the gusts about it, per inertial axis"""
     gust_time_constant_s: Annotated[Positive, Key(label="correlation time of gusts")] = 2.0
     """correlation time of the gusts"""
-    drag_payload_kgps: NotNegative = 0.4
-    """drag force on the payload per relative speed of the air (N per m/s); at most mass over T_s"""
-    drag_uav_kgps: NotNegative = 0.2
-    """drag force on each UAV per relative speed of the air"""
+    drag_payload_kgps: NotNegative | None = None
+    """drag of a payload, and `drag_uav_kgps` of UAVs, whose `[system]` has none: no controller knows
+    it. At most mass over T_s. By default 0.4 in wind or gusts, none in still air"""
+    drag_uav_kgps: NotNegative | None = None
+    """the same of each UAV, by default 0.2 in wind or gusts"""
 
 
 class BiasSection(Section):
@@ -160,6 +161,10 @@ class PlantSection(Section):
     assumes"""
     uav_mass_factor: Annotated[MassFactor, Key(label="actual over assumed UAV mass")] = 1.0
     """actual mass and inertia of every UAV over those that the controller assumes"""
+    drag_factor: Annotated[
+        float, Interval(ge=0.0, le=100.0), Key(label="actual over assumed drag")
+    ] = 1.0
+    """actual drag of payload and UAVs over that of `[system]`, which the controller assumes"""
     inner_loop: Literal["model", "betaflight"] = "model"
     """moments from commanded body rates, with `controller.inputs=rates`: by the loop that
     controllers predict with, or the flight firmware Betaflight, a process for each UAV

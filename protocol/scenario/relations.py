@@ -240,18 +240,23 @@ def _plant(scenario: Scenario) -> Problems:
     if plant.mujoco.suspension == "cables" and is_released:
         yield "plant.mujoco.suspension", "'rods' with a fault 'release'", "'cables'"
 
+    # Unknown drag is held over a period: dv = -(c / m) T_s v must not exceed v.
     wind = plant.wind
-    if not any([*wind.speed_mps, *wind.gust_mps]):
-        return
-
-    # Drag is held over a period: dv = -(c / m) T_s v must not exceed v.
+    section = scenario.system
     period_s = scenario.controller.sampling_period_s
-    uav_kg = plant.uav_mass_factor * min(uav.mass_kg for uav in scenario.system.uav)
-    payload_kg = plant.payload_mass_factor * scenario.system.payload.mass_kg
+    uav_kg = plant.uav_mass_factor * min(uav.mass_kg for uav in section.uav)
+    payload_kg = plant.payload_mass_factor * section.payload.mass_kg
+    known = any([section.payload.drag_kgps, *(sum(uav.drag_kgps) for uav in section.uav)])
     for key, drag_kgps, mass_kg in (
         ("drag_payload_kgps", wind.drag_payload_kgps, payload_kg),
         ("drag_uav_kgps", wind.drag_uav_kgps, uav_kg),
     ):
+        if drag_kgps is None:
+            continue
+        if known:
+            remedy = "plant.drag_factor and controller.knows_drag change it"
+            expected = f"no value with drag_kgps of payload or UAVs in [system]; {remedy}"
+            yield f"plant.wind.{key}", expected, drag_kgps
         if drag_kgps * period_s > mass_kg:
             expected = f"at most mass over sampling period {mass_kg / period_s:g}"
             yield f"plant.wind.{key}", expected, drag_kgps

@@ -17,6 +17,7 @@ from transport.mpc.settings import (
     ControllerSettings,
     Key,
     NotNegative,
+    Pair,
     Positive,
     Section,
     Vector,
@@ -62,6 +63,9 @@ class PayloadSection(Section):
     inertia_kgm2: Inertia
     """payload inertia J_0 about the centre of mass: principal moments along the body axes, or the
     symmetric matrix"""
+    drag_kgps: Annotated[NotNegative, Key(label="payload drag")] = 0.0
+    """drag d_0: force against its velocity relative to the air per m/s,
+    [equations.md](equations.md) (42)"""
 
 
 class UavSection(Section):
@@ -73,6 +77,9 @@ class UavSection(Section):
     """mass m_i of the UAV"""
     inertia_kgm2: Inertia
     """inertia J_i of the UAV, given as that of the payload"""
+    drag_kgps: Annotated[Pair, Key(type="2 numbers >= 0", label="UAV drag")] = (0.0, 0.0)
+    """drag d_i in the plane of the rotors, and along their axis: force against its velocity relative
+    to the air per m/s, [equations.md](equations.md) (42)"""
     rho_m: Annotated[Vector, Key(within=(1e-12, 1e4))]
     """attachment point on the payload, payload frame: x forward, y right, z down"""
     rod_length_m: Annotated[Positive, Key(within=(1e-3, 1e4))]
@@ -108,6 +115,9 @@ class ControllerSection(ControllerSettings):
     relaxation: Relaxation = DEFAULT_RELAXATION  # type: ignore[assignment]  # a number in `Setup.settings`
     """share w of the new optimum in the published plan, the rest is the previous plan; with
     closed_loop of the corrections alone. auto: 1 over the number of agents"""
+    knows_drag: bool = True
+    """true: the controllers' model, reference and control laws have the drag of `[system]`; false:
+    they assume bodies without drag"""
     received_plans: Literal["by_age", "by_one", "held"] = "by_age"
     """the others' plans in the horizon: shifted by their actual age; by one period at any age, as
     published; held"""

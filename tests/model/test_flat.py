@@ -71,6 +71,13 @@ def unequal(rate_gains: list[float] | None = None) -> System:
     )
 
 
+def dragged(system: System) -> System:
+    """The system with drag of all bodies, of UAVs across and along the axis of their rotors."""
+    drags = np.array([[0.3, 0.5], [0.2, 0.0], [0.4, 0.1], [0.25, 0.25]])
+    uavs = [replace(uav, drag=drag) for uav, drag in zip(system.uavs, drags, strict=True)]
+    return replace(system, payload=replace(system.payload, drag=0.6), uavs=tuple(uavs))
+
+
 def along(curve: Curve) -> Maneuver:
     """Rest, the curve, and rest."""
     end_I = curve.path(np.array([curve.duration_s]), 1)[0, 0]
@@ -94,18 +101,28 @@ def difference(values: list[Array]) -> Array:
 
 @pytest.mark.parametrize("kind", CURVES)
 @pytest.mark.parametrize(
-    ("pushed", "gains"), [(False, None), (True, None), (False, [20.0, 20.0, 8.0])]
+    ("pushed", "gains", "drag"),
+    [
+        (False, None, False),
+        (True, None, False),
+        (False, [20.0, 20.0, 8.0], False),
+        (True, None, True),
+        (False, [20.0, 20.0, 8.0], True),
+    ],
 )
 def test_reference_satisfies_the_equations_of_motion(
-    kind: str, *, pushed: bool, gains: list[float] | None
+    kind: str, *, pushed: bool, gains: list[float] | None, drag: bool
 ) -> None:
     """f(x_ref, u_ref, F) = x_ref', (13) and (66)-(68).
 
-    Moments, external forces and mass, commanded body rates.
+    Moments, external forces, mass and drag, commanded body rates.
     """
-    system, rng = unequal(gains), np.random.default_rng(3)
+    system = dragged(unequal(gains)) if drag else unequal(gains)
+    rng = np.random.default_rng(3)
     maneuver, at_rest, model = along(CURVES[kind]), hover(system), Model(system)
-    forces = rng.uniform(-0.5, 0.5, 4 + 3 * system.N) if pushed else np.zeros(4 + 3 * system.N)
+    forces = np.zeros(4 + 3 * system.N + 2 * drag)
+    if pushed:
+        forces = rng.uniform(-0.5, 0.5, len(forces))
     times = rng.uniform(0.0, maneuver.duration_s, 60)
 
     def motion(t_s: Array) -> tuple[Array, Array]:
@@ -228,17 +245,18 @@ def test_reference_of_the_uavs_left_after_a_release(gains: list[float] | None) -
     assert not u[:, input_slice(bob)].any()
 
 
-def test_track_shifts_with_forces() -> None:
-    """Its derivatives with respect to forces and mass, by an imaginary step, equal differences.
+@pytest.mark.parametrize("drag", [False, True])
+def test_track_shifts_with_forces(*, drag: bool) -> None:
+    """Its derivatives with respect to forces, mass and drag, by an imaginary step, equal differences.
 
     Those of states belong to the instants, those of inputs to the middle after each, (73).
     """
-    system = unequal()
+    system = dragged(unequal()) if drag else unequal()
     reference, small = FlatReference(system, hover(system), along(CURVES["circle"])), 1e-4
     track, times_s = reference.track(30, 0.1), 0.1 * np.arange(30, dtype=np.float64)
     path, middle = (reference.maneuver.jets(at_s) for at_s in (times_s, times_s + 0.05))
     X_forces, U_forces = track.by_forces(slice(None))
-    for i, unit in enumerate(small * np.eye(16)):
+    for i, unit in enumerate(small * np.eye(16 + 2 * drag)):
         ends = [flight(system, hover(system), path, sign * unit).x for sign in (1.0, -1.0)]
         np.testing.assert_allclose(X_forces[..., i], (ends[0] - ends[1]) / (2.0 * small), atol=1e-7)
         ends = [flight(system, hover(system), middle, sign * unit).u for sign in (1.0, -1.0)]

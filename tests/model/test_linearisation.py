@@ -10,7 +10,13 @@ import numpy as np
 import pytest
 
 from tests.support.paper_form import attitude
-from tests.support.random_systems import random_forces, random_input, random_state, random_system
+from tests.support.random_systems import (
+    random_forces,
+    random_input,
+    random_state,
+    random_system,
+    with_drag,
+)
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.hover import hover
@@ -96,6 +102,59 @@ def test_jacobians_are_those_of_finite_differences(N: int) -> None:
     )
     assert deviation(linear.B_c, jacobian(lambda z: model.derivative(x, z), u)) < JACOBIAN_TOLERANCE
     assert deviation(linear.C, jacobian(model.outputs, x)) < JACOBIAN_TOLERANCE
+
+
+@pytest.mark.parametrize("N", [1, 3, 4])
+def test_jacobians_with_drag_are_those_of_finite_differences(N: int) -> None:
+    """A_c = df/dx with drag of all bodies, also beyond the known one, (15), (42)."""
+    rng = np.random.default_rng(1450 + N)
+    model = Model(with_drag(rng, random_system(rng, N)))
+    x, u = random_state(rng, N), random_input(rng, N)
+    forces = np.concatenate([random_forces(rng, N), [FURTHER_KG, 0.3, 0.2]])
+    linear = model.linearise(x, u, forces=forces)
+    by_state = jacobian(lambda z: model.derivative(retracted(z), u, forces=forces), x)
+    assert deviation(linear.A_c, by_state) < JACOBIAN_TOLERANCE
+    by_input = jacobian(lambda z: model.derivative(x, z, forces=forces), u)
+    assert deviation(linear.B_c, by_input) < JACOBIAN_TOLERANCE
+
+
+@pytest.mark.parametrize("N", [1, 4])
+def test_drag_is_a_force_against_the_velocity_of_each_body(N: int) -> None:
+    """F_0 = -d_0 v_0,  F_i = -(d_i I + (d_i^z - d_i) b b') v_i on the equations without drag, (42).
+
+    Further drag of UAVs is the same in all directions. What the sensors of the UAVs show is the same.
+    """
+    rng = np.random.default_rng(1470 + N)
+    still = random_system(rng, N)
+    system = with_drag(rng, still)
+    x, u, F = random_state(rng, N), random_input(rng, N), random_forces(rng, N)
+    known, unknown = Model(system), Model(still)
+    further = 0.4, 0.3
+
+    velocities = unknown.velocities(x)
+    drags = [-(system.payload.drag + further[0]) * velocities[0]]
+    for uav, Theta, v in zip(system.uavs, StateView(x).Theta, velocities[1:], strict=True):
+        b = attitude(Theta)[:, 2]
+        across, along = uav.drag + further[1]
+        drags.append(-across * (v - (b @ v) * b) - along * (b @ v) * b)
+    pushed = F + np.concatenate(drags)
+    forces = np.concatenate([F, [0.0, *further]])
+
+    for name in ("derivative", "tensions", "sensed"):
+        found = getattr(known, name)(x, u, forces=forces)
+        expected = getattr(unknown, name)(x, u, forces=pushed)
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-10)
+
+
+def test_released_uavs_have_no_drag() -> None:
+    """A bob of a millionth of a kilogram is not held back, whatever its UAV's drag was, (50)."""
+    rng = np.random.default_rng(1480)
+    system = with_drag(rng, random_system(rng, 4))
+    x, u = random_state(rng, 4), random_input(rng, 4)
+    forces = np.concatenate([random_forces(rng, 4), [0.0, 0.3, 0.2]])
+    left = Model(system, [2], [2])
+    assert not left.system.uavs[2].drag.any()
+    assert np.abs(left.derivative(x, u, forces=forces)).max() < 1e3
 
 
 @pytest.mark.parametrize("N", range(1, 9))

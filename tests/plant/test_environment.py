@@ -6,6 +6,7 @@ import pytest
 from tests.support.runs import setup
 from transport.model import state
 from transport.model.arrays import Array
+from transport.model.rotations import rotation
 from transport.model.state import StateView
 from transport.plant.environment import Environment
 from transport.protocol.scenario.setup import Setup
@@ -84,6 +85,64 @@ def test_drag_is_that_of_the_air_past_each_body() -> None:
     ) - run.model.outputs(x)
     velocity = positions[:3] / 1e-6  # of the first UAV
     assert np.abs(moving[3:6] - 0.3 * (wind - velocity)).max() < 1e-5
+
+
+DRAG = (
+    "system.payload.drag_kgps=0.6",
+    *(f"system.uav.{i}.drag_kgps=[0.3,0.1]" for i in (1, 2, 3, 4)),
+)
+
+
+def test_drag_of_the_bodies_needs_no_wind() -> None:
+    """Coefficients of `[system]` act in still air, times the plant's factor, whether known or not.
+
+    The force on a body is -D v in still air and zero where it moves with the air, (42).
+    """
+    for factor, knows in ((1.0, "true"), (0.5, "true"), (1.5, "false")):
+        run = setup(*DRAG, f"plant.drag_factor={factor}", f"controller.knows_drag={knows}")
+        environment = Environment(run)
+        assert environment.forces(0, state_in_motion(run)) is None, (
+            "a part of the engine's equations"
+        )
+        assert environment.system.payload.drag == 0.6 * factor
+        np.testing.assert_allclose(environment.system.uavs[3].drag, [0.3 * factor, 0.1 * factor])
+        known = 0.6 if knows == "true" else 0.0
+        assert run.system.payload.drag == known
+
+
+def test_wind_carries_the_bodies_along() -> None:
+    """A body that moves with the air feels no force: that of the wind is the drag against it, (42)."""
+    run = setup(*DRAG, MEAN)
+    environment = Environment(run)
+    x = state_in_motion(run)
+    in_wind = environment.forces(0, x)
+    assert in_wind is not None
+    still = environment.model.derivative(x, run.hover.u, forces=in_wind)
+
+    # All velocities less the wind, in air at rest: the same accelerations.
+    view = StateView(x.copy())
+    view.v0_P[:] -= rotation(view.Theta0).T @ np.array([3.0, -1.0, 0.5])
+    carried = environment.model.derivative(view.x, run.hover.u)
+    np.testing.assert_allclose(still[state.OMEGA0], carried[state.OMEGA0], atol=1e-9)
+    # a_0 = v_0' + omega_0 x v_0 is the acceleration, in both.
+    turning = np.cross(view.omega0_P, StateView(x).v0_P), np.cross(view.omega0_P, view.v0_P)
+    np.testing.assert_allclose(
+        still[state.V0] + turning[0], carried[state.V0] + turning[1], atol=1e-9
+    )
+
+
+def test_drag_without_coefficients() -> None:
+    """Bodies without coefficients have drag in wind by default, in still air only if it is given."""
+    x = state_in_motion(setup())
+    assert Environment(setup()).forces(0, x) is None
+    given = Environment(setup("plant.wind.drag_uav_kgps=0.3")).forces(0, x)
+    assert given is not None
+    velocities = setup().model.velocities(x)
+    np.testing.assert_allclose(given.reshape(5, 3)[1:], -0.3 * velocities[1:], atol=ROUNDING)
+    assert not given[:3].any()
+    breeze = Environment(setup("plant.wind.speed_mps=[1e-9,0,0]")).forces(0, x)
+    assert breeze is not None
+    np.testing.assert_allclose(breeze[:3], -0.4 * velocities[0], atol=1e-8)
 
 
 def test_gusts_are_a_gauss_markov_process() -> None:

@@ -1,5 +1,7 @@
 """Random systems, states and inputs without symmetry, for tests of the equations of motion."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -37,6 +39,13 @@ def random_system(rng: np.random.Generator, N: int, gravity: float = GRAVITY) ->
         uavs=uavs,
         gravity=gravity,
     )
+
+
+def with_drag(rng: np.random.Generator, system: System) -> System:
+    """Return a system whose bodies have unequal drag, that of UAVs across and along their rotors' axis."""
+    uavs = [replace(uav, drag=rng.uniform(0.1, 1.0, 2)) for uav in system.uavs]
+    payload = replace(system.payload, drag=rng.uniform(0.1, 1.0))
+    return replace(system, payload=payload, uavs=tuple(uavs))
 
 
 def random_state(rng: np.random.Generator, N: int, rate: float = 2.0) -> Array:

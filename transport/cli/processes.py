@@ -35,6 +35,7 @@ from transport.model.compiled import needs_compilation
 from transport.protocol.network.bus import Place
 from transport.protocol.network.endpoints import Endpoints, endpoints_of, security_of
 from transport.protocol.network.process import Journal, run_node
+from transport.protocol.scenario.built import kinds_of
 from transport.protocol.scenario.schema import LONGEST_WAIT_S
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.keys import ROUTER, Keys
@@ -88,8 +89,7 @@ class ProcessOptions:
         `transport run` has compiled it before its processes start.
         """
         setup = self.setup()
-        team = setup.system
-        if not any(needs_compilation(team.N, rates) for rates in {False, team.commands_rates}):
+        if not any(needs_compilation(*kind) for kind in kinds_of(setup.scenario)):
             return setup
 
         from rich.console import Console

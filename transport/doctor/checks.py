@@ -17,6 +17,7 @@ from transport.model import compiler, native
 from transport.model.compiled import compile_functions
 from transport.protocol.network.endpoints import Endpoints, default_mesh, process_names
 from transport.protocol.network.session import fetch_answer, open_session
+from transport.protocol.scenario.built import kinds_of
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.keys import WATCHER, Keys
 from transport.protocol.wire.names import RECORDER
@@ -146,8 +147,7 @@ def step(setup: Setup) -> Finding:
 def kernels(setup: Setup) -> Finding:
     """Compile the model and the kernels of a step: otherwise a step takes several times as long."""
     folder = compiler.cache_folder()
-    team = setup.system
-    models = [compile_functions(team.N, rates) for rates in {False, team.commands_rates}]
+    models = [compile_functions(*kind) for kind in kinds_of(setup.scenario)]
     if native.AVAILABLE and all(models):
         width = native.KERNELS.vector_width()
         return Finding(

@@ -9,7 +9,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 
 from transport.model.compiled import compile_functions, needs_compilation
+from transport.model.parameters import Kind
 from transport.model.state import StateView
+from transport.protocol.scenario.built import kinds_of
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.stage_cost import StageCost
@@ -24,18 +26,14 @@ def compile_models(scenarios: Iterable[Scenario], console: Console) -> None:
 
     Nothing happens if they are compiled for this processor already.
     """
-    teams = set[tuple[int, bool]]()
-    for scenario in scenarios:
-        # The plant has motors, that is thrust and moments, also where controllers command body rates.
-        uavs = len(scenario.system.uav)
-        teams |= {(uavs, False), (uavs, scenario.controller.inputs == "rates")}
-
-    for uavs, rates in sorted(teams):
-        if needs_compilation(uavs, rates):
-            inputs = "body rates" if rates else "moments"
-            text = f"compiling the model of {uavs} UAVs with {inputs} for this processor, once"
+    kinds = set[Kind]().union(*(kinds_of(scenario) for scenario in scenarios))
+    for kind in sorted(kinds):
+        if needs_compilation(*kind):
+            inputs = "body rates" if kind.rates else "moments"
+            model = f"{inputs} and drag" if kind.drag else inputs
+            text = f"compiling the model of {kind.N} UAVs with {model} for this processor, once"
             console.print(text, highlight=False, soft_wrap=True)
-            compile_functions(uavs, rates)
+            compile_functions(*kind)
 
 
 class ConsoleProgress:
