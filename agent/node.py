@@ -197,7 +197,7 @@ class AgentNode(Participant):
         # The simulated link decides when a message may be used, and in which order, not its arrival
         # at this process.
         plans, lost_plans = self._plans.take(k, now_ns)
-        measurements, _ = self._measurements.take(k, now_ns)
+        measurements, lost_measurements = self._measurements.take(k, now_ns)
         self._forget_before(k)
 
         roster = membership.at(measurement.roster)
@@ -206,6 +206,7 @@ class AgentNode(Participant):
             measurements=measurements,
             plans=plans,
             lost=lost_plans,
+            measurements_lost=lost_measurements,
             agents=frozenset(roster.agents),
             off=frozenset(uav - 1 for uav in roster.off),
             released=frozenset(uav - 1 for uav in roster.released),

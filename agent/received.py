@@ -14,6 +14,7 @@ class Received:
     measurements: Sequence[Measurement]  # that have become usable since the last step, in order
     plans: Sequence[Plan]  # of the others, that have become usable since the last step, in order
     lost: int  # plans that are known since then to be lost on their links
+    measurements_lost: int  # the same of measurements
     agents: Set[int]  # on the roster, 1-based
     off: frozenset[int]  # UAVs whose motors are off, 0-based
     released: frozenset[int]  # those of them that are released

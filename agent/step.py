@@ -423,16 +423,33 @@ def numbers_note(
 
 
 def step_report(
-    received: Received, agent: int, out: Outbox, *, times_ns: Mapping[str, int], **fields: Any
+    received: Received,
+    agent: int,
+    out: Outbox,
+    *,
+    peers: Sequence[int],
+    plan_ages: Sequence[int],
+    times_ns: Mapping[str, int],
+    **fields: Any,
 ) -> StepReport:
-    """Return the report of an agent's step from messages, times of stages, and other fields."""
+    """Return the report of an agent's step from messages, times of stages, and other fields.
+
+    Plans of peers that are off the roster are not used any more, so they have no age.
+    """
     k = received.tick
+    ages = [
+        age if peer in received.agents else _NO_AGE
+        for peer, age in zip(peers, plan_ages, strict=True)
+    ]
     return out.stamp(
         StepReport,
         tick=k,
         agent=agent,
         delivered=len(received.plans),
+        peers=peers,
+        plan_ages=tuple(ages),
         lost=received.lost,
+        measurements_lost=received.measurements_lost,
         late=sum(plan.tick < k - 1 for plan in received.plans),
         times_ms=np.array([times_ns[stage] / 1e6 for stage in STAGES]),
         **fields,

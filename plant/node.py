@@ -228,7 +228,7 @@ class PlantNode(Participant):
         """Integrate [t_k, t_{k+1}) and return what is recorded of it."""
         k = self._k
         x = self._x
-        self._schedule_arrived(now_ns)
+        plans_lost = self._schedule_arrived(now_ns)
         u, sources = self._commands()
         forces = self.environment.forces(k, x)
         end = self._advance(u, forces)
@@ -250,14 +250,16 @@ class PlantNode(Participant):
             plan_ticks=sources,
             local_error=end.error if np.isfinite(end.x).all() else UNKNOWN_ERROR,
             diverged=reason,
+            plans_lost=plans_lost,
         )
         return [plant_state, *self._actual_inputs(k, end)]
 
-    def _schedule_arrived(self, now_ns: int) -> None:
-        """Schedule the plans that have become usable."""
-        usable, _ = self._plans.take(self._k, now_ns)
+    def _schedule_arrived(self, now_ns: int) -> int:
+        """Schedule the plans that have become usable; return how many are known to be lost."""
+        usable, lost = self._plans.take(self._k, now_ns)
         for plan in usable:
             self._schedule.add(plan)
+        return lost
 
     def _commands(self) -> tuple[Array, tuple[int, ...]]:
         """Return the commands over [t_k, t_{k+1}), (4 N,), and the source of those of each UAV."""

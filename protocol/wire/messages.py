@@ -448,7 +448,8 @@ class StepReport(Message, tag="report", frozen=True, kw_only=True):
     iterations: Count
     residual: Finite  # the worst KKT residual, or -1 when there is none
     peers: Ids  # the other agents, ascending
-    # Age in ticks of the newest plan used of each of `peers`; -1 where none was ever received.
+    # Age in ticks of the newest plan used of each of `peers`; -1 where none was ever received, and for
+    # those that are off the roster.
     plan_ages: Ages
     state_ages: Ages  # the same for the newest state of each
     measurement_age: Age  # the same for the newest measurement used
@@ -458,6 +459,7 @@ class StepReport(Message, tag="report", frozen=True, kw_only=True):
     force: Array  # estimated, on the payload, inertial frame, (3,), N; or zero
     # Of `STAGES` by the wall clock, not reproducible, (8,); "publish" is that of the step before.
     times_ms: Array
+    measurements_lost: Count = 0  # that are known from now on to be lost on their link
 
 
 class Note(Message, tag="note", frozen=True, kw_only=True):
@@ -489,6 +491,7 @@ class PlantState(Message, tag="plant_state", frozen=True, kw_only=True):
     plan_ticks: PlanTicks
     local_error: Finite  # largest local error estimate of the integration over the interval, SI
     diverged: Text  # empty, or why the run ends after this interval
+    plans_lost: Count = 0  # known from now on to be lost on their link to the plant
 
 
 class ActualInputs(Message, tag="actual_inputs", frozen=True, kw_only=True):

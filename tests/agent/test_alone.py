@@ -26,6 +26,7 @@ def _planned(run: Setup, planner: AlonePlanner, k: int, x: Array, inputs: Array)
         measurements=[measured],
         plans=[],
         lost=0,
+        measurements_lost=0,
         agents=set(runs.ALL),
         off=frozenset(),
         released=frozenset(),

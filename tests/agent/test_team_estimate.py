@@ -54,6 +54,7 @@ def _received(
         measurements=[],
         plans=[] if heard is None else [runs.plan(run, agent, heard) for agent in others],
         lost=0,
+        measurements_lost=0,
         agents=agents,
         off=off,
         released=released,

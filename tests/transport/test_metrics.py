@@ -25,7 +25,7 @@ from transport.model.arrays import Array
 from transport.model.hover import released_state
 from transport.protocol.wire.messages import ActualInputs, Control, Message, Outcome
 from transport.report.summary_table import summary_table
-from transport.report.summary_texts import limits_text
+from transport.report.summary_texts import limits_text, plans_text
 
 # A few roundings of numbers of order one to a hundred.
 ROUNDING = 1e-12
@@ -371,6 +371,38 @@ def test_plans_that_never_arrive_are_told() -> None:
     assert messages["in_transit"] == 9 * 12
     cells = [str(cell) for column in summary_table(summary).columns for cell in column.cells]
     assert any("0 of 108 lost, 108 not arrived at the end, 0 late" in cell for cell in cells)
+
+
+def test_losses_from_and_to_the_plant_are_counted() -> None:
+    """Each link of the plant loses the messages of the ticks at which it is cut, and the report says so.
+
+    Cut are from 0.1 to 0.3 s, four ticks, all links of the plant with agents 1 and 2.
+    """
+    cut = "links.partition=[{between=['plant','agent3','agent4'],start_s=0.1,end_s=0.3}]"
+    settings = (runs.ticks(10), cut)
+    run = runs.setup(*settings)
+    summary = summarise(AnalysedRun.of(run, log_of(runs.recorded(run))))
+    messages = summary["messages"]
+    assert messages["measurements"] == {"sent": 40, "lost": 4 * 2}
+    assert messages["commands"] == {"sent": 40, "lost": 4 * 2}
+    text = "measurements 8 of 40 lost; commands 8 of 40 lost"
+    assert plans_text(messages, summary["plan_age_ticks"]).endswith(text)
+
+    perfect = runs.setup(runs.ticks(10))
+    summary = summarise(AnalysedRun.of(perfect, log_of(runs.recorded(perfect))))
+    assert summary["messages"]["measurements"] == {"sent": 40, "lost": 0}
+    assert plans_text(summary["messages"], summary["plan_age_ticks"]).endswith("max 1")
+
+
+def test_plans_of_agents_that_are_gone_have_no_age() -> None:
+    """After the death of an agent its last plan is not in use: on a perfect network plans stay one tick old."""
+    death = (
+        "clock.on_agent_loss=continue",
+        "faults.event=[{at_s=0.2,do='kill',target='agent3'}]",
+    )
+    run = runs.setup(runs.ticks(20), *death)
+    summary = summarise(AnalysedRun.of(run, log_of(runs.recorded(run))))
+    assert summary["plan_age_ticks"] == {"mean": 1.0, "max": 1}
 
 
 def test_one_row_for_each_agent_and_tick() -> None:

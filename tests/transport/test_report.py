@@ -76,6 +76,8 @@ def test_a_run_is_summarised(flight: tuple[Path, list[Message]]) -> None:
         "lost": 0,
         "in_transit": 0,
         "late": 0,
+        "measurements": {"sent": 120, "lost": 0},
+        "commands": {"sent": 120, "lost": 0},
         "rejected": 0,
     }
     assert 0.0 < summary["cost"]["mean"] < summary["cost"]["max"] < 1.0

@@ -80,6 +80,21 @@ def deadline(setup: Setup, log: RunLog) -> dict[str, Any]:
     }
 
 
+def links_of_plant(log: RunLog, reports: Sequence[messages.StepReport]) -> dict[str, Any]:
+    """Return numbers of the measurements to the agents and of the commands, their plans, to the plant."""
+    plans = [plan for plan in log.of(messages.Plan) if not plan.negotiation]
+    return {
+        "measurements": {
+            "sent": sum(1 for _ in log.of(messages.Measurement)),
+            "lost": sum(report.measurements_lost for report in reports),
+        },
+        "commands": {
+            "sent": len(plans),
+            "lost": sum(state.plans_lost for state in log.of(messages.PlantState)),
+        },
+    }
+
+
 def plans_between_agents(
     setup: Setup, log: RunLog, reports: Sequence[messages.StepReport], *, replaced: int
 ) -> dict[str, int]:

@@ -10,6 +10,7 @@ from transport.analysis.airtime import radio_of
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.communication import (
     deadline,
+    links_of_plant,
     plans_between_agents,
     rejections,
     rest_of_tick_ms,
@@ -54,7 +55,10 @@ def summarise(run: AnalysedRun) -> dict[str, Any]:
         "rest_of_tick_ms": percentiles(rest_of_tick_ms(setup, log).values()),
         "deadline": deadline(setup, log),
         "plan_age_ticks": _plan_ages(reports),
-        "messages": plans_between_agents(setup, log, reports, replaced=replaced),
+        "messages": {
+            **plans_between_agents(setup, log, reports, replaced=replaced),
+            **links_of_plant(log, reports),
+        },
         "radio": radio,
         "rejections": rejections(log),
         "solver": _solver(setup, reports),

@@ -107,7 +107,12 @@ def plans_text(messages: Mapping[str, Any], ages: Mapping[str, Any]) -> str:
     mean_age = number_text(ages["mean"], "{:.2f}")
     largest_age = number_text(ages["max"], "{:d}")
     age = f"age {mean_age} ticks, max {largest_age}"
-    return f"{unsent}{lost}, {unarrived}{messages['late']} late; {age}"
+    of_plant = [
+        f"; {kind} {messages[kind]['lost']} of {messages[kind]['sent']} lost"
+        for kind in ("measurements", "commands")
+        if messages.get(kind, {}).get("lost")  # summaries of earlier versions lack them
+    ]
+    return f"{unsent}{lost}, {unarrived}{messages['late']} late; {age}{''.join(of_plant)}"
 
 
 def radio_text(radio: Mapping[str, Any]) -> str:
