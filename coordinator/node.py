@@ -16,9 +16,11 @@ from transport.coordinator.failed_steps import FailedSteps
 from transport.coordinator.requests import RunStatus, answer_request
 from transport.coordinator.roster import TeamRoster, names
 from transport.protocol.admission.plausibility import check_tick
+from transport.protocol.scenario.contacts import Contacts
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.exit_codes import (
+    EXIT_COLLIDED,
     EXIT_DIVERGED,
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -26,6 +28,7 @@ from transport.protocol.wire.exit_codes import (
     EXIT_UNREACHABLE,
 )
 from transport.protocol.wire.messages import (
+    MAX_TEXT,
     Control,
     Event,
     Message,
@@ -39,20 +42,27 @@ from transport.protocol.wire.names import COORDINATOR, PLANT
 from transport.protocol.wire.node import Outbox
 
 # Outcomes of runs that are not aborted, by exit code; a run with another code was aborted.
-_OUTCOMES = {0: "completed", EXIT_DIVERGED: "diverged", EXIT_FAILED: "failed"}
+_OUTCOMES = {
+    0: "completed",
+    EXIT_DIVERGED: "diverged",
+    EXIT_FAILED: "failed",
+    EXIT_COLLIDED: "collided",
+}
 
 
 class State(Enum):
     """State of a run.
 
     WAITING ends with the last process that is ready, HELD with the last agent that returns or at
-    the end of its time. DIVERGED follows the plant's word from OPEN and HELD. STOPPED is the end.
+    the end of its time. ENDING follows a state of the plant from OPEN and HELD. STOPPED is the end.
     """
 
     WAITING = "the processes are joining"
     OPEN = "a tick is open"
     HELD = "the next tick waits for agents that the scenario's faults bring back"
-    DIVERGED = "the plant has diverged; the run ends when the next tick is open"
+    ENDING = (
+        "the plant has diverged, or two UAVs have collided; the run ends when the next tick is open"
+    )
     STOPPED = "the run has ended"
 
 
@@ -95,6 +105,7 @@ class CoordinatorNode:
         radio = setup.scenario.radio
         self._air = None if radio is None else TeamAir(setup, radio, self._out)
         self._divergence = ""  # why the run has diverged
+        self._contacts = Contacts(setup)
         self._failed_steps = FailedSteps(setup.scenario.agents.failed_share)
 
     @property
@@ -139,8 +150,8 @@ class CoordinatorNode:
             return [gave_up, *opened]
 
         expired = now_ns >= self._clock.expires_ns
-        if expired and self.state is State.DIVERGED:
-            return self._stop(EXIT_DIVERGED, self._divergence)
+        if expired and self.state is State.ENDING:
+            return self._end()
         if self._clock.plant_is_silent(now_ns):
             reason = f"plant has not answered since tick {self._plant_tick}"
             return self._stop(EXIT_UNREACHABLE, reason)
@@ -199,7 +210,9 @@ class CoordinatorNode:
         if plant_state.diverged and not self._divergence:
             time = self._roster.time(plant_state.tick)
             self._divergence = f"{plant_state.diverged} at {time}"
-            self.state = State.DIVERGED
+            self.state = State.ENDING
+        if self._contacts.add(plant_state) and self._setup.scenario.plant.on_collision == "end":
+            self.state = State.ENDING
 
     def _note_plan(self, plan: Plan, now_ns: int) -> None:
         """Note an answer to a tick, or a proposal of a negotiation."""
@@ -327,16 +340,16 @@ class CoordinatorNode:
         """Close the open tick if it may be closed: open the next one, or end the run."""
         if self.state is State.WAITING:
             return ()
-        is_diverged = self.state is State.DIVERGED
-        if is_diverged and self.tick > self._plant_tick:
-            # The plant reports a divergence at tick p. The run ends once tick p + 1 is open, whether
-            # its answer or those of the agents came first: the record is the same.
-            return self._stop(EXIT_DIVERGED, self._divergence)
+        is_ending = self.state is State.ENDING
+        if is_ending and self.tick > self._plant_tick:
+            # The plant reports a divergence or a contact at tick p. The run ends once tick p + 1 is open,
+            # whether its answer or those of the agents came first: the record is the same.
+            return self._end()
 
         may_close = self._clock.may_close(self.tick, self._missing, now_ns, last=self._is_last)
         if not may_close or self._lacks_state:
             return ()
-        if not is_diverged and not self._is_last and self._roster.due_back(self.tick + 1):
+        if not is_ending and not self._is_last and self._roster.due_back(self.tick + 1):
             self._hold(now_ns)
             return ()
 
@@ -346,7 +359,7 @@ class CoordinatorNode:
         if self._is_last:
             return self._end()
         opened = self._open(now_ns)
-        if not is_diverged:
+        if not is_ending:
             return opened
         # Tick p + 1 is open now: the run ends.
         return [*opened, *self._advance(now_ns)]
@@ -369,7 +382,7 @@ class CoordinatorNode:
         opened = self._tick_message(tick, now_ns)
 
         self.tick = tick
-        if self.state is not State.DIVERGED:
+        if self.state is not State.ENDING:
             self.state = State.OPEN
         self._answered = {}
         self._negotiating = {}
@@ -397,11 +410,16 @@ class CoordinatorNode:
         )
 
     def _end(self) -> Sequence[Message]:
-        """End the run at its last tick: diverged, failed or completed."""
-        if self.state is State.DIVERGED:
+        """End the run by the plant's states or at its last tick: collided, diverged, failed or completed."""
+        failure = "" if self._divergence else self._failed_steps.verdict()
+        contact = self._contacts.first
+        if contact is not None:
+            # What came after the contact would not have happened so.
+            collision = f"{contact.text} at t = {contact.at_s:.2f} s"
+            reasons = [collision, self._divergence, failure]
+            return self._stop(EXIT_COLLIDED, "; ".join(filter(None, reasons))[:MAX_TEXT])
+        if self._divergence:
             return self._stop(EXIT_DIVERGED, self._divergence)
-
-        failure = self._failed_steps.verdict()
         return self._stop(EXIT_FAILED if failure else 0, failure)
 
     def _stop(self, exit_code: int, reason: str) -> Sequence[Message]:

@@ -68,6 +68,16 @@ def off_hover(hover: Hover, settings: ControllerSettings, plant: PlantSection) -
         yield "controller.tension.minimum_N", f"{expected}, got {tension.minimum_N}"
 
 
+def touching_at_hover(model: Model, hover: Hover, radii_m: Sequence[float | None]) -> Problems:
+    """Yield the radii of UAVs that touch at hover."""
+    r = model.outputs(hover.x)[: 3 * model.system.N].reshape(-1, 3)
+    for (i, a), (j, b) in combinations(enumerate(radii_m), 2):
+        apart_m = float(np.linalg.norm(r[i] - r[j]))
+        if a and b and apart_m <= a + b:
+            expected = f"expected less than {apart_m:.3f} m with that of UAV{i + 1} (hover)"
+            yield f"system.uav.{j + 1}.radius_m", f"{expected}, got {a + b:.3f} m"
+
+
 def too_close_at_hover(model: Model, hover: Hover, settings: ControllerSettings) -> Problems:
     """Yield the least distance of UAVs if they are closer at hover."""
     if settings.separation is not None:

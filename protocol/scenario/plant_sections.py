@@ -154,6 +154,9 @@ class PlantSection(Section):
     """roll or pitch of the payload or a UAV beyond which the run counts as diverged"""
     max_error_m: Positive = 20.0
     """distance of the payload from its path beyond which the run counts as diverged"""
+    on_collision: Literal["continue", "end"] = "continue"
+    """when two UAVs touch (`system.uav.radius_m`): the run goes on, as if they went through each other, or
+    ends. The exit code is 11 in both cases"""
     payload_mass_factor: Annotated[
         MassFactor, Key(label="actual over assumed payload mass", short="payload_mass_factor")
     ] = 1.0

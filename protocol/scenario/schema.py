@@ -84,6 +84,9 @@ class UavSection(Section):
     """attachment point on the payload, payload frame: x forward, y right, z down"""
     rod_length_m: Annotated[Positive, Key(within=(1e-3, 1e4))]
     """rod length l_i"""
+    radius_m: Annotated[Positive, Key(within=(1e-3, 1e2))] | None = None
+    """radius of the sphere that the UAV fills: two that touch have collided
+    ([guarantees.md](guarantees.md#collisions)); without it no contact is told"""
 
 
 class SystemSection(Section):

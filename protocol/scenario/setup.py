@@ -32,6 +32,7 @@ from transport.protocol.scenario.checks import (
     off_hover,
     off_limits,
     too_close_at_hover,
+    touching_at_hover,
 )
 from transport.protocol.scenario.errors import HoverError, ScenarioError, building
 from transport.protocol.scenario.faults import Fault, scripted
@@ -153,6 +154,9 @@ class Setup:
             raise HoverError(source, field, problem)
         for field, problem in chain(
             too_close_at_hover(self.model, at_rest, settings),
+            touching_at_hover(
+                self.model, at_rest, [uav.radius_m for uav in self.scenario.system.uav]
+            ),
             off_limits(self.reference, system, at_rest, settings, self.faults),
             self._off_obstacles(),
         ):

@@ -30,7 +30,7 @@ _SPACING_DECIMALS = 5
 # Sections and keys that a new team never has from its template.
 _MADE_ANEW = ("name", "system.payload")
 # Keys of a UAV that are the same all around a ring.
-_AIRFRAME_KEYS = ("mass_kg", "inertia_kgm2", "rod_length_m")
+_AIRFRAME_KEYS = ("mass_kg", "inertia_kgm2", "rod_length_m", "radius_m")
 
 
 class AirframeSection(Section):
@@ -44,6 +44,8 @@ class AirframeSection(Section):
     """length of its rod"""
     spacing_m: Positive
     """distance between neighbours in the ring"""
+    radius_m: Positive | None = None
+    """radius of the sphere that it fills, over the propellers; None: not known"""
 
 
 class Vehicle(Section):
@@ -162,6 +164,7 @@ def airframe_of(scenario: Scenario, source: str) -> AirframeSection:
         inertia_kgm2=first.inertia_kgm2,
         rod_length_m=first.rod_length_m,
         spacing_m=spacing_m,
+        radius_m=first.radius_m,
     )
 
 
@@ -204,6 +207,7 @@ def ring(
                 "mass_kg": airframe.mass_kg,
                 "inertia_kgm2": airframe.inertia_kgm2,
                 "rod_length_m": airframe.rod_length_m,
+                **({} if airframe.radius_m is None else {"radius_m": airframe.radius_m}),
             }
             for number in range(1, N + 1)
         ],

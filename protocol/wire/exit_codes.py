@@ -9,4 +9,5 @@ EXIT_FAILED = 7  # steps of a controller failed, or a simulation of an experimen
 EXIT_DIFFERENT = 8  # replayed plans differ from the recorded ones
 EXIT_CHECK_FAILED = 9  # a check of `transport doctor` failed
 EXIT_UNRECORDED = 10  # the log or the report cannot be written
+EXIT_COLLIDED = 11  # two UAVs touched
 EXIT_INTERRUPTED = 130  # Ctrl-C, SIGTERM or SIGHUP

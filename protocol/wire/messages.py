@@ -158,7 +158,7 @@ REPLACED = -5.0
 NO_NEWS = -9.0
 CONTINUED = "continued"  # in `FaultNote.what`, by which a replay knows the process
 
-Outcome = Literal["completed", "failed", "diverged", "aborted"]
+Outcome = Literal["completed", "failed", "diverged", "aborted", "collided"]
 PlanStatus = Literal["solved", "infeasible", "limit", "numerical", "unchanged"]
 FaultOrigin = Literal["script", "person", "unknown"]
 

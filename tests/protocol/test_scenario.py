@@ -46,6 +46,7 @@ OTHER_WORDS = {
     "actuation": "immediate",
     "mode": "realtime",
     "on_agent_loss": "continue",
+    "on_collision": "end",
     "on_overrun": "hold",
     "between": "agent4",
     "from": "agent3",

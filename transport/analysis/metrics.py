@@ -15,7 +15,7 @@ from transport.analysis.communication import (
     rejections,
     rest_of_tick_ms,
 )
-from transport.analysis.events import events
+from transport.analysis.events import TIME_DIGITS, events
 from transport.analysis.flight_numbers import cables, consistency, cost_and_tracking, targets
 from transport.analysis.own_constraints import own_constraints
 from transport.analysis.series import Series
@@ -48,6 +48,7 @@ def summarise(run: AnalysedRun) -> dict[str, Any]:
         "controller": _controller(setup, log),
         **_durations(setup, log, series),
         **cost_and_tracking(setup, series),
+        "collision": _collision(series),
         "own_constraints": own_constraints(setup, series, log),
         "cables": cables(setup, log),
         "estimate": consistency(series, log),
@@ -80,6 +81,18 @@ def _end(control: messages.Control | None) -> dict[str, Any]:
         "outcome": control.outcome,
         "reason": control.reason,
         "exit_code": control.exit_code,
+    }
+
+
+def _collision(series: Series) -> dict[str, Any] | None:
+    """Return the first contact of two UAVs; None if there is none."""
+    contact = series.contact
+    if contact is None:
+        return None
+    return {
+        "at_s": round(contact.at_s, TIME_DIGITS),
+        "uavs": list(contact.uavs),
+        "distance_m": contact.distance_m,
     }
 
 

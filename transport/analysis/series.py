@@ -12,6 +12,7 @@ from transport.log.run_log import RunLog
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.rotations import rotation
+from transport.protocol.scenario.contacts import Contact, first_contact
 from transport.protocol.scenario.faults import failures
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.stage_cost import StageCost
@@ -47,6 +48,7 @@ class Series:
     separation_m: Array
     # Smallest distances of UAVs on their rods, rods, payload from obstacles, (T, 3); or infinite.
     clearance_m: Array
+    contact: Contact | None  # first contact of two UAVs with a size; None if there is none
     # Excess over each limit by its name, as a share of its range, (T,); see `violations_of`.
     violations: Mapping[str, Array]
     # Largest local error estimate of the plant's integration where it is recorded, (<= T,), SI.
@@ -141,6 +143,7 @@ def series_of(setup: Setup, log: RunLog) -> Series:
         on_rods=on_rods,
         separation_m=separation_m,
         clearance_m=clearance_m.min(axis=0, initial=np.inf),
+        contact=first_contact(setup, states),
         violations=violations_of(setup, ticks, u, separation_m, clearance_m[..., 0]),
         local_error=_local_errors(states),
     )

@@ -118,7 +118,7 @@ app = lazy_group(
     epilog="Exit codes: 0 done, 2 usage, 3 scenario, 4 peer lost or not reachable, "
     "5 deadlines missed, 6 diverged, 7 steps of a controller failed, 8 plans differ (replay), "
     "9 a check failed (doctor), "
-    "10 not recorded, 130 interrupted.",
+    "10 not recorded, 11 collided, 130 interrupted.",
 )
 
 

@@ -283,6 +283,8 @@ def _result(case: Case) -> Result:
 
     is_completed = control.outcome == "completed"
     end_s = None if is_completed else control.tick * setup.settings.sampling_period_s
+    if summary["collision"]:
+        end_s = summary["collision"]["at_s"]
     numbers = {"lost_s": end_s, **_numbers(summary), **_radio_numbers(summary["radio"])}
     if case.more is not None:
         numbers |= case.more(setup, summary, log)

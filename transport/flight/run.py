@@ -43,6 +43,7 @@ _ORDERLY_ENDS = {
     codes.EXIT_OVERRUN,
     codes.EXIT_DIVERGED,
     codes.EXIT_FAILED,
+    codes.EXIT_COLLIDED,
     codes.EXIT_INTERRUPTED,
 }
 _POLL_S = 0.05

@@ -16,8 +16,10 @@ from matplotlib.transforms import ScaledTranslation
 
 from transport.log.run_log import RunLog
 from transport.protocol.scenario.budget import first_tick
+from transport.protocol.scenario.contacts import first_contact
 from transport.protocol.scenario.link_changes import scripted_changes
 from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import PlantState
 from transport.report.style import COLUMN_IN, POINTS_PER_IN, SMALL, TEXT, shade_phases
 from transport.scene.history import RunHistory, merged
 
@@ -248,6 +250,10 @@ def _marks(setup: Setup, log: RunLog) -> Iterator[Mark]:
     for time_s, text in scripted_changes(setup.scenario.links):
         if first_tick(time_s, period_s) <= last:
             yield Mark(time_s=time_s, text=text, of_links=True)
+
+    contact = first_contact(setup, log.of(PlantState))
+    if contact is not None:
+        yield Mark(time_s=round(contact.at_s, 3), text=contact.text, of_links=False)
 
     history = RunHistory(setup)
     history.add(entry.message for entry in log.messages)

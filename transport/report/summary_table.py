@@ -15,6 +15,7 @@ from transport.report.summary_texts import (
     own_constraint_text,
     plans_text,
     radio_text,
+    separation_text,
     solver_text,
 )
 
@@ -33,6 +34,7 @@ _COLOURS = {
     "completed": "green",
     "failed": "red",
     "diverged": "red",
+    "collided": "red",
     "aborted": "red",
     "unknown": "yellow",
 }
@@ -174,7 +176,7 @@ def _estimate(estimate: Mapping[str, Any]) -> str:
 
 def _constraint_rows(summary: _Summary) -> Iterator[_Row]:
     """Yield the rows about distances, limits and the accuracy of the plant."""
-    yield "separation", number_text(summary["separation_min_m"], "min {:.3f} m")
+    yield "separation", separation_text(summary)
     clear_m = summary.get("clearance_min_m")
     if clear_m:
         texts = [f"{number_text(clear_m[key], '{:.3f} m')} {body}" for key, body in _CLEAR.items()]

@@ -72,6 +72,15 @@ def _reached_texts(reached: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
+def separation_text(summary: Mapping[str, Any]) -> str:
+    """Return the smallest distance of two UAVs, and their first contact."""
+    least = number_text(summary["separation_min_m"], "min {:.3f} m")
+    contact = summary.get("collision")  # not in a summary of an earlier version
+    if not contact:
+        return least
+    return "{}; UAV{} and UAV{} touch at {:.2f} s".format(least, *contact["uavs"], contact["at_s"])
+
+
 def deadlines_text(deadline: Mapping[str, Any]) -> str:
     """Return how many plans missed their deadline, and how late ticks opened."""
     share = number_text(deadline["share"], "{:.2%}")

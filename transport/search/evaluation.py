@@ -123,8 +123,11 @@ class Problem:
 
         log = RunLog(header={}, messages=tuple(messages), cut="")
         run = AnalysedRun.of(setup, log)
-        value = self.objective.value(summarise(run))
+        summary = summarise(run)
+        value = self.objective.value(summary)
         survived = 1.0 if outcome == "completed" else end_tick / setup.ticks
+        if summary["collision"]:
+            survived = min(survived, summary["collision"]["at_s"] / (setup.ticks * period_s))
 
         return Evaluation(
             key=key,
