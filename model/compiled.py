@@ -15,12 +15,14 @@ from transport.model.dynamics import Symbols
 from transport.model.parameters import Kind
 
 # No contraction of products and sums: the same bits as CasADi's interpreter.
-_FLAGS = ("-Og", "-fno-math-errno", "-ffp-contract=off")
-# How `step` is compiled: it is a tenth of the code, but evaluated most, tens of times in a step of a
-# controller. GCC's vectorisation of straight code fuses products and sums of neighbours in spite of
-# the flag above.
+# Functions of the library call each other directly, and short ones are inlined.
+_FLAGS = ("-Og", "-fno-math-errno", "-ffp-contract=off", "-fno-semantic-interposition")
+# How `step` and `advance` are compiled: each is a tenth of the code, but they are evaluated most, tens of
+# times in a step of a controller. GCC's vectorisation of straight code fuses products and sums of
+# neighbours in spite of the flag above.
+_STEPS = ("step", "advance")
 _OPTIMISED = """#pragma GCC push_options
-#pragma GCC optimize("O2,no-tree-slp-vectorize")
+#pragma GCC optimize("O3,no-tree-slp-vectorize")
 {}
 #pragma GCC pop_options"""
 # Instructions; longer functions stay interpreted, as compilation time grows more than linearly.
@@ -32,7 +34,7 @@ _FUNCTIONS = (
     "velocities",
     "outputs",
     "linearise",
-    "step",
+    *_STEPS,
     "sense",
     "sensed",
 )
@@ -108,6 +110,7 @@ def functions(N: int, rates: bool = False, drag: bool = False) -> dict[str, ca.F
     linearise (x, u, p, F): x', y, and, sparse and transposed, the factors of `model.pattern`
     step (x, u, p, F, h): x after h seconds of constant u and F by one Dormand-Prince step and
         projection of the rods, and the local error estimate before projection
+    advance (x, u, p, F, h): the first of these alone, which needs one evaluation of f less
     sense (x, u, p, F): measurements y of the UAVs' own sensors, and their derivatives in parts:
         those by (x, F) with the payload's acceleration held, sparse, by that acceleration, and its
         own by (x, F)
@@ -153,7 +156,7 @@ def compile_functions(N: int, rates: bool = False, drag: bool = False) -> bool:
             if function.n_instructions() > _MAX_LENGTH:
                 continue
             source = _source(function)
-            optimised = _OPTIMISED.format(source) if name == "step" else source
+            optimised = _OPTIMISED.format(source) if name in _STEPS else source
             sources.append(optimised.encode())
         compiler.compile_library(_file(N, rates, drag), sources, _flags())
     return library(N, rates, drag) is not None
@@ -213,7 +216,7 @@ def _build(N: int, rates: bool, drag: bool) -> dict[str, ca.Function]:
         "velocities": ca.Function("velocities", [s.x, s.p], [dynamics.velocities(s)]),
         "outputs": ca.Function("outputs", [s.x, s.p], [y]),
         "linearise": _linearise(s, motion, y),
-        "step": _step(s, derivative),
+        **_steps(s, derivative),
         "sense": sense,
         "sensed": ca.Function("sensed", arguments, sensed),
     }
@@ -275,8 +278,8 @@ def _factors(s: Symbols, motion: dynamics.Motion) -> list[ca.SX]:
     return factors
 
 
-def _step(s: Symbols, f: ca.Function) -> ca.Function:
-    """Return one Dormand-Prince step: (13a), (13b).
+def _steps(s: Symbols, f: ca.Function) -> dict[str, ca.Function]:
+    """Return one Dormand-Prince step, with its error and without: (13a), (13b).
 
     The derivative is called, not repeated, so that the code stays short.
     """
@@ -297,7 +300,11 @@ def _step(s: Symbols, f: ca.Function) -> ca.Function:
     error = _weighted(h, differences, slopes)
 
     project = ca.Function("project", [s.x], [dynamics.project(s.x, s.N)])
-    return ca.Function("step", [x, u, p, F, h], [project(fifth), error])
+    arguments = [x, u, p, F, h]
+    return {
+        "step": ca.Function("step", arguments, [project(fifth), error]),
+        "advance": ca.Function("advance", arguments, [project(fifth)]),
+    }
 
 
 def _weighted(h: ca.MX, coefficients: Sequence[float], slopes: Sequence[ca.MX]) -> ca.MX:

@@ -11,7 +11,7 @@ from transport.model.arrays import Array, ShapeError
 from transport.model.compiled import library
 from transport.model.parameters import Kind
 
-# Arguments of `step`: x, u, p, F, h. The kernel sets the first two.
+# Arguments of `advance`: x, u, p, F, h. The kernel sets the first two.
 _PARAMETERS = 2
 _FORCES = 3
 _LENGTH = 4
@@ -46,7 +46,7 @@ class Feedback:
 
 
 class CompiledStep:
-    """The function `step` of a library by its address, with room for its arguments and results."""
+    """The function `advance` of a library by its address, with room for its arguments and results."""
 
     def __init__(self, functions: ctypes.CDLL) -> None:
         # Keeps the library loaded as long as the address is used.
@@ -56,21 +56,21 @@ class CompiledStep:
 
         # CasADi's sizes of the rooms: arguments, results, integers and numbers.
         sizes = (ctypes.c_longlong * 4)()
-        functions.step_work(*(ctypes.byref(sizes, 8 * i) for i in range(4)))
+        functions.advance_work(*(ctypes.byref(sizes, 8 * i) for i in range(4)))
         rooms = [np.zeros(size + _SLACK, dtype=np.intp) for size in sizes]
         self._arguments = rooms[0]
         self._arguments[_LENGTH] = native.address(self._length_s)
         self._rooms = rooms
 
-        step = ctypes.cast(functions.step, ctypes.c_void_p).value
-        self._addresses = [step, *(native.address(room) for room in rooms)]
+        advance = ctypes.cast(functions.advance, ctypes.c_void_p).value
+        self._addresses = [advance, *(native.address(room) for room in rooms)]
 
     @staticmethod
     def load(kind: Kind) -> "CompiledStep | None":
         """Return the step of a system of a kind; None where it is not compiled."""
         path = library(*kind) if native.AVAILABLE else None
         functions: Any = None if path is None else ctypes.CDLL(str(path))
-        if functions is None or not hasattr(functions, "step"):
+        if functions is None or not hasattr(functions, "advance"):
             return None
         return CompiledStep(functions)
 

@@ -435,7 +435,7 @@ void free_response(ptrdiff_t steps, ptrdiff_t n, const double *A, const double *
 /* States Z, (steps + 1, n), and inputs U, (steps, m), under u = at_x0 + K (x - x0) within bounds: (35a), (73); see
    mpc/rollout.py. K: (m, n), or with `varying` of each step, (steps, m, n).
 
-   advance: a CasADi function (x, u, p, F, h) -> (x, error); arg, res, iw, w: room for it, arg[2] to arg[4] are set. */
+   advance: a CasADi function (x, u, p, F, h) -> x; arg, res, iw, w: room for it, arg[2] to arg[4] are set. */
 void rollout(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m,
              int (*advance)(const double **, double **, long long *, double *, int), const double **arg, double **res,
              long long *iw, double *w, int varying, const double *K, const double *at_x0, const double *lower,
@@ -451,8 +451,8 @@ void rollout(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m,
             const double wanted = at_x0[k * m + i] + u[i];
             u[i] = wanted < lower[i] ? lower[i] : wanted > upper[i] ? upper[i] : wanted;
         }
-        /* x(k + 1): one step of (13b), without its error. */
-        arg[0] = x, arg[1] = u, res[0] = ahead, res[1] = 0;
+        /* x(k + 1): one step of (13b). */
+        arg[0] = x, arg[1] = u, res[0] = ahead;
         advance(arg, res, iw, w, 0);
     }
 }

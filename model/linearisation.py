@@ -343,11 +343,11 @@ class Model:
         self, duration_s: float, forces: Array | None = None
     ) -> Callable[[Array, Array], Array]:
         """Return the map from state and input to the state after one step, without its error."""
-        function = self._compiled["step"]
+        function = self._compiled["advance"]
         p, F = self._acting(forces)
 
         def after_step(x: Array, u: Array) -> Array:
-            return function.flat(x, _zeroed(u, self._off), p, F, duration_s)[: len(x)]
+            return function.flat(x, _zeroed(u, self._off), p, F, duration_s)
 
         return after_step
 
