@@ -73,7 +73,7 @@ class InMemoryRun:
         nodes: list[Node] = [self._coordinator, PlantNode(setup), *agents]
         self.nodes = {node.name: node for node in nodes}  # the running ones by name
         self._subscriptions = {name: self._keys.subscriptions(name) for name in self.nodes}
-        self._subscribed: dict[str, list[str]] = {}  # names by key
+        self._subscribed: dict[tuple[str, str], list[str]] = {}  # names by key and sender
         self._queue: deque[Message] = deque()
         self._now_ns = 0
 
@@ -114,13 +114,14 @@ class InMemoryRun:
     def _receivers(self, message: Message) -> list[str]:
         """Return the names of the processes that receive a message."""
         key = self._keys.of(message)
-        if key not in self._subscribed:
-            self._subscribed[key] = [
+        sender = message.sender
+        if (key, sender) not in self._subscribed:
+            self._subscribed[key, sender] = [
                 name
                 for name, expressions in self._subscriptions.items()
-                if any(matches(expression, key) for expression in expressions)
+                if name != sender and any(matches(expression, key) for expression in expressions)
             ]
-        return [name for name in self._subscribed[key] if name != message.sender]
+        return self._subscribed[key, sender]
 
     def _deliver(self, message: Message) -> None:
         """Hand a message to its receivers, and queue their answers."""
@@ -131,6 +132,8 @@ class InMemoryRun:
 
     def _fails(self, name: str, message: Message) -> bool:
         """Apply a scripted fault at a message; return whether the process ended or froze."""
+        if not self._faults:
+            return False
         fault = due(self._faults, name, message)
         if fault is None or name not in self.nodes:
             return False
