@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from transport.analysis.analysed_run import AnalysedRun
+from transport.analysis.plan_delays import plan_delays
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.scenario.setup import Setup
@@ -16,6 +17,7 @@ WALL_CLOCK = "_ms"
 
 _SOLVE = ("status", "solver", "fallback", "iterations", "residual")
 _AGES = ("plan_age_max", "state_age_max")
+_DELAY = "plan_delay{}_s"
 _MESSAGES = ("delivered", "late", "lost")
 _FORCE = ("force_x_N", "force_y_N", "force_z_N")
 # Names, units and values are those of the series of the same names in Python.
@@ -37,11 +39,13 @@ def steps_columns(setup: Setup) -> list[str]:
     They depend on the number of UAVs and the kind of their inputs.
     """
     inputs = [name for i in range(setup.system.N) for name in _input_names(setup, i)]
+    delays = [_DELAY.format(agent) for agent in setup.agents]
     times = [f"{stage}{WALL_CLOCK}" for stage in STAGES]
     return [
         *("tick", "t_s", "agent"),
         *_SOLVE,
         *_AGES,
+        *delays,
         *_MESSAGES,
         *_FORCE,
         *_TEAM,
@@ -61,6 +65,7 @@ def steps_rows(run: AnalysedRun) -> Iterator[dict[str, Any]]:
     row_of_tick = run.series.row_of_tick
     team = _team_series(run)
     uav_errors_m = run.series.uav_error_max_m(run.setup.owned)
+    delays = plan_delays(run.setup, run.log)
     reports = {(report.tick, report.agent): report for report in run.log.of(StepReport)}
 
     for (tick, agent), report in sorted(reports.items()):
@@ -69,6 +74,7 @@ def steps_rows(run: AnalysedRun) -> Iterator[dict[str, Any]]:
         row["t_s"] = tick * run.setup.settings.sampling_period_s
         row["agent"] = agent
         row |= _of_report(report)
+        row |= {_DELAY.format(sender): delay for sender, delay in delays[tick, agent].items()}
 
         k = row_of_tick.get(tick)
         if k is not None:

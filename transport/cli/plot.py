@@ -92,6 +92,6 @@ def show_report(folder: Path, output: Format) -> None:
     for warning in warnings(summary):
         typer.echo(f"warning: {warning}", err=True)
 
-    figures = [f"figures/{path.name}" for path in folder.glob("figures/*.png")]
+    figures = [f"figures/{path.name}" for path in sorted(folder.glob("figures/*.png"))]
     files = ["summary.json", "steps.csv", "run.mcap", *figures]
     show(output, summary, summary_table(summary), *(f" {folder / file}" for file in files))

@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from transport.interface.figure import RunFigure
     from transport.interface.viewing import RunViewer
 
-FigureName = Literal["performance", "inputs", "trajectories", "timing", "estimate", "radio"]
+FigureName = Literal[
+    "performance", "inputs", "trajectories", "timing", "estimate", "delays", "radio"
+]
 TableName = Literal["series", "steps"]
 
 _WIDTH = 100  # of the printed summary, characters

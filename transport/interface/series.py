@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from transport.analysis.analysed_run import AnalysedRun
+from transport.analysis.plan_delays import plan_delays
 from transport.interface.settings import ArgumentError
 from transport.model import state
 from transport.model.arrays import Array, frozen
@@ -90,6 +91,11 @@ QUANTITIES: Mapping[str, Quantity] = {
     ),
     "plan_age_ticks": Quantity(
         "ticks", (_AGENT,), "Age of the oldest plan of another agent in use; NaN for none."
+    ),
+    "plan_delay_s": Quantity(
+        "s",
+        (_AGENT, _AGENT),
+        "Delay of the newest plan that an agent used of each other one, by receiver and sender; NaN for none.",
     ),
     "plans_lost": Quantity(
         "", (_AGENT,), "Plans of other agents lost at this tick; NaN without a step."
@@ -265,11 +271,13 @@ def _of_agents(run: AnalysedRun) -> dict[str, Array]:
     T = len(s.ticks)
     M = len(run.setup.agents)
     plan_ages = np.full((T, M), np.nan)
+    delays_s = np.full((T, M, M), np.nan)
     lost = np.full((T, M), np.nan)
     step_ms = np.full((T, M), np.nan)
     force_N = np.full((T, M, 3), np.nan)
 
     row_of_tick = s.row_of_tick
+    delays = plan_delays(run.setup, run.log)
     for report in run.log.of(StepReport):
         row = row_of_tick.get(report.tick)
         if row is None or report.agent not in run.setup.agents:
@@ -277,6 +285,8 @@ def _of_agents(run: AnalysedRun) -> dict[str, Array]:
         column = report.agent - 1
         ages = [age for age in report.plan_ages if age >= 0]
         plan_ages[row, column] = max(ages, default=np.nan)
+        for sender, delay_s in delays[report.tick, report.agent].items():
+            delays_s[row, column, sender - 1] = delay_s
         lost[row, column] = report.lost
         step_ms[row, column] = report.times_ms[-1]
         force_N[row, column] = report.force
@@ -284,6 +294,7 @@ def _of_agents(run: AnalysedRun) -> dict[str, Array]:
     return {
         "uav_error_max_m": s.uav_error_max_m(run.setup.owned),
         "plan_age_ticks": plan_ages,
+        "plan_delay_s": delays_s,
         "plans_lost": lost,
         "estimated_force_N": force_N,
         "step_ms": step_ms,

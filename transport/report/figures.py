@@ -1,4 +1,4 @@
-"""Figures of a run: performance, inputs, trajectories, timing, estimate and radio."""
+"""Figures of a run: performance, inputs, trajectories, timing, estimate, delays and radio."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from transport.analysis.analysed_run import AnalysedRun
 from transport.report.column import column_panels, finish, marks_of
+from transport.report.delays_figure import draw_delays
 from transport.report.estimate_figure import draw_estimate
 from transport.report.figures_3d import draw_trajectories
 from transport.report.inputs_figure import draw_inputs
@@ -20,7 +21,7 @@ from transport.report.style import RC, save
 from transport.report.timing_figure import draw_timing
 
 # Names of the figures of a run.
-FIGURES = ("performance", "inputs", "trajectories", "timing", "estimate", "radio")
+FIGURES = ("performance", "inputs", "trajectories", "timing", "estimate", "delays", "radio")
 # Number of figures that a forked process draws; they have data at any tick.
 _BESIDE = 2
 
@@ -28,6 +29,7 @@ _OVER_TIME: dict[str, Callable[..., list[Axes]]] = {
     "performance": draw_performance,
     "inputs": draw_inputs,
     "estimate": draw_estimate,
+    "delays": draw_delays,
     "radio": draw_radio,
 }
 
