@@ -200,6 +200,8 @@ class AlonePlanner:
         reference = self._reference(uav)
         if self._setup.sensors.vehicle:
             sensors = self._sensors[uav]
+            missing = measured.missing[i] if measured.missing else 0
+            values = sensors.completed(values, missing, tick)
             sensors.observe(values, float(measured.inputs[i][0]), tick, reference)
             motion = sensors.motion(values, tick, start, reference)
         else:

@@ -85,7 +85,7 @@ class HandOver:
     def _motion(self, uav: int, k: int, start: int, linear: Linear) -> Motion:
         """Return the motion of a UAV at tick `start` by its own sensors.
 
-        Without measurements of tick k: by the estimate at that tick. The inputs in force until then are
+        Without all measurements of tick k: by the estimate at that tick. The inputs in force until then are
         those before it.
         """
         x, before = linear.x0, linear.u0[state.input_slice(uav)]
@@ -106,7 +106,7 @@ class HandOver:
         motion = motion_of(system, uav, x)
         for tick in range(since, k + 1):
             told = estimator.told(tick, uav)
-            if told is None or told.inputs is None:
+            if told is None or told.inputs is None or told.missing:
                 continue
             sensors.observe(told.values, float(told.inputs[0]), tick, reference)
             if tick == k:

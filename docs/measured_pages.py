@@ -93,6 +93,36 @@ RETURNS = {
     "never": killed(3),
     "10 s, `paper`": returning(10.0, "paper"),
 }
+
+
+def without(sensors: tuple[str, ...], uavs: tuple[int, ...], lasting_s: float | None) -> Run:
+    """Return the run of `precise` with a filter in which sensors of UAVs fail at 8 s."""
+    lasting = "" if lasting_s is None else f",duration_s={lasting_s}"
+    names = ",".join(f'"{sensor}"' for sensor in sensors)
+    outages = [
+        f"{{at_s=8.0,do='sensors_off',target='uav{uav}',sensors=[{names}]{lasting}}}"
+        for uav in uavs
+    ]
+    return Run("precise", (*SENSORS, f"faults.event=[{','.join(outages)}]"))
+
+
+TEAM = (1, 2, 3, 4)
+NAVIGATION = ("position", "velocity")
+OUTAGES = {
+    "none": Run("precise", SENSORS),
+    "position of UAV 2, 10 s": without(("position",), (2,), 10.0),
+    "position of UAV 2, for good": without(("position",), (2,), None),
+    "position of UAV 2 to 4, for good": without(("position",), (2, 3, 4), None),
+    "position and velocity of UAV 2, for good": without(NAVIGATION, (2,), None),
+    "position of all, 3 s": without(("position",), TEAM, 3.0),
+    "position and velocity of all, 3 s": without(NAVIGATION, TEAM, 3.0),
+    "attitude of UAV 2, for good": without(("attitude",), (2,), None),
+    "body rates of UAV 2, for good": without(("rate",), (2,), None),
+    "specific force of UAV 2, for good": without(("specific_force",), (2,), None),
+    "all sensors of UAV 2, for good": without(
+        (*NAVIGATION, "attitude", "rate", "specific_force"), (2,), None
+    ),
+}
 # Runs of four, five and six UAVs.
 FAILURES = {
     "released at once": [failed(4, release=8.0), None, failed(6, release=8.0)],
@@ -116,6 +146,16 @@ GUARANTEES = (
     ),
     listed("killed", "agent killed", DEATHS, DETAILS),
     listed("returns", "restarted at", RETURNS, DETAILS),
+    listed(
+        "outages",
+        "sensors that fail at 8 s",
+        OUTAGES,
+        {
+            "result": outcome,
+            "payload error": cell("payload_rms_m", "{:.1f} cm rms", 100.0),
+            "payload attitude": ATTITUDE,
+        },
+    ),
 )
 
 

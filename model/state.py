@@ -33,7 +33,12 @@ SENSED = 15
 POSITION = slice(0, 3)  # inertial frame, m
 VELOCITY = slice(3, 6)  # inertial frame, m/s
 SPECIFIC_FORCE = slice(12, 15)  # acceleration minus gravity, UAV body frame, m/s^2
-# Numbers that a plan reports of a tick: 1 if it is known, else 0; measurements; inputs until then.
+# Its sensors, three numbers each. Sensors without a measurement are a set of bits: 1 stands for the
+# first, 2 for the second, 4 for the third.
+SENSORS = ("position", "velocity", "attitude", "rate", "specific_force")
+ALL_SENSORS = 2 ** len(SENSORS) - 1
+# Numbers that a plan reports of a tick: 0 if it is not known, else 1 and the bits of the sensors
+# without a measurement; measurements; inputs until then.
 REPORTED = 1 + SENSED + INPUTS
 IS_KNOWN = 0
 SENSED_VALUES = slice(1, 1 + SENSED)
@@ -43,6 +48,11 @@ REPORTS = 4  # of the last ticks, the newest first
 # Largest plausible state, input or correction, SI; results computed from such numbers stay far
 # below the float64 range.
 LARGEST = 1e6
+
+
+def is_measured(sensor: int, missing: int) -> bool:
+    """Return whether a sensor, by its place in `SENSORS`, is not among the missing ones."""
+    return not missing >> sensor & 1
 
 
 def uav_slice(i: int) -> slice:

@@ -10,7 +10,7 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.parameters import System
-from transport.model.rotations import rotation
+from transport.model.rotations import euler_rates, rotation
 from transport.mpc.uav_motion import Motion
 
 # Observer of the rod from the specific force: fast enough for the pendulum of a rod, slow enough for
@@ -29,7 +29,8 @@ _THRUST_AXIS_B = np.array([0.0, 0.0, 1.0])  # third axis of the body: the thrust
 class OwnSensors:
     """Observer of the motion of one UAV, 0-based: `observe` at each tick with measurements, then ask for `motion`.
 
-    The reference of both methods is the motion that the UAV follows, by tick.
+    Measurements of a UAV whose sensors fail are first `completed`. The reference of both methods is the
+    motion that the UAV follows, by tick.
 
     Args:
         hover_tension_N: Tension of its rod at hover.
@@ -44,11 +45,41 @@ class OwnSensors:
         self._across, self._along = system.uavs[uav].drag
         self._rod_length = system.uavs[uav].rod_length
         self._taut_N = max(_TAUT * hover_tension_N, 0.0)  # a rod that pushes shows no direction
+        self._gravity_I = np.array([0.0, 0.0, system.gravity])
         self._period_s = period_s
         self._ages = tuple(ages)
+        # Newest tick with measurements, and these, (15,), dead reckoning included.
+        self._newest: tuple[int, Array] | None = None
         # Deviation of the rod's lower end from the reference, sigma, m, and its rate, nu, m/s.
         self._offset_I = np.zeros(3)
         self._rate_I = np.zeros(3)
+
+    def completed(self, sensed: Array, missing: int, tick: int) -> Array:
+        """Return measurements of a tick, (15,), with dead reckoning in place of the missing ones.
+
+        Before any complete measurement the missing ones stay as they are. Missing sensors are bits
+        (`model.state.SENSORS`). Source: docs/equations.md (31i).
+        """
+        complete = sensed
+        if missing and self._newest is not None:
+            since, before = self._newest
+            reckoned = self._reckoned(before, (tick - since) * self._period_s)
+            places = [state.is_measured(i // 3, missing) for i in range(state.SENSED)]
+            complete = np.where(places, sensed, reckoned)
+        self._newest = tick, complete
+        return complete
+
+    def _reckoned(self, sensed: Array, duration_s: float) -> Array:
+        """Return the measurements some time later, (15,), by the rates that others of them have."""
+        Theta = sensed[state.THETA]
+        acceleration_I = rotation(Theta) @ sensed[state.SPECIFIC_FORCE] + self._gravity_I
+
+        #   r+ = r + T v,  v+ = v + T (R f + g),  Theta+ = Theta + T E omega
+        reckoned = sensed.copy()
+        reckoned[state.POSITION] += duration_s * sensed[state.VELOCITY]
+        reckoned[state.VELOCITY] += duration_s * acceleration_I
+        reckoned[state.THETA] += duration_s * euler_rates(Theta) @ sensed[state.OMEGA]
+        return reckoned
 
     def observe(
         self, sensed: Array, thrust_N: float, tick: int, reference: Callable[[int], Motion]

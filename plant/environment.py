@@ -16,7 +16,7 @@ from transport.model.hover import with_released
 from transport.model.linearisation import Model
 from transport.model.parameters import Payload, System, Uav
 from transport.model.rotations import rotation
-from transport.model.state import SENSED, StateView
+from transport.model.state import SENSED, SENSORS, StateView, is_measured
 from transport.protocol.scenario.draws import Streams, draw_key
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.names import PLANT
@@ -190,6 +190,8 @@ class Sensors:
         bias = np.repeat(sheet.bias, 3)
         names = [f"bias/{uav}" for uav in range(1, setup.system.N + 1)]
         self._bias = np.array([bias * drawn(self._seed, name, 0, SENSED) for name in names])
+        # Outages: UAV, 0-based, sensor by its place in SENSORS, and the tick of its return, if any.
+        self._outages: list[tuple[int, int, int | None]] = []
         # True values at the newest ticks, (N, 15) each, the newest first.
         self._true: deque[Array] = deque(maxlen=max(sheet.ages) + 1)
 
@@ -208,7 +210,21 @@ class Sensors:
         draws = [drawn(self._seed, f"sensors/{uav + 1}", tick, SENSED) for uav in uavs]
         noise = np.array([self._noise * draw for draw in draws])
         measured: Array = true[list(uavs)] + self._bias[list(uavs)] + noise
+        for row, missing in zip(measured, self.missing(tick, uavs), strict=True):
+            row.reshape(-1, 3)[[not is_measured(s, missing) for s in range(len(SENSORS))]] = 0.0
         return measured
+
+    def fail(self, uav: int, sensors: Sequence[str], until: int | None) -> None:
+        """Let sensors of a UAV, 0-based, measure nothing until a tick, or None for good."""
+        self._outages += [(uav, SENSORS.index(sensor), until) for sensor in sensors]
+
+    def missing(self, tick: int, uavs: Sequence[int]) -> tuple[int, ...]:
+        """Return the sensors without a measurement of each UAV, as bits (`model.state.SENSORS`)."""
+        bits = dict.fromkeys(uavs, 0)
+        for uav, sensor, until in self._outages:
+            if uav in bits and (until is None or tick < until):
+                bits[uav] |= 1 << sensor
+        return tuple(bits.values())
 
 
 def _actual_system(setup: Setup) -> System:

@@ -156,9 +156,11 @@ class PlantNode(Participant):
     def _measurement(self, tick: Tick, agent: int) -> Measurement:
         """Return the measurement of an agent, 1-based: UAVs and, unless by sensors, payload."""
         owned = list(self._setup.owned[agent - 1])
+        missing: tuple[int, ...] = ()
         if self._sensors is not None:
             payload = np.zeros(0)
             uav_states = self._sensors.measured(tick.tick, owned)
+            missing = self._sensors.missing(tick.tick, owned)
         else:
             x = self.environment.measured(tick.tick, agent, self._x)
             payload = x[: state.PAYLOAD]
@@ -174,6 +176,7 @@ class PlantNode(Participant):
             uavs=tuple(uav + 1 for uav in owned),
             uav_states=uav_states,
             inputs=self._u.reshape(-1, state.INPUTS)[owned],
+            missing=missing if any(missing) else (),
         )
 
     def _fail_uavs(self, tick: int) -> None:
@@ -188,6 +191,9 @@ class PlantNode(Participant):
                 case "degrade":
                     if fault.uav not in self._off:
                         self._motors.degrade(fault.uav, fault.efficiency)
+                case "sensors_off":
+                    if self._sensors is not None:
+                        self._sensors.fail(fault.uav, fault.sensors, fault.until)
                 case other:
                     raise AssertionError(f"{other} is not a fault of a UAV (OF_UAVS)")
 

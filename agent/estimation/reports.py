@@ -17,6 +17,7 @@ class UavReport(NamedTuple):
     values: Array  # its state, (12,), or the measurements of its sensors, (15,), SI
     # Inputs that its actuators applied until then, (4,); None if not told.
     inputs: Array | None = None
+    missing: int = 0  # sensors without a measurement, as bits (`model.state.SENSORS`)
 
 
 @dataclass(slots=True)
@@ -81,7 +82,7 @@ class Reports:
             for index, uav in enumerate(uavs):
                 report = reports.get(uav)
                 if report is not None:
-                    rows[index, age, state.IS_KNOWN] = 1.0
+                    rows[index, age, state.IS_KNOWN] = 1.0 + report.missing
                     rows[index, age, state.SENSED_VALUES] = report.values
                     rows[index, age, state.REPORTED_INPUTS] = report.inputs
         return rows.reshape(len(uavs), -1)
@@ -114,5 +115,6 @@ class News:
 
 def by_uav(measurement: Measurement) -> Sequence[tuple[int, UavReport]]:
     """Return the reports of a measurement with their UAVs, 0-based."""
-    rows = zip(measurement.uavs, measurement.uav_states, measurement.inputs, strict=True)
-    return [(uav - 1, UavReport(values, inputs)) for uav, values, inputs in rows]
+    missing = measurement.missing or (0,) * len(measurement.uavs)
+    rows = zip(measurement.uavs, measurement.uav_states, measurement.inputs, missing, strict=True)
+    return [(uav - 1, UavReport(*report)) for uav, *report in rows]

@@ -88,7 +88,9 @@ class SensorEstimator:
                 tick = plan.tick - age
                 if row[state.IS_KNOWN] > 0.0 and self._is_news(tick, uav - 1):
                     report = UavReport(
-                        values=row[state.SENSED_VALUES], inputs=row[state.REPORTED_INPUTS]
+                        values=row[state.SENSED_VALUES],
+                        inputs=row[state.REPORTED_INPUTS],
+                        missing=int(row[state.IS_KNOWN]) - 1,
                     )
                     self._tell(tick, uav - 1, report)
 
@@ -254,5 +256,8 @@ class SensorEstimator:
         for age, sensors in self._sensors_by_age:
             reports = self._reports.uavs(tick + age)
             for uav in sorted(reports):
-                sensed.append(Sensed(uav=uav, sensors=sensors, values=reports[uav].values))
+                missing = reports[uav].missing
+                measured = tuple(one for one in sensors if state.is_measured(one, missing))
+                if measured:
+                    sensed.append(Sensed(uav=uav, sensors=measured, values=reports[uav].values))
         return sensed

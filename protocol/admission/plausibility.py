@@ -54,6 +54,9 @@ def check_plausible(message: Message, run: RunShape) -> None:
             _check_plan(message, run)
         case Measurement():
             _check_states(message, run, state.SENSED, "payload", "inputs")
+            if message.missing and not run.vehicle_sensors:
+                text = f"missing: expected none without sensors of vehicles, got {message.missing}"
+                raise MessageError("wrong_shape", text)
         case Airtime() if message.receivers != tuple(run.owned):
             text = f"receivers: expected all agents of this run, got {list(message.receivers)}"
             raise MessageError("unknown_agent", text)

@@ -39,13 +39,27 @@ def _fault(scenario: Scenario, event: FaultSection, field: str) -> Problems:
     if event.target not in possible:
         yield f"{field}.target", f"one of {', '.join(possible)}", repr(event.target)
 
-    is_degraded = event.do == "degrade"
-    if is_degraded != (event.efficiency is not None):
-        expected = "an efficiency" if is_degraded else "no efficiency without 'degrade'"
-        yield f"{field}.efficiency", expected, event.efficiency or "nothing"
+    yield from _keys_of_actions(event, field)
+    if event.do == "sensors_off" and scenario.plant.sensors != "vehicle":
+        yield f"{field}.do", "plant.sensors = 'vehicle' with 'sensors_off'", "'state'"
 
     if event.do == "motor_off" and scenario.maneuver.reference == "flat":
         yield f"{field}.do", "'release' with maneuver.reference = 'flat'", "'motor_off'"
+
+
+def _keys_of_actions(event: FaultSection, field: str) -> Problems:
+    """Yield keys that the action of a fault lacks, or that are of another one."""
+    for key, action, value in (
+        ("efficiency", "degrade", "an efficiency"),
+        ("sensors", "sensors_off", "sensors"),
+    ):
+        given = getattr(event, key)
+        is_needed = event.do == action
+        if is_needed != (given is not None):
+            expected = f"{value} with {action!r}" if is_needed else f"no {key} without {action!r}"
+            yield f"{field}.{key}", expected, given or "nothing"
+    if event.duration_s is not None and event.do != "sensors_off":
+        yield f"{field}.duration_s", "no value without 'sensors_off'", event.duration_s
 
 
 def _targets_of(scenario: Scenario, event: FaultSection) -> Collection[str]:

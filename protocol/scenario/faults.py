@@ -11,7 +11,7 @@ from transport.protocol.scenario.budget import first_tick
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.wire.messages import Measurement, Message, Tick
 
-OF_UAVS = ("motor_off", "release", "degrade")  # applied by the plant
+OF_UAVS = ("motor_off", "release", "degrade", "sensors_off")  # applied by the plant
 _FOR_GOOD = ("motor_off", "release")
 
 
@@ -20,9 +20,13 @@ class Fault:
     """A fault or return of a process when a tick opens for it, or a fault of a UAV from then on."""
 
     tick: int
-    do: Literal["kill", "stop", "continue", "start", "motor_off", "release", "degrade"]
+    do: Literal[
+        "kill", "stop", "continue", "start", "motor_off", "release", "degrade", "sensors_off"
+    ]
     target: str  # process name; for faults of UAVs the name of a UAV, such as "uav3"
     efficiency: float = 1.0  # of the motors, for "degrade"
+    sensors: tuple[str, ...] = ()  # that fail, for "sensors_off"
+    until: int | None = None  # tick at which these measure again; None: never
 
     @property
     def uav(self) -> int:
@@ -56,7 +60,16 @@ def scripted(scenario: Scenario) -> tuple[Fault, ...]:
             faults.append(Fault(max(tick, earliest), do, target))
             continue
 
-        faults.append(Fault(tick, event.do, target, event.efficiency or 1.0))
+        lasting_s = event.duration_s
+        fault = Fault(
+            tick,
+            event.do,
+            target,
+            efficiency=event.efficiency or 1.0,
+            sensors=tuple(event.sensors or ()),
+            until=None if lasting_s is None else first_tick(event.at_s + lasting_s, period_s),
+        )
+        faults.append(fault)
         if event.do not in OF_UAVS:
             down_since.setdefault(target, tick)
 

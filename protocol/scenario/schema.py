@@ -158,6 +158,7 @@ class ControllerSection(ControllerSettings):
     disturbance: DisturbanceSection = DisturbanceSection()
 
 
+Sensor = Literal["position", "velocity", "attitude", "rate", "specific_force"]
 UavIds = Annotated[list[int], Field(min_length=1)]
 Groups = Annotated[list[UavIds], Field(min_length=1)]
 
@@ -236,14 +237,21 @@ class FaultSection(Section):
 
     at_s: NotNegative
     """scenario time of the fault"""
-    do: Literal["kill", "stop", "continue", "restart", "motor_off", "release", "degrade"]
+    do: Literal[
+        "kill", "stop", "continue", "restart", "motor_off", "release", "degrade", "sensors_off"
+    ]
     """kill: SIGKILL; stop: SIGSTOP; continue: SIGCONT; restart: start an agent again; motor_off:
     thrust and moments of a UAV are zero; release: it also leaves its rod; degrade: its motors
-    produce only a share from then on"""
+    produce only a share from then on; sensors_off: some sensors of a UAV measure nothing, with
+    `plant.sensors` vehicle"""
     target: Annotated[str, Key(type="coordinator, plant, agent1, agent2, ...; or uav1, uav2, ...")]
-    """affected process, or UAV for motor_off, release and degrade"""
+    """affected process, or UAV for motor_off, release, degrade and sensors_off"""
     efficiency: Annotated[float, Interval(gt=0.0, le=1.0)] | None = None
     """with degrade, and required there: share of the commands that the motors produce"""
+    sensors: Annotated[list[Sensor], Field(min_length=1)] | None = None
+    """with sensors_off, and required there: the sensors"""
+    duration_s: Positive | None = None
+    """with sensors_off: time until they measure again; default: never"""
 
 
 class FaultsSection(Section):

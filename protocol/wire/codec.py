@@ -30,10 +30,10 @@ _AXES = 3
 _FLOAT64 = np.dtype("<f8")
 
 
-_PLAN_FIELDS = Plan.__struct_fields__
-_PLAN_LEAST = len(_PLAN_FIELDS) - len(Plan.optional)
-if _PLAN_FIELDS[_PLAN_LEAST:] != Plan.optional:
-    raise TypeError(f"the last fields of a plan have to be {Plan.optional}, got {_PLAN_FIELDS}")
+for _cls in CLASSES.values():
+    _least = len(_cls.__struct_fields__) - len(_cls.optional)
+    if _cls.__struct_fields__[_least:] != _cls.optional:
+        raise TypeError(f"the last fields of {_cls.kind} have to be {_cls.optional}")
 
 
 class _Kind(msgspec.Struct, frozen=True, array_like=True):
@@ -50,18 +50,23 @@ class Header(_Kind, frozen=True):
 
 
 def encode(message: Message) -> bytes:
-    """Return the bytes of a message; a plan leaves out its last fields that have their defaults."""
-    if isinstance(message, Plan) and not message.stale:
-        fields = [getattr(message, name) for name in _PLAN_FIELDS[: _fields_sent(message)]]
+    """Return the bytes of a message; its last optional fields do not travel where they are empty."""
+    sent = _fields_sent(message)
+    if sent < len(message.__struct_fields__):
+        fields = [getattr(message, name) for name in message.__struct_fields__[:sent]]
         return _VERSION + _ENCODER.encode([message.kind, *fields])
     return _VERSION + _ENCODER.encode(message)
 
 
-def _fields_sent(plan: Plan) -> int:
-    """Return how many fields of a plan travel."""
-    if plan.stale:
-        return len(_PLAN_FIELDS)
-    return _PLAN_LEAST + bool(plan.data.size)
+def _fields_sent(message: Message) -> int:
+    """Return how many fields of a message travel."""
+    sent = len(message.__struct_fields__)
+    for name in reversed(message.optional):
+        value = getattr(message, name)
+        if value.size if isinstance(value, np.ndarray) else value:
+            break
+        sent -= 1
+    return sent
 
 
 def encoded_length(plan: Plan) -> int:
@@ -69,10 +74,10 @@ def encoded_length(plan: Plan) -> int:
     arrays = plan.uav_states, plan.inputs, plan.corrections, plan.data
     length = len(_VERSION) + len(_WITHOUT_ARRAYS.encode(plan)) - _NOTHING * len(arrays)
     length += sum([_array_length(8 * array.size) for array in arrays])
-    fields = _fields_sent(plan)
-    if fields < len(_PLAN_FIELDS):
+    missing = len(plan.__struct_fields__) - _fields_sent(plan)
+    if missing > 0:
         length -= _NOT_STALE
-    if fields == _PLAN_LEAST:
+    if missing > 1:
         length -= _array_length(0) + _FIELDS_HEADER
     return length
 

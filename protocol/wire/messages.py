@@ -11,7 +11,15 @@ import numpy as np
 from msgspec import Meta
 
 from transport.model.arrays import Array, frozen
-from transport.model.state import INPUTS, PAYLOAD, PER_UAV, REPORTED, REPORTS, SENSED
+from transport.model.state import (
+    ALL_SENSORS,
+    INPUTS,
+    PAYLOAD,
+    PER_UAV,
+    REPORTED,
+    REPORTS,
+    SENSED,
+)
 from transport.protocol.wire.errors import MessageError, Reason
 from transport.protocol.wire.names import (
     AGENT,
@@ -43,6 +51,9 @@ Agent = Annotated[int, Meta(ge=1, le=MAX_UAVS)]
 # Ids of agents or UAVs, 1-based, ascending.
 Ids = Annotated[tuple[Agent, ...], Meta(max_length=MAX_UAVS)]
 Counts = Annotated[tuple[Count, ...], Meta(max_length=MAX_UAVS)]
+Sensors = Annotated[
+    tuple[Annotated[int, Meta(ge=0, le=ALL_SENSORS)], ...], Meta(max_length=MAX_UAVS)
+]
 Rows = Annotated[tuple[Count, ...], Meta(max_length=MAX_ROWS)]
 Ages = Annotated[tuple[Age, ...], Meta(max_length=MAX_UAVS)]
 PlanTicks = Annotated[
@@ -91,13 +102,14 @@ class Message(
 
     Fields travel by position, in the order of definition (docs/protocol.md lists them). A new field
     of a kind comes last and has a default, or `VERSION` in codec.py grows and older logs cannot be
-    read.
+    read. Its last fields, `optional`, do not travel where they and those after them are empty or zero.
     """
 
     kind: ClassVar[str]
     route: ClassVar[Route]
     shapes: ClassVar[Mapping[str, ShapeOf]] = {}  # of its arrays, by field
     as_long: ClassVar[tuple[str, ...]] = ()  # lists that are as long as each other
+    optional: ClassVar[tuple[str, ...]] = ()  # its last fields, which need not travel
 
     sender: str  # process name
     incarnation: Count  # which start of that process, growing with every restart
@@ -332,6 +344,7 @@ class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
         "uav_states": _states_or(SENSED),
         "inputs": _per_uav(INPUTS),
     }
+    optional: ClassVar[tuple[str, ...]] = ("missing",)
 
     agent: Agent  # the agent it is for
     answered: Ids  # these three as in the tick
@@ -343,6 +356,17 @@ class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
     # measurements of their sensors, r, v, Theta, omega, specific force, (owned, 15), SI.
     uav_states: Array
     inputs: Array  # commands in force until now, (owned, 4), N and N m or rad/s
+    # Sensors of each UAV that have no measurement, as bits (`model.state.SENSORS`); their numbers
+    # are zeros. Empty if all have one.
+    missing: Sensors = ()
+
+    def check(self) -> None:
+        """Check the arrays, and that missing sensors are of all UAVs."""
+        Message.check(self)
+        if len(self.missing) not in (0, len(self.uavs)):
+            expected = f"none or one for each of {len(self.uavs)} uavs"
+            text = f"missing: expected {expected}, got {len(self.missing)}"
+            raise MessageError("wrong_shape", text)
 
 
 _NO_NUMBERS = np.zeros(0)
@@ -352,8 +376,7 @@ frozen(_NO_NUMBERS)
 class Plan(Message, tag="plan", frozen=True, kw_only=True):
     """Agent to plant and coordinator: states of its UAVs and inputs to apply.
 
-    To the other agents too, if it is shared. The last fields, `optional`, do not travel where they
-    and those after them have their defaults.
+    To the other agents too, if it is shared.
     """
 
     route: ClassVar[Route] = Route(

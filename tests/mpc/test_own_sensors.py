@@ -9,6 +9,7 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.model.hover import hover
 from transport.model.parameters import table_1
+from transport.model.rotations import euler_rates, rotation
 from transport.mpc.own_sensors import OwnSensors
 from transport.mpc.uav_motion import Motion, motion_of
 
@@ -141,3 +142,31 @@ def test_late_sensors_show_deviations_that_go_on(ages: tuple[int, ...], ahead: i
     )
     np.testing.assert_allclose(motion.Theta, there * turning, atol=ROUNDING)
     np.testing.assert_allclose(motion.velocity_I, moving + drift, atol=ROUNDING)
+
+
+def test_dead_reckoning_replaces_missing_measurements() -> None:
+    """A UAV that turns and accelerates: position, velocity and attitude follow from the other sensors, (31i).
+
+    Steps are of first order, so half the period halves the error.
+    """
+    omega_B, force_B = np.array([0.2, -0.1, 0.3]), np.array([0.5, 0.3, -9.0])
+    missing = 0b00111
+    errors = []
+    for steps in (20, 40):
+        period_s = 1.0 / steps
+        sensors = OwnSensors(SYSTEM, UAV, TENSION_N, (0,) * 5, period_s)
+        z = np.zeros(state.SENSED)
+        z[state.OMEGA], z[state.SPECIFIC_FORCE] = omega_B, force_B
+        sensors.completed(z, 0, 0)
+        for k in range(1, steps + 1):
+            reckoned = sensors.completed(z, missing, k)
+
+        # The motion that was, by steps a hundred times shorter.
+        r, v, Theta = np.zeros(3), np.zeros(3), np.zeros(3)
+        for _ in range(2000):
+            a = rotation(Theta) @ force_B + SYSTEM.gravity * DOWN
+            r, v, Theta = r + v / 2000, v + a / 2000, Theta + euler_rates(Theta) @ omega_B / 2000
+        errors.append(np.abs(reckoned[:9] - np.concatenate([r, v, Theta])).max())
+        np.testing.assert_array_equal(reckoned[9:], z[9:])
+    assert errors[0] < 0.1
+    assert errors[1] == pytest.approx(errors[0] / 2.0, rel=0.15)

@@ -20,6 +20,11 @@ LONGEST_SHOWN = 80
 
 ENDS = "expected one of plant, agent1, agent2, agent3, agent4, got "
 GROUND = ("plant.engine=mujoco", "plant.ground_m=0.0")
+SENSED = (
+    "plant.sensors=vehicle",
+    "controller.estimator=kalman",
+    "controller.prediction=closed_loop",
+)
 REALTIME = "clock.mode=realtime"
 ON_CHANGE = (
     "controller.prediction=closed_loop",
@@ -204,7 +209,7 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ("faults.event=[{at_s=1,do='kill'}]", "faults.event.1.target: expected a value, got nothing"),
     (
         "faults.event=[{at_s=1,do='stab',target='plant'}]",
-        "faults.event.1.do: 'release' or 'degrade', got 'stab'",
+        "faults.event.1.do: 'degrade' or 'sensors_off', got 'stab'",
     ),
     (
         "faults.event=[{at_s=1,do='kill',target='agent5'}]",
@@ -273,11 +278,27 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     # Motors.
     (
         "faults.event=[{at_s=1,do='degrade',target='uav3'}]",
-        "faults.event.1.efficiency: expected an efficiency, got nothing",
+        "faults.event.1.efficiency: expected an efficiency with 'degrade', got nothing",
     ),
     (
         "faults.event=[{at_s=1,do='motor_off',target='uav3',efficiency=0.5}]",
         "faults.event.1.efficiency: expected no efficiency without 'degrade', got 0.5",
+    ),
+    (
+        ("faults.event=[{at_s=1,do='sensors_off',target='uav3'}]", *SENSED),
+        "faults.event.1.sensors: expected sensors with 'sensors_off', got nothing",
+    ),
+    (
+        "faults.event=[{at_s=1,do='sensors_off',target='uav3',sensors=['position']}]",
+        "faults.event.1.do: expected plant.sensors = 'vehicle' with 'sensors_off', got 'state'",
+    ),
+    (
+        "faults.event=[{at_s=1,do='sensors_off',target='uav3',sensors=['height']}]",
+        "'attitude', 'rate' or 'specific_force', got 'height'",
+    ),
+    (
+        "faults.event=[{at_s=1,do='kill',target='agent3',duration_s=2}]",
+        "faults.event.1.duration_s: expected no value without 'sensors_off', got 2.0",
     ),
     ("controller.tension.minimum_N=8", "expected less than 7.36 N (hover), got 8"),
     (

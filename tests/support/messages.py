@@ -23,7 +23,6 @@ from transport.protocol.wire.messages import (
     FaultNote,
     LinkChange,
     Message,
-    Plan,
     PlantState,
     Rejected,
     Roster,
@@ -114,8 +113,11 @@ def content(message: Message) -> list[Any]:
         )
 
     values = [plain(getattr(message, field)) for field in message.__struct_fields__]
-    if isinstance(message, Plan) and not message.stale:
-        values = values[: -1 if len(message.data) else -2]
+    for name in reversed(message.optional):
+        value = getattr(message, name)
+        if value.size if isinstance(value, np.ndarray) else value:
+            break
+        values.pop()
     return [message.kind, *values]
 
 

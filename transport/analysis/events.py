@@ -94,8 +94,8 @@ def _before_end(setup: Setup, log: RunLog) -> Iterator[_Event]:
         match entry.message:
             case messages.FaultNote():
                 yield _fault(entry, entry.message)
-            case messages.ActualInputs():
-                yield from _degradations(setup, entry)
+            case messages.PlantState():
+                yield from _by_plant(setup, entry)
             case messages.Note():
                 yield from notices.of(entry, entry.message)
             case messages.Roster():
@@ -113,20 +113,26 @@ def _fault(entry: Recorded, note: messages.FaultNote) -> _Event:
     )
 
 
-def _degradations(setup: Setup, entry: Recorded) -> Iterator[_Event]:
-    """Yield the UAVs whose motors are degraded by script at the tick of a message."""
+def _by_plant(setup: Setup, entry: Recorded) -> Iterator[_Event]:
+    """Yield the faults that the plant applies at the tick of its state, and no roster tells of."""
     tick = entry.message.tick
     for fault in setup.faults:
-        if fault.do != "degrade" or fault.tick != tick:
-            continue
-        share = f"{fault.efficiency:g} of their inputs"
-        yield _Event(
-            tick=tick,
-            received_ns=entry.received_ns,
-            kind="fault",
-            text=f"motors of {fault.target} degraded to {share} by script",
-            processes=[fault.target],
-        )
+        text = ""
+        sensors = ", ".join(fault.sensors)
+        if fault.do == "degrade" and fault.tick == tick:
+            text = f"motors of {fault.target} degraded to {fault.efficiency:g} of their inputs"
+        elif fault.do == "sensors_off" and fault.tick == tick:
+            text = f"{fault.target} without {sensors}"
+        elif fault.do == "sensors_off" and fault.until == tick:
+            text = f"{fault.target} has {sensors} again"
+        if text:
+            yield _Event(
+                tick=tick,
+                received_ns=entry.received_ns,
+                kind="fault",
+                text=f"{text} by script",
+                processes=[fault.target],
+            )
 
 
 class _Notices:

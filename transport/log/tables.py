@@ -10,7 +10,16 @@ import numpy as np
 
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
-from transport.model.state import INPUTS, IS_KNOWN, PAYLOAD, PER_UAV, SENSED, SENSED_VALUES
+from transport.model.state import (
+    ALL_SENSORS,
+    INPUTS,
+    IS_KNOWN,
+    PAYLOAD,
+    PER_UAV,
+    SENSED,
+    SENSED_VALUES,
+    is_measured,
+)
 from transport.protocol.wire.messages import (
     KINDS,
     STAGES,
@@ -49,7 +58,7 @@ RATE_NAMES = ("thrust_N", "rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
 
 # Fields that `_spread` writes to columns or rows of their own, by kind of message.
 _SPREAD: Mapping[str, Collection[str]] = {
-    Measurement.kind: ("payload", "uavs", "uav_states", "inputs"),
+    Measurement.kind: ("payload", "uavs", "uav_states", "inputs", "missing"),
     Plan.kind: ("uavs", "uav_states", "inputs", "corrections", "data"),
     StepReport.kind: ("peers", "plan_ages", "state_ages", "force", "times_ms"),
     Note.kind: ("names", "values"),
@@ -147,10 +156,12 @@ def _spread(message: Message, commands: tuple[str, ...]) -> Iterator[Row]:
 def _measured(message: Measurement, commands: tuple[str, ...]) -> Iterator[Row]:
     """Yield the payload with states and inputs of each UAV."""
     payload = _named("payload_", PAYLOAD_NAMES[: len(message.payload)], message.payload)
-    uavs = zip(message.uavs, message.uav_states, message.inputs, strict=True)
+    missing = message.missing or (0,) * len(message.uavs)
+    uavs = zip(message.uavs, message.uav_states, message.inputs, missing, strict=True)
 
-    for uav, states, inputs in uavs:
-        yield {"uav": uav, **payload, **_uav_columns(states), **_named("", commands, inputs)}
+    for uav, states, inputs, sensors in uavs:
+        columns = _uav_columns(states, sensors)
+        yield {"uav": uav, **payload, **columns, **_named("", commands, inputs)}
 
 
 def _planned(message: Plan, commands: tuple[str, ...]) -> Iterator[Row]:
@@ -194,8 +205,10 @@ def _actual(message: ActualInputs) -> Iterator[Row]:
         yield {"uav": uav, **_named("", INPUT_NAMES, inputs), **tension}
 
 
-def _uav_columns(values: Array) -> Row:
+def _uav_columns(values: Array, missing: int = 0) -> Row:
     """Return the states of a UAV, or the newest values of its sensors in a message.
+
+    Sensors without a measurement, bits of `missing`, have no columns.
 
     The length tells which: (PER_UAV,) are states, (SENSED,) measurements; a longer array has the
     rows of the last ticks that a plan reports (`model.state.REPORTED`), the newest first. Only that
@@ -203,11 +216,16 @@ def _uav_columns(values: Array) -> Row:
     """
     if len(values) == PER_UAV:
         return _named("", UAV_STATE_NAMES, values)
-    if len(values) == SENSED:
-        return _named("", SENSED_NAMES, values)
-    if values[IS_KNOWN] > 0.0:
-        return _named("", SENSED_NAMES, values[SENSED_VALUES])
-    return {}
+    if len(values) != SENSED:
+        known = int(values[IS_KNOWN])
+        missing = known - 1 if known > 0 else ALL_SENSORS
+        values = values[SENSED_VALUES]
+    columns = _named("", SENSED_NAMES, values)
+    return {
+        name: value
+        for place, (name, value) in enumerate(columns.items())
+        if is_measured(place // 3, missing)
+    }
 
 
 def _named(prefix: str, names: tuple[str, ...], values: Array) -> Row:
