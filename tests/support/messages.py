@@ -23,6 +23,7 @@ from transport.protocol.wire.messages import (
     FaultNote,
     LinkChange,
     Message,
+    Plan,
     PlantState,
     Rejected,
     Roster,
