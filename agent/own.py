@@ -51,13 +51,16 @@ def checked_controller(setup: Setup) -> str:
     if name in OF_PROJECT:
         return name
     OwnPlanner(setup, 1, lambda: 0).stop()
-    return f"{name} {controller_version(name)}".rstrip()
+    try:
+        return f"{name} {controller_version(name)}".rstrip()
+    except OwnClassError as error:
+        raise ScenarioError(setup.scenario.name, "agents.controller", str(error)) from error
 
 
 def controller_version(name: str) -> str:
     """Return the version of a controller, empty for that of the project.
 
-    Raises: OwnClassError: it is not found.
+    Raises: OwnClassError: it is not found, or its version is no text.
     """
     return "" if name in OF_PROJECT else version_of(own_class(name))
 

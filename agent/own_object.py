@@ -5,7 +5,7 @@ from typing import Any
 
 from transport.agent.own_returned import Returned, checked, converted
 from transport.agent.own_run import Run
-from transport.protocol.scenario.own_calls import OwnClassError, errors_of, new_object
+from transport.protocol.scenario.own_calls import errors_of, new_object
 from transport.protocol.scenario.own_class import own_class
 from transport.protocol.wire.messages import Measurement, Plan
 
@@ -37,15 +37,12 @@ class OwnObject:
     def _result(self, method: str, call: Callable[[], object]) -> Returned:
         with errors_of(method):
             returned = call()
-        try:
+
+        def wording(_: str, words: str) -> str:
+            return f"{method}: expected arrays of real numbers, got {type(returned).__name__} ({words})"
+
+        with errors_of(method, wording):
             result = converted(returned, method, self._run.data_shape)
-        except OwnClassError:
-            raise
-        except Exception as error:
-            text = " ".join(str(error).split())
-            got = f"{type(returned).__name__} ({type(error).__name__}: {text:.200})"
-            expected = "expected arrays of real numbers"
-            raise OwnClassError(f"{method}: {expected}, got {got}") from error
         return checked(result, method, self._run)
 
     def stop(self) -> None:

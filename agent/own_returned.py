@@ -49,7 +49,9 @@ def converted(returned: object, method: str, data_shape: tuple[int, ...] | None)
         inputs=np.atleast_2d(inputs),
         asked=np.atleast_2d(inputs),
         data=_data(step.data, method, data_shape),
-        numbers={str(name): float(value) for name, value in dict(step.numbers).items()},
+        numbers={
+            str.__str__(str(name)): float(value) for name, value in dict(step.numbers).items()
+        },
         send=bool(step.send),
         shape=inputs.shape,
     )
@@ -95,8 +97,8 @@ def checked(returned: Returned, method: str, run: Run) -> Returned:
     Raises: OwnClassError: with got and expected.
     """
     _check_shape(returned, method, run)
-    _check_finite(returned, method)
     _check_names(returned.numbers, method)
+    _check_finite(returned, method)
     return replace(returned, inputs=np.clip(returned.inputs, run.lower, run.upper))
 
 
@@ -122,3 +124,7 @@ def _check_names(numbers: Mapping[str, float], method: str) -> None:
     if len(numbers) > MAX_NAMES or any(len(name) > MAX_NAME for name in numbers):
         limits = f"at most {MAX_NAMES} numbers with names of at most {MAX_NAME} characters"
         raise OwnClassError(f"{method}: expected {limits} for the log, got {len(numbers)}")
+    unprintable = [name for name in numbers if not name.isprintable()]
+    if unprintable:
+        expected = "expected names of printable characters for the log"
+        raise OwnClassError(f"{method}: {expected}, got {unprintable[0]!a}")

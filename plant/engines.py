@@ -245,14 +245,17 @@ def checked_engine(setup: Setup) -> str:
     firmware = checked_firmware(setup)
     name = setup.scenario.plant.engine
     Engine(setup, Environment(setup).system)
-    engine = f"{name} {engine_version(name)}".rstrip()
+    try:
+        engine = f"{name} {engine_version(name)}".rstrip()
+    except OwnClassError as error:
+        raise ScenarioError(setup.scenario.name, "plant.engine", str(error)) from error
     return f"{engine}, {firmware}" if firmware else engine
 
 
 def engine_version(name: str) -> str:
     """Return the version of an engine, or a hash of its file.
 
-    Raises: OwnClassError: it is not found.
+    Raises: OwnClassError: it is not found, or its version is no text.
     """
     return version_of(_engine_class(name))
 

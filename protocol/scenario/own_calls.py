@@ -35,10 +35,9 @@ def new_object(make: Callable[..., Any], methods: Sequence[str], *arguments: obj
     """
     with errors_of("the constructor"):
         instance = make(*arguments)
-
-    for name in methods:
-        if not callable(getattr(instance, name, None)):
-            raise OwnClassError(f"expected the methods {', '.join(methods)}, got no {name}")
+        for name in methods:
+            if not callable(getattr(instance, name, None)):
+                raise OwnClassError(f"expected the methods {', '.join(methods)}, got no {name}")
     return instance
 
 
@@ -50,25 +49,53 @@ def real_array(given: object) -> Array:
     return np.array(given).astype(np.float64, casting="same_kind")
 
 
+def _raised(call: str, words: str) -> str:
+    return f"{call} raised {words}"
+
+
 @contextmanager
-def errors_of(call: str) -> Iterator[None]:
+def errors_of(call: str, wording: Callable[[str, str], str] = _raised) -> Iterator[None]:
     """Turn exceptions of a call of a class into OwnClassError, with file and line, also `os._exit`.
 
-    Its output goes to standard error.
+    What a class returns is its code as well: an object runs some when it is converted or printed, so
+    this surrounds the conversion too. Output goes to standard error.
+
+    Args:
+        call: What is called.
+        wording: Text of the error, from the call and the exception in words.
     """
     try:
         with redirect_stdout(sys.stderr), _no_exit():
             yield
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, OwnClassError):
         raise
     except BaseException as error:
-        raise OwnClassError(f"{call} raised {_in_words(error)}{_place_of(error)}") from error
+        text = printable(wording(call, _in_words(error)))
+        place = "".join(map(_shown, _place_of(error)))
+        raise OwnClassError(f"{text}{place}") from error
+
+
+def printable(text: str) -> str:
+    """Return a text in one line of limited length that messages, files and terminals can hold."""
+    # Methods of str itself: a text of the user's may be of a class with its own.
+    line = " ".join(str.split(text))[:_LONGEST_TEXT]
+    return "".join(map(_shown, line))
+
+
+def _shown(character: str) -> str:
+    """Return a character if it can be printed and encoded."""
+    return character if character.isprintable() else "?"
 
 
 def _in_words(error: BaseException) -> str:
-    """Return an exception in one printable line of limited length, which a message can hold."""
-    text = " ".join(f"{type(error).__name__}: {error}".split())[:_LONGEST_TEXT]
-    return "".join(character if character.isprintable() else "?" for character in text)
+    """Return an exception in one line; its type alone where its text cannot be made."""
+    name = type(error).__name__
+    try:
+        return printable(f"{name}: " + printable(str(error)))
+    except KeyboardInterrupt:
+        raise
+    except BaseException:  # noqa: BLE001  # the text is made by the user's code
+        return printable(f"{name}, whose text cannot be made")
 
 
 def _place_of(error: BaseException) -> str:
@@ -76,10 +103,14 @@ def _place_of(error: BaseException) -> str:
     frames = list(traceback.walk_tb(error.__traceback__))
     for frame, line in reversed(frames):
         file = frame.f_code.co_filename
-        is_of_program = frame.f_globals.get("__name__", "").startswith(_PROGRAM)
-        if not is_of_program and not is_foreign(file):
+        if not _is_of_program(frame) and not is_foreign(file):
             return f" ({Path(file).name}:{line})"
     return ""
+
+
+def _is_of_program(frame: FrameType) -> bool:
+    """Return whether a frame runs code of the program."""
+    return str(frame.f_globals.get("__name__", "")).startswith(_PROGRAM)
 
 
 def is_foreign(file: str) -> bool:
@@ -102,8 +133,7 @@ def _no_exit() -> Iterator[None]:
 
     def end_or_raise(status: int) -> NoReturn:
         frame = sys._getframe(1)
-        is_of_program = frame.f_globals.get("__name__", "").startswith(_PROGRAM)
-        if os.getpid() == process and not is_of_program and _is_within(frame, caller):
+        if os.getpid() == process and not _is_of_program(frame) and _is_within(frame, caller):
             raise SystemExit(f"os._exit({status})")
         end(status)
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic import AfterValidator
 
-from transport.protocol.scenario.own_calls import OwnClassError, errors_of, is_foreign
+from transport.protocol.scenario.own_calls import OwnClassError, errors_of, is_foreign, printable
 
 _MAIN = "__main__"  # module of a script or notebook, which is no file to be imported again
 _PROGRAM = "transport"  # package of the program
@@ -159,12 +159,13 @@ def _is_within(package: str, module: str) -> bool:
 def version_of(make: Any) -> str:
     """Return the version of a class: its attribute `version`, else a hash of its file.
 
-    Empty if there is neither.
+    Empty if there is neither. Raises: OwnClassError: the attribute is no text.
     """
-    given = getattr(make, "version", None)
-    if given is not None:
-        return str(given)
-    file = getattr(sys.modules.get(make.__module__), "__file__", None)
+    with errors_of("its version"):
+        given = getattr(make, "version", None)
+        if given is not None:
+            return printable(str(given))
+        file = getattr(sys.modules.get(make.__module__), "__file__", None)
     return _digest(Path(file)) if file else ""
 
 

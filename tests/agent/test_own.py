@@ -28,6 +28,7 @@ from transport.agent.own import checked_controller
 from transport.agent.own_run import Run, run_of
 from transport.flight.memory import simulate
 from transport.model.arrays import Array
+from transport.plant.engines import checked_engine
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Measurement, Message, Note, Plan, StepReport
@@ -54,6 +55,15 @@ WRONG = {
     "return 'up'": NUMBERS + "str (TypeError: Cannot cast scalar from dtype('<U2')",
     "return None": NUMBERS + "NoneType (TypeError: Cannot cast scalar from dtype('O')",
     "return self.u, {'e': float('inf')}": FINITE + "e = inf",
+    "raise type('Mute', (Exception,), {'__str__': lambda _: 1 / 0})()": (
+        "step raised Mute, whose text cannot be made (my_own.py:6)"
+    ),
+    "raise ValueError('\\udc80')": "step raised ValueError: ? (my_own.py:6)",
+    "return self.u, {'\\udc80': 1.0}": (
+        "step: expected names of printable characters for the log, got '\\udc80'"
+    ),
+    "return type('Exits', (), {'__array__': lambda *_, **__: sys.exit(0)})()": NUMBERS
+    + "Exits (SystemExit: 0) (my_own.py:6)",
     "return self.u, {'e': 'x'}": NUMBERS
     + "tuple (ValueError: could not convert string to float: 'x')",
 }
@@ -66,7 +76,7 @@ def own(
 
     `self.k` counts the steps.
     """
-    lines = ["import numpy as np; ended = []", "class Mine:"]
+    lines = ["import sys; import numpy as np; ended = []", "class Mine:"]
     lines += [
         f"    def start(self, run): self.run, self.u, self.k = run, run.u_hover[:4], -1; {start}"
     ]
@@ -290,6 +300,38 @@ def test_what_cannot_fly_is_refused(
             build()
         assert refused.value.field == "agents.controller"
         assert refused.value.problem.startswith(text.format(folder=tmp_path))
+
+
+@pytest.mark.parametrize("kind", ["controller", "engine"])
+@pytest.mark.parametrize(
+    ("version", "told"),
+    [
+        ("'1\\udc80'", "1?"),
+        ("'1\\n2'", "1 2"),
+        ("type('V', (), {'__str__': lambda _: 1 / 0})()", None),
+        ("type('V', (), {'__str__': lambda _: sys.exit(0)})()", None),
+    ],
+)
+def test_a_version_is_text_that_a_log_can_hold(
+    version: str, told: str | None, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is printable and encodable; one that cannot be made is refused before anything starts."""
+    key = "agents.controller" if kind == "controller" else "plant.engine"
+    own(tmp_path, monkeypatch, "return self.u")
+    text = (tmp_path / "my_own.py").read_text(encoding="utf-8")
+    engine = "from transport.plant.engines import Rods\nclass Steel(Rods): version = Mine.version\n"
+    (tmp_path / "my_own.py").write_text(
+        f"{text}    version = {version}\n{engine}", encoding="utf-8"
+    )
+    name = "my_own:Mine" if kind == "controller" else "my_own:Steel"
+    run = setup(SHORT, f"{key}={name}")
+    check = checked_controller if kind == "controller" else checked_engine
+    if told is not None:
+        assert check(run) == f"{name} {told}"
+        return
+    with pytest.raises(ScenarioError, match="its version raised ") as refused:
+        check(run)
+    assert refused.value.field == key
 
 
 def test_the_class_decides_what_it_sends() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 from transport.experiments.cases import ExperimentError
 from transport.mpc.settings import Section
 from transport.protocol.scenario.errors import ScenarioError, dotted_key, validated
-from transport.protocol.scenario.own_calls import OwnClassError
+from transport.protocol.scenario.own_calls import OwnClassError, errors_of
 from transport.protocol.scenario.own_class import own_class, version_of
 from transport.protocol.wire.exit_codes import EXIT_SCENARIO
 
@@ -101,15 +101,18 @@ def entered(name: str) -> Algorithm:
     """
     try:
         found = own_class(name)
+        version = version_of(found)
+        with errors_of("its attribute arena"):
+            given = getattr(found, "arena", {})
     except OwnClassError as error:
         raise ExperimentError(f"--controller {name}: {error}", EXIT_SCENARIO) from error
 
-    entry = _entry_of(name, getattr(found, "arena", {}))
+    entry = _entry_of(name, given)
     return Algorithm(
         name=name,
         settings=(f"agents.controller={name}", *entry.settings),
         tuned=entry.tuned,
-        version=version_of(found),
+        version=version,
         centralized=entry.centralized,
     )
 
