@@ -50,6 +50,7 @@ Relaxation = Annotated[
     Annotated[float, Interval(gt=0.0, le=1.0)] | Literal["auto"],
     Key(type="number > 0, <= 1, or auto", label="relaxation", short="relaxation"),
 ]
+NO_DRAG = (0.0, 0.0)  # of a UAV
 LONGEST_NAME = 40  # characters of the name of a scenario
 LONGEST_WAIT_S = 1e6  # of wall time, for a process
 _WAIT_S = (1e-3, LONGEST_WAIT_S)
@@ -77,7 +78,7 @@ class UavSection(Section):
     """mass m_i of the UAV"""
     inertia_kgm2: Inertia
     """inertia J_i of the UAV, given as that of the payload"""
-    drag_kgps: Annotated[Pair, Key(type="2 numbers >= 0", label="UAV drag")] = (0.0, 0.0)
+    drag_kgps: Annotated[Pair, Key(type="2 numbers >= 0", label="UAV drag")] = NO_DRAG
     """drag d_i in the plane of the rotors, and along their axis: force against its velocity relative
     to the air per m/s, [equations.md](equations.md) (42)"""
     rho_m: Annotated[Vector, Key(within=(1e-12, 1e4))]

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from transport.model.parameters import table_1
-from transport.mpc.settings import Key, Positive, Section
+from transport.mpc.settings import Key, Pair, Positive, Section
 from transport.protocol.scenario.errors import HoverError, ScenarioError, validated
 from transport.protocol.scenario.file import find_ready, read_tree, validate
 from transport.protocol.scenario.origins import Origin, origins_in
-from transport.protocol.scenario.schema import Inertia, Scenario
+from transport.protocol.scenario.schema import NO_DRAG, Inertia, Scenario
 from transport.protocol.wire.names import MAX_UAVS
 
 FEWEST = 2  # a single rod leaves the payload free to turn about it
@@ -30,7 +30,7 @@ _SPACING_DECIMALS = 5
 # Sections and keys that a new team never has from its template.
 _MADE_ANEW = ("name", "system.payload")
 # Keys of a UAV that are the same all around a ring.
-_AIRFRAME_KEYS = ("mass_kg", "inertia_kgm2", "rod_length_m", "radius_m")
+_AIRFRAME_KEYS = ("mass_kg", "inertia_kgm2", "rod_length_m", "drag_kgps", "radius_m")
 
 
 class AirframeSection(Section):
@@ -42,6 +42,8 @@ class AirframeSection(Section):
     """inertia of the UAV"""
     rod_length_m: Annotated[Positive, Key(within=(1e-3, 1e4))]
     """length of its rod"""
+    drag_kgps: Annotated[Pair, Key(type="2 numbers >= 0")] = NO_DRAG
+    """its drag in the plane of the rotors, and along their axis"""
     spacing_m: Positive
     """distance between neighbours in the ring"""
     radius_m: Positive | None = None
@@ -163,6 +165,7 @@ def airframe_of(scenario: Scenario, source: str) -> AirframeSection:
         mass_kg=first.mass_kg,
         inertia_kgm2=first.inertia_kgm2,
         rod_length_m=first.rod_length_m,
+        drag_kgps=first.drag_kgps,
         spacing_m=spacing_m,
         radius_m=first.radius_m,
     )
@@ -173,7 +176,7 @@ def ring(
 ) -> dict[str, Any]:
     """Return the section `system` of N UAVs, 2 or more, in a ring.
 
-    The payload has the paper's shape and by default half the mass of the UAVs, as there. Four of
+    The payload has the paper's shape, no drag, and by default half the mass of the UAVs, as there. Four of
     the paper's UAVs are Table I. Source: docs/scenario.md.
 
     Raises: ValueError: fewer UAVs.
@@ -197,6 +200,8 @@ def ring(
     # The payload keeps its shape: J ~ m r^2.
     inertia_kgm2 = paper.payload.inertia.diagonal() * (payload_kg / paper.payload.mass * scale**2)
 
+    # As in a file: only what is not the default.
+    drag = {} if airframe.drag_kgps == NO_DRAG else {"drag_kgps": list(airframe.drag_kgps)}
     return {
         "gravity_mps2": gravity_mps2,
         "payload": {"mass_kg": payload_kg, "inertia_kgm2": _rounded(inertia_kgm2)},
@@ -208,6 +213,7 @@ def ring(
                 "inertia_kgm2": airframe.inertia_kgm2,
                 "rod_length_m": airframe.rod_length_m,
                 **({} if airframe.radius_m is None else {"radius_m": airframe.radius_m}),
+                **drag,
             }
             for number in range(1, N + 1)
         ],

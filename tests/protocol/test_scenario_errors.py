@@ -336,6 +336,13 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         ("plant.wind.drag_payload_kgps=61", "plant.wind.gust_mps=[1,1,1]"),
         "expected at most mass over sampling period 60",
     ),
+    (
+        ("plant.wind.drag_uav_kgps=0.3", "system.payload.drag_kgps=0.5"),
+        "plant.wind.drag_uav_kgps: expected no value with drag_kgps of payload or UAVs in [system]; "
+        "plant.drag_factor and controller.knows_drag change it, got 0.3",
+    ),
+    ("system.uav.1.drag_kgps=[0.3]", "expected a list of at least 2, got [0.3]"),
+    ("plant.drag_factor=-1", "expected greater than or equal to 0, got -1"),
     # Physics.
     (
         "controller.limits.thrust_N=[0,20]",

@@ -174,6 +174,8 @@ def test_a_team_keeps_the_distance_of_its_template() -> None:
     first, second = (np.array(uav.rho_m) for uav in larger.uav[:2])
     assert float(np.linalg.norm(first - second)) == pytest.approx(0.51971, abs=DISTANCE_ROUNDING)
     assert {uav.mass_kg for uav in larger.uav} == {0.6}
+    assert {uav.drag_kgps for uav in larger.uav} == {(0.24, 0.34)}
+    assert larger.payload.drag_kgps == 0.0
     assert larger.payload.mass_kg == pytest.approx(6 * 0.3)
 
 
@@ -183,6 +185,7 @@ def test_a_team_keeps_the_distance_of_its_template() -> None:
         ("mass_kg", "1.6", "expected 1.5, as of UAV1, or a vehicle for the new team, got 1.6"),
         ("inertia_kgm2", "[0.03,0.03,0.06]", "expected [0.029, 0.029, 0.055], as of UAV1, or a"),
         ("rod_length_m", "3.3", "expected 3.2, as of UAV1, or a vehicle for the new team, got 3.3"),
+        ("drag_kgps", "[0.1,0.2]", "expected (0.0, 0.0), as of UAV1, or a vehicle for the new"),
     ],
 )
 def test_uavs_that_differ_need_a_vehicle(key: str, value: str, got: str) -> None:

@@ -31,6 +31,9 @@ def test_ready_vehicles_fly(vehicle: str) -> None:
     assert run.summary["uav_tracking"]["max_m"] < NEAR_M
     assert run.summary["attitude_max_deg"] < LEVEL_DEG
     assert scenario.plant.motors.lag_s > 0.0
+    # Rotor drag over mass: Faessler, Franchi, Scaramuzza 2018 identified 0.3 to 0.5 1/s.
+    across_per_s = scenario.system.uav[0].drag_kgps[0] / scenario.system.uav[0].mass_kg
+    assert 0.1 < across_per_s < 0.5
     assert scenario.system.payload.mass_kg == pytest.approx(
         READY[vehicle] or 1.5 * scenario.system.uav[0].mass_kg
     )

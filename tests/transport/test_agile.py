@@ -87,6 +87,23 @@ def test_delay_and_loss_cost_little() -> None:
     assert perfect < 1.05 * central
 
 
+def test_known_drag_costs_nothing() -> None:
+    """The reference with the drag of its bodies is a motion of the model: as exact as in vacuum."""
+    vacuum = {"plant.drag_factor": 0.0, "controller.knows_drag": False}
+    known = error_m(IDEAL, **LATE)
+    assert known < 0.002
+    assert known < 1.2 * error_m({**IDEAL, **vacuum}, **LATE)
+
+
+@pytest.mark.slow
+def test_unknown_drag_is_found() -> None:
+    """Drag that no agent knows costs decimetres, and centimetres once the filter estimates it, (73)."""
+    unknown = {"controller.knows_drag": False}
+    estimated = {**unknown, "controller.disturbance.estimate": True}
+    assert error_m(unknown, **LATE) > 0.10
+    assert error_m(estimated, **LATE) < 0.04
+
+
 @pytest.mark.slow
 def test_team_without_an_agent_flies_on() -> None:
     """An agent dies for good at full speed.
