@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from transport.agent.estimation.belief import Belief
+from transport.agent.estimation.reports import Reports, by_uav
 from transport.agent.received import Received
 from transport.agent.step import step_report
 from transport.model import state
@@ -60,6 +61,7 @@ class AlonePlanner:
         period_s = self._setup.settings.sampling_period_s
 
         self._measurement: Measurement | None = None  # the newest that is usable
+        self._sensed = Reports()  # own measurements of the last ticks
         self._held_I = {uav: np.zeros(3) for uav in self._owned}
         tensions_N = self._setup.hover.tensions
         self._sensors = {
@@ -96,6 +98,9 @@ class AlonePlanner:
         for measurement in received.measurements:
             if self._measurement is None or measurement.tick > self._measurement.tick:
                 self._measurement = measurement
+            for uav, report in by_uav(measurement):
+                self._sensed.tell(measurement.tick, uav, report)
+        self._sensed.forget_before(received.tick - state.REPORTS)
         if self._failed != (received.off, received.released):
             self._failed = received.off, received.released
             self._team.fail(*self._failed)
@@ -218,13 +223,10 @@ class AlonePlanner:
         return lambda tick: self._team.setpoint(uav, tick).motion
 
     def _said(self, k: int) -> Array:
-        """Return the states of the own UAVs for the plan of tick k, as measured.
-
-        Zeros with vehicle sensors: no other agent uses them.
-        """
+        """Return the states of the own UAVs for the plan of tick k, as measured, or of their sensors."""
         owned = list(self._owned)
         if self._setup.sensors.vehicle:
-            return np.zeros((len(owned), state.REPORTS * state.REPORTED))
+            return self._sensed.rows(k, owned)
         if self._measurement is not None:
             return self._measurement.uav_states
         x_ref = self._setup.X_ref[min(k, len(self._setup.X_ref) - 1)]

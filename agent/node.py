@@ -34,9 +34,10 @@ from transport.protocol.wire.names import agent_name
 
 def planner_of(setup: Setup, agent: int, stopwatch: Callable[[], int]) -> AgentPlanner[Any]:
     """Return the planner of an agent, 1-based, by `agents.controller`."""
-    if setup.scenario.agents.controller == PROJECT:
+    controller = setup.scenario.controllers[agent - 1]
+    if controller == PROJECT:
         return Planner(setup, agent, stopwatch)
-    if setup.scenario.agents.controller == ALONE:
+    if controller == ALONE:
         return AlonePlanner(setup, agent, stopwatch)
     return OwnPlanner(setup, agent, stopwatch)
 

@@ -27,13 +27,13 @@ from transport.mpc.fail_safe import PLAYED_S
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.own_calls import OwnClassError
 from transport.protocol.scenario.own_class import own_class, version_of
-from transport.protocol.scenario.radio_settings import PlanShape, has_own_controller
+from transport.protocol.scenario.radio_settings import PlanShape, is_class
+from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import STAGES, Measurement, Message, Note, Plan, PlanStatus
 from transport.protocol.wire.node import Outbox
 
 PROJECT = "mpc"  # the controller of the project
-OF_PROJECT = PROJECT, "alone"
 
 _NO_DATA = np.zeros(0)
 _UNCHANGED = (
@@ -43,26 +43,45 @@ _UNCHANGED = (
 
 
 def checked_controller(setup: Setup) -> str:
-    """Return name and version of the controller after starting it once.
+    """Return names and versions of the controllers after starting each once, in the order of agents.
 
-    Raises: ScenarioError: it cannot be used.
+    One that several agents have is named once, and started for the first of them.
+
+    Raises: ScenarioError: one of them cannot be used.
     """
-    name = setup.scenario.agents.controller
-    if name in OF_PROJECT:
-        return name
-    OwnPlanner(setup, 1, lambda: 0).stop()
+    for planner in _own_planners(setup):
+        planner.stop()
+    names = dict.fromkeys(setup.scenario.controllers)
     try:
-        return f"{name} {controller_version(name)}".rstrip()
+        return ", ".join(f"{name} {controller_version(name)}".rstrip() for name in names)
     except OwnClassError as error:
         raise ScenarioError(setup.scenario.name, "agents.controller", str(error)) from error
 
 
 def controller_version(name: str) -> str:
-    """Return the version of a controller, empty for that of the project.
+    """Return the version of a controller, empty for those of the project.
 
     Raises: OwnClassError: it is not found, or its version is no text.
     """
-    return "" if name in OF_PROJECT else version_of(own_class(name))
+    return version_of(own_class(name)) if is_class(name) else ""
+
+
+def controller_versions(scenario: Scenario) -> str:
+    """Return the versions of the controllers of a run, in the order of agents.
+
+    Raises: OwnClassError: one is not found.
+    """
+    return " ".join(map(controller_version, dict.fromkeys(scenario.controllers))).strip()
+
+
+def _own_planners(setup: Setup) -> Iterator["OwnPlanner"]:
+    """Yield a planner of each class of the user that is a controller of the run.
+
+    Raises: ScenarioError: one cannot be used.
+    """
+    controllers = setup.scenario.controllers
+    for name in dict.fromkeys(filter(is_class, controllers)):
+        yield OwnPlanner(setup, controllers.index(name) + 1, lambda: 0)
 
 
 def plan_shapes(setup: Setup) -> dict[str, PlanShape]:
@@ -71,15 +90,17 @@ def plan_shapes(setup: Setup) -> dict[str, PlanShape]:
     A class of the user returns the inputs of one tick, or of more up to the horizon, with the data
     that it declares as it starts. Raises: ScenarioError: the class cannot be used.
     """
-    if not has_own_controller(setup.scenario):
-        return {"": PlanShape.of(setup)}
-    planner = OwnPlanner(setup, 1, lambda: 0)
-    planner.stop()
-    data = planner.data_numbers
+    data = []
+    for planner in _own_planners(setup):
+        planner.stop()
+        data.append(planner.data_numbers)
+    least = PlanShape.of(setup)
+    if not data:
+        return {"": least}
     horizon = setup.settings.horizon
     return {
-        "with the inputs of one tick ": PlanShape(inputs=1, corrections=0, data=data),
-        "with those of the horizon ": PlanShape(inputs=horizon, corrections=0, data=data),
+        "with the inputs of one tick ": least | PlanShape(data=max(data)),
+        "with those of the horizon ": least | PlanShape(inputs=horizon, data=max(data)),
     }
 
 
@@ -141,7 +162,7 @@ class OwnPlanner:
         self._setup = setup
         self._agent = agent
         self._stopwatch = stopwatch
-        self._name = setup.scenario.agents.controller
+        self._name = setup.scenario.controllers[agent - 1]
         self._iterations = setup.scenario.controller.negotiation_iterations
         self._owned = setup.owned[agent - 1]
         self._peers = tuple(other for other in setup.agents if other != agent)

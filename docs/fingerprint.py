@@ -15,7 +15,7 @@ from importlib import metadata
 import threadpoolctl
 from tables import ROOT
 
-from transport.agent.own import controller_version
+from transport.agent.own import controller_versions
 from transport.model import compiler, native
 from transport.plant.engines import engine_version
 from transport.protocol.scenario.schema import Scenario
@@ -46,7 +46,7 @@ def code_id(scenario: Scenario) -> str:
         _sources(),
         *(f"{package} {metadata.version(package)}" for package in _PACKAGES),
         "" if engine == "rods" else engine_version(engine),  # that of the package is in the sources
-        controller_version(scenario.agents.controller),
+        controller_versions(scenario),
         firmware_version() if has_firmware else "",
     ]
     return _digest("\n".join(parts), 8)

@@ -16,13 +16,13 @@ _DEADLY = ("kill", "stop")
 def may_act_alone(scenario: Scenario) -> bool:
     """Return whether UAVs can act alone, whatever happens in the run."""
     follows = scenario.controller.fail_safe == "follow"
-    return scenario.agents.controller == "alone" or follows or hands_over(scenario)
+    return "alone" in scenario.controllers or follows or hands_over(scenario)
 
 
 def hands_over(scenario: Scenario) -> bool:
     """Return whether agents without news act alone."""
     controller = scenario.controller
-    by_law = controller.prediction == "closed_loop" and scenario.agents.controller == "mpc"
+    by_law = controller.prediction == "closed_loop" and "mpc" in scenario.controllers
     return by_law and controller.silence == "alone" and len(scenario.owned) > 1
 
 
@@ -55,7 +55,7 @@ def _ways(scenario: Scenario) -> Iterator[str]:
     """Yield the ways in which UAVs of the run may act alone by what it says, in words."""
     is_real = scenario.clock.mode == "realtime"
     faults = [fault.do for fault in scenario.faults.event if fault.target.startswith("agent")]
-    if scenario.agents.controller == "alone":
+    if "alone" in scenario.controllers:
         yield "(agents.controller=alone)"
     if hands_over(scenario):
         is_impaired = scenario.links != LinksSection() or scenario.radio is not None

@@ -35,12 +35,13 @@ _OWN_MODULES: dict[str, _Imported] = {}
 
 
 def or_class(*names: str) -> AfterValidator:
-    """Return a check that a text is one of some names or has the form "package.module:Class"."""
+    """Return a check that texts are one of some names or have the form "package.module:Class"."""
 
-    def check(value: str) -> str:
-        if value not in names and not _NAME.fullmatch(value):
-            ready = ", ".join(map(repr, names))
-            raise ValueError(f"expected {ready} or 'package.module:Class', got {value!r}")
+    def check(value: str | list[str]) -> str | list[str]:
+        for text in [value] if isinstance(value, str) else value:
+            if text not in names and not _NAME.fullmatch(text):
+                ready = ", ".join(map(repr, names))
+                raise ValueError(f"expected {ready} or 'package.module:Class', got {text!r}")
         return value
 
     return AfterValidator(check)

@@ -17,7 +17,6 @@ from transport.protocol.radio.sends import SendTimes
 from transport.protocol.radio.slots import fewest_periods, frame_lengths, occupied_ns
 from transport.protocol.radio.standard import STANDARDS
 from transport.protocol.scenario.radio_section import RadioSection
-from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.codec import encoded_length
 from transport.protocol.wire.messages import Plan
@@ -70,7 +69,7 @@ class PlanShape:
 
         A class of the user decides with each plan; its least are the inputs of one tick.
         """
-        if has_own_controller(setup.scenario):
+        if all(map(is_class, setup.scenario.controllers)):
             return PlanShape(inputs=1, corrections=0)
         horizon = setup.settings.horizon
         is_corrected = setup.settings.prediction == "closed_loop"
@@ -92,9 +91,9 @@ class PlanShape:
         return shape
 
 
-def has_own_controller(scenario: Scenario) -> bool:
-    """Return whether the controller is a class of the user, "package.module:Class"."""
-    return ":" in scenario.agents.controller
+def is_class(controller: str) -> bool:
+    """Return whether a controller is a class of the user, "package.module:Class"."""
+    return ":" in controller
 
 
 def send_times(setup: Setup, section: RadioSection, shape: PlanShape) -> SendTimes:

@@ -33,9 +33,10 @@ class Need:
 
     def is_there(self, given: object) -> bool:
         """Return whether a value of the cause is the one that needs something."""
+        values = given if isinstance(given, list) else [given]
         if self.value is _ANY:
-            return given not in _DEFAULTS
-        return given == self.value
+            return any(value not in _DEFAULTS for value in values)
+        return self.value in values
 
 
 _NEEDS = (
@@ -109,6 +110,11 @@ def _ownership(scenario: Scenario) -> Problems:
     if owned != ids:
         yield "agents.owned", f"each UAV of {ids} once", owned
 
+    agents, controllers = len(scenario.owned), len(scenario.controllers)
+    if controllers != agents:
+        expected = f"one for each of {agents} agents, or one name for all"
+        yield "agents.controller", expected, f"a list of {controllers}"
+
 
 def after_the_end(scenario: Scenario) -> Iterator[str]:
     """Yield, in words, the scripted events that come after the last tick of the run: none happens."""
@@ -169,7 +175,7 @@ def _radio(scenario: Scenario) -> Problems:
             "'all' without controller.prediction = 'closed_loop': the others predict with them"
         )
         yield "radio.inputs", expected, "'first'"
-    if radio.inputs == "first" and scenario.agents.controller != "mpc":
+    if radio.inputs == "first" and set(scenario.controllers) != {"mpc"}:
         yield "radio.inputs", "'all' with a controller that is not 'mpc'", "'first'"
 
     exchange_s = controller.sampling_period_s / controller.negotiation_iterations

@@ -174,11 +174,15 @@ class AgentsSection(Section):
     """UAVs of each agent: agent 1 owns the first list, and so on; each UAV once. If omitted: one
     agent for each UAV"""
     controller: Annotated[
-        str,
+        str | list[str],
         or_class("mpc", "alone"),
-        Key(type="mpc, alone, package.module:Class", label="controller", short="controller"),
+        Key(
+            type="mpc, alone, package.module:Class, or a list of one for each agent",
+            label="controller",
+            short="controller",
+        ),
     ] = "mpc"
-    """controller of every agent: that of this project; alone, by which each UAV keeps to its part of the
+    """controller of every agent, or of each: that of this project; alone, by which each UAV keeps to its part of the
     reference by its own sensors, whatever messages say ([equations.md](equations.md#a-uav-alone)); or [your own
     class](bring-your-own.md#your-own-controller)"""
     failed_share: Annotated[
@@ -317,6 +321,12 @@ class Scenario(Section):
         if self.agents.owned is None:
             return tuple((uav.id,) for uav in self.system.uav)
         return tuple(tuple(sorted(group)) for group in self.agents.owned)
+
+    @property
+    def controllers(self) -> tuple[str, ...]:
+        """Return the controllers of agent 1, agent 2, ..."""
+        given = self.agents.controller
+        return (given,) * len(self.owned) if isinstance(given, str) else tuple(given)
 
     def tree(self) -> dict[str, Any]:
         """Return the scenario as plain data with every default, to write it, and for the digest."""

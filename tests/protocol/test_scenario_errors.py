@@ -205,6 +205,19 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         ("controller.estimator=kalman", "plant.sensors=vehicle"),
         "controller.prediction: expected 'closed_loop' with controller.estimator = 'kalman', got 'open_loop'",
     ),
+    # Controllers of agents.
+    (
+        'agents.controller=["mpc","mpc"]',
+        "expected one for each of 4 agents, or one name for all, got a list of 2",
+    ),
+    (
+        'agents.controller=["mpc","mpc","mpc","nope"]',
+        "expected 'mpc', 'alone' or 'package.module:Class', got 'nope'",
+    ),
+    (
+        ("controller.negotiation_iterations=2", 'agents.controller=["mpc","mpc","mpc","alone"]'),
+        "controller.negotiation_iterations: expected 1 with agents.controller",
+    ),
     # Faults.
     ("faults.event=[{at_s=1,do='kill'}]", "faults.event.1.target: expected a value, got nothing"),
     (

@@ -85,9 +85,9 @@ class Replay:
 
     def _note_controller(self) -> None:
         """Note that the run was recorded with another version of the agents' own controller."""
-        name = self.setup.scenario.agents.controller
         recorded_with = self.log.header.get("controller", "")
-        if not recorded_with.startswith(f"{name} "):
+        names = dict.fromkeys(self.setup.scenario.controllers)
+        if not any(f"{name} " in recorded_with for name in names):
             return
 
         present = checked_controller(self.setup)

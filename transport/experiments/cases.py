@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import threadpoolctl
 
-from transport.agent.own import controller_version
+from transport.agent.own import controller_versions
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
 from transport.flight import memory
@@ -217,7 +217,7 @@ def key_of(scenario: Scenario) -> str:
         tree,
         version("payload-transport"),
         engine_version(scenario.plant.engine),
-        controller_version(scenario.agents.controller),
+        controller_versions(scenario),
     ]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 

@@ -71,7 +71,7 @@ def weather(scenario: Scenario, network: Sequence[str], air: Sequence[str]) -> I
     if is_short and list(network) == [SILENT]:
         raise refused("--network", f"a run longer than {_HEARD_S:g} s for it", SILENT)
     names = [name for name in NETWORKS if name in network and not (is_short and name == SILENT)]
-    if scenario.agents.controller == "alone":
+    if set(scenario.controllers) == {"alone"}:
         names = [NONE]
     elif len(scenario.owned) == 1:
         names = [PERFECT]

@@ -226,7 +226,7 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
     names = process_names(setup.scenario)
     classes = {
         "engine": setup.scenario.plant.engine,
-        "controller": setup.scenario.agents.controller,
+        "controller": ", ".join(dict.fromkeys(setup.scenario.controllers)),
     }
     with new_run_folder(folder, setup) as made:
         header = run_header(setup, place.run, len(names), made.scenario_toml, classes)

@@ -97,8 +97,9 @@ def check_feedback(setup: Setup, absent: Collection[int]) -> None:
     Raises: ScenarioError.
     """
     name = setup.scenario.name
-    if setup.scenario.agents.controller != "mpc":
-        problem = "expected 'mpc', whose feedback is known, got a class"
+    others = set(setup.scenario.controllers) - {"mpc"}
+    if others:
+        problem = f"expected 'mpc', whose feedback is known, got {', '.join(sorted(others))}"
         raise ScenarioError(name, "agents.controller", problem)
     if absent and not set(absent) < set(setup.agents):
         problem = f"expected some of {list(setup.agents)} gone, got {list(absent)}"

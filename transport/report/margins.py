@@ -60,7 +60,7 @@ def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
     absent = tuple(sorted(set(without)))
     # Several threads are slower than one with matrices of this size.
     with threadpoolctl.threadpool_limits(1):
-        if setup.scenario.agents.controller == "alone" and not absent:
+        if set(setup.scenario.controllers) == {"alone"} and not absent:
             return _of(setup.scenario.name, (), alone_loops(setup))
         check_feedback(setup, absent)
         return _of(setup.scenario.name, absent, team_loops(setup, absent))

@@ -162,7 +162,8 @@ class Predictions:
         None with open-loop prediction or a controller of the user.
         """
         setup = self._setup
-        if setup.settings.prediction != "closed_loop" or setup.scenario.agents.controller != "mpc":
+        are_of_project = set(setup.scenario.controllers) == {"mpc"}
+        if setup.settings.prediction != "closed_loop" or not are_of_project:
             return None
 
         reference = setup.reference.sampled

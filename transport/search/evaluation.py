@@ -188,7 +188,9 @@ def _centralized(base: Base) -> Scenario:
     tree.pop("links", None)
     tree.pop("radio", None)
     tree["faults"]["event"] = [
-        fault for fault in tree["faults"]["event"] if fault["target"].startswith("uav")
+        fault
+        for fault in tree["faults"]["event"]
+        if fault["target"].startswith("uav") and fault["do"] != "sensors_off"
     ]
     tree["plant"]["sensors"] = "state"
     tree["plant"].pop("noise", None)
