@@ -56,8 +56,13 @@ def wake_with_its_end() -> None:
             ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGCONT, 0, 0, 0)
 
 
+def is_standby() -> bool:
+    """Return whether this process is to wait for a start signal."""
+    return bool(os.environ.get(STANDBY))
+
+
 def stand_by() -> bool:
     """Wait for the start signal if there is to be one; return whether the parent is there."""
-    if not os.environ.get(STANDBY):
+    if not is_standby():
         return True
     return bool(os.read(sys.stdin.fileno(), 1))

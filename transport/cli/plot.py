@@ -13,7 +13,7 @@ from transport.cli.lazy import load
 from transport.cli.options import FormatOption, RunArgument, run_folder
 from transport.cli.output import Format, blame, fail, show
 from transport.log.run_log import LogError, open_run
-from transport.protocol.network.parent import stand_by
+from transport.protocol.network.parent import is_standby, stand_by
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE, EXIT_UNRECORDED
 from transport.report.report import report_run, write_report
@@ -26,6 +26,7 @@ def plot(
     animation: Path | None = Option(
         None, "--animate", metavar="FILE", help="Also write an animation: .gif, .mp4 (ffmpeg)."
     ),
+    svg: bool = Option(True, help="Also write the figures as SVG."),
     pdf: bool = Option(False, "--pdf", help="Also write the figures as PDF."),
 ) -> None:
     """Regenerate metrics and figures of a recorded run.
@@ -35,7 +36,8 @@ def plot(
     Example: transport plot runs/20260102-101500-paper --animate flight.gif
     """
     folder = run_folder(given)
-    load("transport.report.figures")  # before the wait
+    if is_standby():  # the preparations come before the wait
+        load("transport.report.figures").warm_up()
     if not stand_by():  # started by `transport run`, which has ended
         raise typer.Exit(EXIT_UNREACHABLE)
 
@@ -50,7 +52,8 @@ def plot(
         problem = "expected a log with messages, got one without a readable message"
         fail(f"{folder / 'run.mcap'}: {problem}")
     try:
-        report_run(run, forks=True, pdf=pdf)
+        also = [kind for kind, wanted in (("svg", svg), ("pdf", pdf)) if wanted]
+        report_run(run, forks=True, also=also)
     except KeyboardInterrupt:
         hint = f"the report is not complete, make it with: transport plot {folder}"
         fail(f"interrupted; {hint}", EXIT_INTERRUPTED)

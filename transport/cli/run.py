@@ -80,6 +80,7 @@ def run(
             ready = beside.wait_until_ready if beside is not None else lambda: None
             finished = simulate(setup, folder, console, prepare, ready, started_by_user)
 
+            reporter.begin()  # reports while this process imports what shows it
             plot = load("transport.cli.plot")
             is_written = reporter.report()
             plot.report(folder, output, figures=figures, setup=setup, is_written=is_written)
@@ -132,6 +133,7 @@ class ReportProcess:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._child: Child | None = None
+        self._reports = False
 
     def __enter__(self) -> Self:
         return self
@@ -142,16 +144,20 @@ class ReportProcess:
     def prepare(self) -> None:
         """Start the process, where processes are forked."""
         if sys.platform == "linux":  # if it fails, the report is made once more, and errors told
-            arguments = ["plot", str(self._folder.absolute())]
+            arguments = ["plot", str(self._folder.absolute()), "--no-svg"]
             self._child = start_child("report", arguments, Path(os.devnull), standby=True)
 
+    def begin(self) -> None:
+        """Let the process report, if there is one."""
+        self._reports = self._child is not None and self._child.go()
+
     def report(self) -> bool:
-        """Let the process report, and wait for its end; return whether it has written the report.
+        """Wait for the end of the process; return whether it has written the report.
 
         If not, it has ended as well: it must not write the same files as the caller, who makes the
         report instead.
         """
-        if self._child is None or not self._child.go():
+        if self._child is None or not self._reports:
             return False
         code = self._child.wait(_LONGEST_S)
         self._end()

@@ -1,7 +1,8 @@
 """Figures of a run: performance, inputs, trajectories, timing, estimate, delays and radio."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
+from io import BytesIO
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -34,8 +35,10 @@ _OVER_TIME: dict[str, Callable[..., list[Axes]]] = {
 }
 
 
-def draw(run: AnalysedRun, folder: Path, *, forks: bool = False, pdf: bool = False) -> list[Path]:
-    """Draw `FIGURES` of a run as PNG and SVG, with `pdf` as PDF too, as far as its log goes.
+def draw(
+    run: AnalysedRun, folder: Path, *, forks: bool = False, also: Collection[str] = ()
+) -> list[Path]:
+    """Draw `FIGURES` of a run as PNG, and also as "svg" or "pdf", as far as its log goes.
 
     With `forks`, which only processes of one thread may do, a forked process draws the first two,
     half of the work.
@@ -49,12 +52,12 @@ def draw(run: AnalysedRun, folder: Path, *, forks: bool = False, pdf: bool = Fal
     folder.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(RC):
         if not forks:
-            return _write(run, FIGURES, folder, pdf)
+            return _write(run, FIGURES, folder, also)
 
-        arguments = (run, FIGURES[:_BESIDE], folder, pdf)
+        arguments = (run, FIGURES[:_BESIDE], folder, also)
         process = get_context("fork").Process(target=_write, args=arguments, daemon=True)
         process.start()
-        others = _write(run, FIGURES[_BESIDE:], folder, pdf)
+        others = _write(run, FIGURES[_BESIDE:], folder, also)
         process.join()
     if process.exitcode:
         raise ChildProcessError(
@@ -66,15 +69,23 @@ def draw(run: AnalysedRun, folder: Path, *, forks: bool = False, pdf: bool = Fal
 
 
 def _write(
-    run: AnalysedRun, names: Sequence[str], folder: Path, pdf: bool
+    run: AnalysedRun, names: Sequence[str], folder: Path, also: Collection[str]
 ) -> list[Path]:  # given to a process
     """Write some figures that have data; return their PNG files."""
     files = []
     for name in names:
         figure = Figure()
         if fill(figure, name, run):
-            files.append(save(figure, folder / f"{name}.png", pdf=pdf)[0])
+            files.append(save(figure, folder / f"{name}.png", also)[0])
     return files
+
+
+def warm_up() -> None:
+    """Draw text once: fonts are found and read, a tenth of a second that the first figure saves."""
+    with mpl.rc_context(RC):
+        figure = Figure()
+        figure.subplots().set_yscale("log")
+        figure.savefig(BytesIO(), format="png")
 
 
 def fill(figure: Figure, name: str, run: AnalysedRun) -> bool:

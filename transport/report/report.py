@@ -1,5 +1,6 @@
 """Report of a run folder: summary.json, steps.csv and figures from its log."""
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +30,12 @@ def write_report(
 
 
 def report_run(
-    run: RecordedRun, *, figures: bool = True, forks: bool = False, pdf: bool = False
+    run: RecordedRun, *, figures: bool = True, forks: bool = False, also: Collection[str] = ()
 ) -> dict[str, Any]:
     """Write or replace summary.json, steps.csv and the figures of a recorded run.
 
-    Figures take most of the time; with `forks` on two cores half of it. Return the summary.
+    Figures take most of the time; with `forks` on two cores half of it. They are PNG, and also "svg"
+    or "pdf". Return the summary.
     """
     folder = run.folder
     analysed = AnalysedRun.of(run.setup, counted(run.setup, run.log))
@@ -46,7 +48,7 @@ def report_run(
         from transport.report.figures import draw
 
         _remove_figures(folder / "figures")
-        draw(analysed, folder / "figures", forks=forks, pdf=pdf)
+        draw(analysed, folder / "figures", forks=forks, also=also)
     return summary
 
 

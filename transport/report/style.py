@@ -1,5 +1,6 @@
 """Style of all figures: size, fonts, colours, axes of costs, and the phases of the maneuver."""
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -123,12 +124,13 @@ def scale_cost(axes: Axes, top: float, decades: int) -> None:
         axes.set_ylim(top * 10.0**-decades, top * 2.0)
 
 
-def save(figure: Figure, path: Path, *, pdf: bool = False) -> list[Path]:
-    """Write a figure as PNG and SVG, with `pdf` as PDF too; return the files.
+def save(figure: Figure, path: Path, also: Collection[str] = ("svg",)) -> list[Path]:
+    """Write a figure as PNG, and also as "svg" or "pdf"; return the files.
 
     The files are without program and date: equal figures give equal files.
     """
-    files = [path.with_suffix(ending) for ending in _UNNAMED if pdf or ending != ".pdf"]
+    endings = (".png", *(f".{kind}" for kind in also))
+    files = [path.with_suffix(ending) for ending in endings]
     for file in files:
         unnamed = dict.fromkeys(_UNNAMED[file.suffix])
         figure.savefig(file, metadata=unnamed, dpi=RC["savefig.dpi"])
