@@ -12,6 +12,7 @@ from typing import Any
 
 from transport.agent.air import AirNews
 from transport.agent.alone import ALONE, AlonePlanner
+from transport.agent.clocks import Clocks
 from transport.agent.estimation.belief import Belief
 from transport.agent.own import PROJECT, OwnPlanner
 from transport.agent.planner import AgentPlanner, OpenStep
@@ -55,6 +56,13 @@ class AgentNode(Participant):
         incarnation: int = 0,
         stopwatch: Callable[[], int] = lambda: 0,
     ) -> None:
+        setup = setup.by_clock_of(agent)
+        self._clocks = Clocks(
+            setup.scenario.clock.offsets_s or (),
+            agent,
+            setup.settings.sampling_period_s,
+            setup.system.gravity,
+        )
         self._agent = agent
         self._stopwatch = stopwatch
         self._planner = planner_of(setup, agent, stopwatch)
@@ -205,7 +213,7 @@ class AgentNode(Participant):
         return Received(
             measurement=measurement,
             measurements=measurements,
-            plans=plans,
+            plans=[self._clocks.seen(plan) for plan in plans],
             lost=lost_plans,
             measurements_lost=lost_measurements,
             agents=frozenset(roster.agents),
@@ -261,7 +269,8 @@ class AgentNode(Participant):
             heard = self._air.heard((k, step.negotiation))
             senders = [agent for agent in senders if agent in heard]
         plans = [proposals[agent] for agent in senders]
-        return [plan for plan in plans if self._is_immediate(plan, k, step.negotiation)]
+        immediate = [plan for plan in plans if self._is_immediate(plan, k, step.negotiation)]
+        return [self._clocks.seen(plan) for plan in immediate]
 
     def _is_immediate(self, plan: Plan, k: int, negotiation: int) -> bool:
         """Return whether a proposal's link passes a copy of it without delay."""

@@ -27,6 +27,8 @@ class Maneuver:
     press_m: float
     # Given during the flight, in this order: each leads away from the path before it.
     targets: tuple[Target, ...]
+    # By how much the clock by which the path is followed is ahead, s: at t it is where it is to be then.
+    ahead_s: float
 
     def __init__(
         self,
@@ -36,6 +38,7 @@ class Maneuver:
         profile: Profile = "ramp",
         press_m: float = 0.0,
         targets: Sequence[Target] = (),
+        ahead_s: float = 0.0,
     ) -> None:
         if not phases:
             raise ParameterError("maneuver: expected at least one phase, got none")
@@ -47,6 +50,7 @@ class Maneuver:
             profile=profile,
             press_m=press_m,
             targets=tuple(targets),
+            ahead_s=ahead_s,
         )
 
     def with_target(self, target: Target) -> "Maneuver":
@@ -106,12 +110,16 @@ class Maneuver:
             yield phase, begin_s
             begin_s += phase.duration_s
 
+    def _by_clock(self, t_s: Array) -> Array:
+        """Return the times that the clock shows at times t_s, from the beginning on."""
+        return np.maximum(t_s + self.ahead_s, 0.0) if self.ahead_s else t_s
+
     def path(self, t_s: Array) -> tuple[Array, Array]:
         """Return r0 and r0' at times t_s, (k,), s.
 
         (k, 3) each, m and m/s, inertial; a step has no velocity: (20).
         """
-        r0, v0 = self._path_jets(t_s, orders=2)
+        r0, v0 = self._path_jets(self._by_clock(t_s), orders=2)
         return r0, v0
 
     def jets(self, t_s: Array) -> Array:
@@ -125,6 +133,7 @@ class Maneuver:
                 expected = "expected a smooth path, that of profile 'smooth'"
                 raise ParameterError(f"phase {phase.name!r}: {expected}, got {self.profile!r}")
 
+        t_s = self._by_clock(t_s)
         path = self._path_jets(t_s, ORDERS)
         if all(phase.formation is None for phase in self.phases):
             return path
@@ -157,7 +166,7 @@ class Maneuver:
         rate = np.zeros(len(t_s))
         # Landings after the first target do not take place: the level of then stays.
         until_s = self.targets[0].since_s if self.targets else math.inf
-        t_s = np.minimum(t_s, until_s)
+        t_s = np.minimum(self._by_clock(t_s), until_s)
 
         for phase, begin_s in self._timed_phases():
             level_change, rate_change = phase.ground_load(t_s - begin_s)

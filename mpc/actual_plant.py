@@ -23,6 +23,8 @@ class Mismatch:
 
     lag_s: float = 0.0  # time constant of the plant's motors, s
     delay_s: float = 0.0  # between command and motors, s
+    # The same of the last UAV alone, s; of the others it is less in equal steps, 1/N of it of the first.
+    spread_s: float = 0.0
     gain: float = 1.0  # actual inputs over commanded inputs
     uav_inertia: float = 1.0  # actual value over the known one, as all that follow
     uav_mass: float = 1.0
@@ -52,16 +54,24 @@ class Mismatch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DelayedStep:
-    """Step of the plant over a sampling period in which a delayed command arrives."""
+    """Step of the plant over a sampling period in which delayed commands arrive.
 
-    late: int  # whole periods of the delay
-    before: Discrete  # until the arrival
-    after: Discrete  # from the arrival on
+    It is in parts, each from one arrival to the next.
+    """
+
+    parts: tuple[Discrete, ...]
+    # Of each part and each UAV, how many periods ago the command came that acts.
+    ages: tuple[tuple[int, ...], ...]
 
     @property
     def size(self) -> int:
         """Number of states of the plant, with the actual inputs of its motors."""
-        return len(self.before.A)
+        return len(self.parts[0].A)
+
+    @property
+    def late(self) -> int:
+        """Largest number of whole periods of a delay."""
+        return max(self.ages[-1])
 
     def moved(self, motion: Array, acting: Sequence[Array]) -> Array:
         """Return the motion one period later.
@@ -70,8 +80,12 @@ class DelayedStep:
             motion: Motion of the plant, (size, k).
             acting: Commands that are in force without delay, now and before, newest first, (m, k).
         """
-        halfway = self.before.A @ motion + self.before.B @ acting[self.late + 1]
-        return self.after.A @ halfway + self.after.B @ acting[self.late]
+        for part, ages in zip(self.parts, self.ages, strict=True):
+            command = np.vstack(
+                [acting[age][state.input_slice(uav)] for uav, age in enumerate(ages)]
+            )
+            motion = part.A @ motion + part.B @ command
+        return motion
 
 
 def delayed_step(system: System, T: Array, plant: Mismatch, period_s: float) -> DelayedStep:
@@ -79,12 +93,27 @@ def delayed_step(system: System, T: Array, plant: Mismatch, period_s: float) -> 
 
     Raises: ParameterError: the actual bodies have no hover.
     """
-    periods, part_s = divmod(plant.delay_s, period_s)
     F, G = _continuous(system, T, plant)
+    N = system.N
+    delays_s = [plant.delay_s + plant.spread_s * (uav + 1) / N for uav in range(N)]
+    periods, parts_s = zip(*(divmod(delay_s, period_s) for delay_s in delays_s), strict=True)
+
+    # Arrivals within the period; before the one of a UAV its command of one period earlier acts.
+    begins_s = sorted({0.0, *parts_s})
+    ages = [
+        tuple(
+            round(whole) + (begin_s < part_s)
+            for whole, part_s in zip(periods, parts_s, strict=True)
+        )
+        for begin_s in begins_s
+    ]
+    ends_s = [*begins_s[1:], period_s]
     return DelayedStep(
-        late=round(periods),
-        before=_exact_step(F, G, part_s),
-        after=_exact_step(F, G, period_s - part_s),
+        parts=tuple(
+            _exact_step(F, G, end_s - begin_s)
+            for begin_s, end_s in zip(begins_s, ends_s, strict=True)
+        ),
+        ages=tuple(ages),
     )
 
 

@@ -3,6 +3,7 @@
 It never changes: a target gives a new one.
 """
 
+import dataclasses
 import math
 from dataclasses import dataclass, field
 
@@ -93,6 +94,11 @@ class Reference:
     def states(self, t_s: Array) -> Array:
         """Return x_ref at times t_s, (k,), s: (k, 12 + 12 N), SI."""
         return self._path.states(t_s)
+
+    def by_clock(self, ahead_s: float) -> "Reference":
+        """Return the reference as it is followed by a clock that is ahead, s."""
+        maneuver = dataclasses.replace(self.maneuver, ahead_s=ahead_s)
+        return Reference(self._path.with_maneuver(maneuver), self._period_s, self._instants)
 
     def with_target(self, target: Target) -> "Reference":
         """Return the reference with a further target."""

@@ -44,6 +44,7 @@ OTHER_PARTS: list[tuple[str, str, tuple[str, ...]]] = [
     ("docs/arena.md", "docs/arena_page.py", ("tasks", "networks", "results")),
     ("docs/bring-your-own.md", "docs/algorithm_figures.py", ("ready algorithms",)),
     ("docs/guarantees.md", "benchmarks/silence.py", ("bench: silence",)),
+    ("docs/guarantees.md", "benchmarks/timing.py", ("bench: spread", "bench: clocks")),
     ("docs/guarantees.md", "benchmarks/worst.py", ("together", "ready")),
     ("docs/performance.md", "benchmarks/__main__.py", ("step", "solvers", "parts", "loop")),
     ("docs/performance.md", "benchmarks/peers/__main__.py", ("bench: peers",)),

@@ -1,7 +1,7 @@
 """Relations between the fields of a scenario, checked once each field is valid by itself."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from operator import attrgetter
@@ -55,6 +55,7 @@ _NEEDS = (
     Need("controller.tension", _ANY, "controller.motor_lag_s", 0.0),
     Need("clock.mode", "realtime", "controller.negotiation_iterations", 1),
     Need("clock.mode", "realtime", "plant.inner_loop", "model"),
+    Need("clock.mode", "realtime", "clock.offsets_s", None),
     Need("plant.engine", "rods", "plant.ground_m", None),
     Need("plant.engine", "rods", "plant.mujoco", MujocoSection()),
     Need("plant.inner_loop", "betaflight", "controller.inputs", "rates"),
@@ -228,8 +229,10 @@ def _controller(scenario: Scenario) -> Problems:
 
 
 def _clock(scenario: Scenario) -> Problems:
-    """Yield keys of lockstep in real time."""
+    """Yield keys of lockstep in real time, and clocks that differ too much."""
     clock = scenario.clock
+    if clock.offsets_s is not None:
+        yield from _offsets(scenario, clock.offsets_s)
     if clock.mode != "realtime":
         return
     if clock.speed == 0.0:
@@ -237,6 +240,20 @@ def _clock(scenario: Scenario) -> Problems:
     if clock.actuation == "immediate":
         expected = "'next_tick' with mode realtime, where a step takes time"
         yield "clock.actuation", expected, "'immediate'"
+
+
+def _offsets(scenario: Scenario, offsets_s: Sequence[float]) -> Problems:
+    """Yield another number of clocks than agents, and clocks that are a sampling period apart."""
+    agents = len(scenario.owned)
+    if len(offsets_s) != agents:
+        yield "clock.offsets_s", f"one for each of {agents} agents", len(offsets_s)
+    period_s = scenario.controller.sampling_period_s
+    apart_s = max([0.0, *offsets_s]) - min([0.0, *offsets_s])
+    if apart_s >= period_s:
+        expected = (
+            f"clocks less than a sampling period ({period_s:g} s) from the plant's and each other"
+        )
+        yield "clock.offsets_s", expected, f"{apart_s:g} s"
 
 
 def _plant(scenario: Scenario) -> Problems:

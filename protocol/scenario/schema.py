@@ -202,6 +202,10 @@ class ClockSection(Section):
     actuation: Literal["immediate", "next_tick"] | None = None
     """a plan acts from its own tick on, or from the next; real time needs next_tick, lockstep
     prefers immediate"""
+    offsets_s: Annotated[list[float], Field(max_length=MAX_UAVS)] | None = None
+    """by how much the clock of each agent is ahead, in lockstep: it follows the maneuver at the time that it
+    believes, and stamps measurements and plans with it ([time.md](time.md#clocks-that-differ)). They differ
+    by less than a sampling period; none: all clocks agree"""
     barrier_timeout_s: Annotated[Positive, Key(within=_WAIT_S)] = 5.0
     """wall time after which a silent agent counts as lost, in real time also the plant"""
     join_timeout_s: Annotated[Positive, Key(within=_WAIT_S)] = 30.0

@@ -203,6 +203,13 @@ class Setup:
         """Reference states at the same instants, (K, n)."""
         return self.reference.sampled.X
 
+    def by_clock_of(self, agent: int) -> "Setup":
+        """Return the run as an agent, 1-based, follows it by its own clock."""
+        offsets_s = self.scenario.clock.offsets_s
+        if not offsets_s or offsets_s[agent - 1] == 0.0:
+            return self
+        return replace(self, reference=self.reference.by_clock(offsets_s[agent - 1]))
+
     def with_target(self, target: Target) -> "Setup":
         """Return the run with a further target; before it, the reference stays as it was."""
         return replace(self, reference=self.reference.with_target(target))

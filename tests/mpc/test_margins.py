@@ -11,7 +11,7 @@ from transport.model.hover import hover
 from transport.model.linearisation import Model
 from transport.model.parameters import System, table_1
 from transport.model.state import PAYLOAD, input_slice, uav_slice
-from transport.mpc.actual_plant import Mismatch
+from transport.mpc.actual_plant import Mismatch, delayed_step
 from transport.mpc.controller import Controller
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.manifold import tangent
@@ -187,6 +187,34 @@ def test_a_margin_is_where_stability_ends() -> None:
 def test_a_long_delay_is_unstable() -> None:
     """A delay of several periods that the agents do not know makes the loop unstable."""
     assert _loop().growth(Mismatch(delay_s=10.0 * PERIOD_S)) > GROWTH
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.02])
+def test_commands_of_each_uav_arrive_at_their_own_time(delay_s: float) -> None:
+    """The step is that of the motion in a hundred parts, in each of which each UAV has its newest command.
+
+    UAV i of N has a delay of i/N of the spread beyond the common one.
+    """
+    T = tangent(hover(SYSTEM).x)
+    spread_s, parts = (
+        1.6 * PERIOD_S,
+        100,
+    )  # arrivals of four UAVs in two periods, at bounds of parts
+    step = delayed_step(SYSTEM, T, Mismatch(delay_s=delay_s, spread_s=spread_s), PERIOD_S)
+    part = delayed_step(SYSTEM, T, Mismatch(), PERIOD_S / parts).parts[-1]
+    rng = np.random.default_rng(0)
+    expected = motion = rng.standard_normal((step.size, 1))
+    acting = rng.standard_normal((step.late + 2, SYSTEM.m, 1))
+
+    for k in range(parts):
+        u = np.zeros((SYSTEM.m, 1))
+        for uav in range(SYSTEM.N):
+            late_s = delay_s + spread_s * (uav + 1) / SYSTEM.N
+            # In force is the newest command sent at least that long ago, in the middle of a part.
+            age = int(np.ceil((late_s - (k + 0.5) / parts * PERIOD_S) / PERIOD_S))
+            u[input_slice(uav)] = acting[max(age, 0)][input_slice(uav)]
+        expected = part.A @ expected + part.B @ u
+    np.testing.assert_allclose(step.moved(motion, list(acting)), expected, atol=SAME_STEPS)
 
 
 @pytest.mark.parametrize("periods", [1, 2])

@@ -113,7 +113,9 @@ def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]
 @pytest.mark.parametrize(
     "changes",
     [
-        pytest.param(("clock.actuation=next_tick",), id="next tick"),
+        pytest.param(
+            ("clock.actuation=next_tick", "clock.offsets_s=[0.0,0.01,-0.02,0.0]"), id="next tick"
+        ),
         pytest.param((ITERATIONS, "clock.speed=2.0"), id="paced negotiation"),
         pytest.param(
             (*runs.VEHICLE, "links.delay_s=0.1", "links.loss=0.3"),

@@ -22,6 +22,7 @@ from transport.report.style import COLUMN_IN, CURVES
 LABELS = {
     "lag_s": "motor lag, ms",
     "delay_s": "actuator delay, ms",
+    "spread_s": "delay spread, ms",
     "gain": "actuator gain",
     "uav_inertia": "UAV inertia",
     "uav_mass": "UAV mass",
@@ -88,7 +89,7 @@ def rows(result: HoverMargins) -> Iterator[tuple[str, ...]]:
     yield ("deviations decay in", *texts)
 
     for name, label in LABELS.items():
-        ranges = [_range(name, result.margins[actuation].get(name)) for actuation in ACTUATIONS]
+        ranges = [range_text(name, result.margins[actuation].get(name)) for actuation in ACTUATIONS]
         yield (label, *ranges)
 
 
@@ -107,7 +108,7 @@ def _ends(name: str, margin: Margin) -> tuple[float, float]:
     return unit * lower, unit * upper
 
 
-def _range(name: str, margin: Margin | None) -> str:
+def range_text(name: str, margin: Margin | None) -> str:
     """Return a range as text; an end that was not found is beyond the farthest value tried."""
     if margin is None:
         return "unstable"
