@@ -57,6 +57,12 @@ class Maneuver:
         """Return the maneuver with a further target."""
         return replace(self, targets=(*self.targets, target))
 
+    def with_longer(self, number: int, factor: float) -> "Maneuver":
+        """Return the maneuver with a phase, counted from 1, that takes `factor` times as long."""
+        phases = list(self.phases)
+        phases[number - 1] = phases[number - 1].longer(factor)
+        return replace(self, phases=tuple(phases))
+
     @property
     def duration_s(self) -> float:
         """Sum over the phases, s."""

@@ -1,7 +1,7 @@
 """One phase of a maneuver, a straight leg, a table or a curve, and the motion along it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -82,6 +82,19 @@ class Phase:
             way=way,
             formation=formation,
         )
+
+    def longer(self, factor: float) -> "Phase":
+        """Return the phase with `factor` times the duration and the times of speeding up and way points.
+
+        Not of a table, which has its own times.
+        """
+        way = self.way
+        if isinstance(way, Curve):
+            times_s = None if way.times_s is None else [factor * time_s for time_s in way.times_s]
+            duration_s = factor * way.duration_s
+            ramp_s = factor * way.ramp_s
+            way = replace(way, duration_s=duration_s, ramp_s=ramp_s, times_s=times_s)
+        return replace(self, duration_s=factor * self.duration_s, way=way)
 
     @property
     def has_way(self) -> bool:

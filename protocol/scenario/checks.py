@@ -5,11 +5,13 @@ Each yields the field of the scenario, and what was expected there and came.
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import combinations
 
 import numpy as np
 
 from transport.model.arrays import Array
+from transport.model.curves import Curve
 from transport.model.hover import Hover
 from transport.model.linearisation import Model
 from transport.model.maneuver import Maneuver
@@ -19,7 +21,13 @@ from transport.mpc.reference import Reference
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.clearance import first_blocked
 from transport.protocol.scenario.faults import Fault
-from transport.protocol.scenario.feasibility import exceeded, least_slowing, teams_left
+from transport.protocol.scenario.feasibility import (
+    TeamLeft,
+    exceeded,
+    least_factor,
+    least_slowing,
+    teams_left,
+)
 from transport.protocol.scenario.path_instants import maneuver_instants
 from transport.protocol.scenario.plant_sections import PlantSection
 from transport.protocol.scenario.target_planning import ON_GROUND_M
@@ -64,7 +72,8 @@ def off_hover(hover: Hover, settings: ControllerSettings, plant: PlantSection) -
     tension = settings.tension
     least_N = float(hover.tensions.min())
     if tension is not None and least_N <= tension.minimum_N:
-        expected = f"expected less than {least_N:.2f} N (hover)"
+        uav = int(hover.tensions.argmin()) + 1
+        expected = f"expected less than {least_N:.2f} N (rod of UAV{uav} at hover)"
         yield "controller.tension.minimum_N", f"{expected}, got {tension.minimum_N}"
 
 
@@ -74,7 +83,8 @@ def touching_at_hover(model: Model, hover: Hover, radii_m: Sequence[float | None
     for (i, a), (j, b) in combinations(enumerate(radii_m), 2):
         apart_m = float(np.linalg.norm(r[i] - r[j]))
         if a and b and apart_m <= a + b:
-            expected = f"expected less than {apart_m:.3f} m with that of UAV{i + 1} (hover)"
+            pair = f"UAV{i + 1} and UAV{j + 1} at hover"
+            expected = f"expected less than {apart_m:.3f} m in all ({pair})"
             yield f"system.uav.{j + 1}.radius_m", f"{expected}, got {a + b:.3f} m"
 
 
@@ -83,11 +93,16 @@ def too_close_at_hover(model: Model, hover: Hover, settings: ControllerSettings)
     if settings.separation is not None:
         minimum_m = settings.separation.minimum_m
         r = model.outputs(hover.x)[: 3 * model.system.N].reshape(-1, 3)
-        distances = [float(np.linalg.norm(a - b)) for a, b in combinations(r, 2)]
-        least_m = min(distances, default=math.inf)
-        if least_m < minimum_m:
-            expected = f"expected at most {least_m:.3f} m (hover)"
-            yield "controller.separation.minimum_m", f"{expected}, got {minimum_m}"
+        distances_m = {
+            (i, j): float(np.linalg.norm(a - b))
+            for (i, a), (j, b) in combinations(enumerate(r, start=1), 2)
+        }
+        pair = min(distances_m, key=distances_m.__getitem__, default=None)
+        if pair is not None and distances_m[pair] < minimum_m:
+            apart = f"{distances_m[pair]:.3f} m (UAV{pair[0]} and UAV{pair[1]} at hover)"
+            remedy = "move their attachments apart, or take a smaller minimum"
+            problem = f"expected at most {apart}, got {minimum_m}; {remedy}"
+            yield "controller.separation.minimum_m", problem
 
 
 def _not_within(quantity: str, limits: Sequence[float]) -> str:
@@ -115,20 +130,84 @@ def off_limits(
         field = "maneuver.phase"
         for team in teams_left(system, hover, faults):
             after = instants_s >= team.tick * settings.sampling_period_s
-            problem = exceeded(path[:, after], team, settings)
+            when = partial(_words_of_instant, reference.maneuver, instants_s[after])
+            problem = exceeded(path[:, after], team, settings, when)
             if problem:
                 # After slowing, the release may be anywhere on the path.
-                yield field, problem + _slower(least_slowing(path, team, settings))
+                every = least_slowing(path, team, settings)
+                one = None
+                if not team.released:
+                    one = least_longer(reference, team, settings)
+                yield field, problem + _slower(reference.maneuver, every, one)
             field = "faults.event"  # of the teams after releases
     except ParameterError as error:
         yield field, str(error)
 
 
-def _slower(factor: float | None) -> str:
-    """Return the remedy for a reference that exceeds limits, if there is one."""
+def _words_of_instant(maneuver: Maneuver, instants_s: Array, instant: int) -> str:
+    return instant_in_words(maneuver, float(instants_s[instant]))
+
+
+def instant_in_words(maneuver: Maneuver, t_s: float) -> str:
+    """Return a time of a maneuver and its phase in words, after the name of a UAV."""
+    number = phase_number(maneuver, t_s)
+    return f" at {t_s:.2f} s in phase {number} ({maneuver.phases[number - 1].name})"
+
+
+def phase_number(maneuver: Maneuver, t_s: float) -> int:
+    """Return the number of the phase, from 1, that a time of a maneuver without targets belongs to."""
+    ends_s = np.cumsum([phase.duration_s for phase in maneuver.phases])
+    return min(int(np.searchsorted(ends_s, t_s, side="right")), len(ends_s) - 1) + 1
+
+
+def least_longer(
+    reference: Reference, team: TeamLeft, settings: ControllerSettings
+) -> tuple[int, float] | None:
+    """Return the only phase that exceeds limits, from 1, and the factor on its duration with which none does.
+
+    None if several phases exceed limits, or no longer duration helps.
+    """
+    maneuver = reference.maneuver
+    instants_s = checked_instants(reference)
+    numbers = np.array([phase_number(maneuver, t_s) for t_s in instants_s])
+    path = maneuver.jets(instants_s)
+    wrong = [
+        number
+        for number in np.unique(numbers)
+        if exceeded(path[:, numbers == number], team, settings) is not None
+    ]
+    if len(wrong) != 1:
+        return None
+
+    number = int(wrong[0])
+    phase = maneuver.phases[number - 1]
+    if isinstance(phase.way, np.ndarray) or (isinstance(phase.way, Curve) and len(phase.way.table)):
+        return None  # a table has its own times
+
+    def keeps(factor: float) -> bool:
+        longer = maneuver.with_longer(number, factor)
+        end_s = longer.duration_s
+        ticks_s = np.arange(0.0, end_s, settings.sampling_period_s)
+        own_s = np.union1d(maneuver_instants(longer), ticks_s)
+        return exceeded(longer.jets(own_s), team, settings) is None
+
+    factor = least_factor(keeps)
+    return None if factor is None else (number, factor)
+
+
+def _slower(maneuver: Maneuver, factor: float | None, one: tuple[int, float] | None) -> str:
+    """Return the remedies for a reference that exceeds limits, if there are any."""
     if factor is None:
         return ""
-    return f"; feasible if all phases take {factor:.3f} times as long"
+    text = f"; feasible if all phases take {factor:.3f} times as long"
+    if one is None:
+        return text
+    number, longer = one
+    # Rounded up: the factor in the text is large enough.
+    times = f"{math.ceil(1e3 * longer) / 1e3:.3f} times"
+    name = maneuver.phases[number - 1].name
+    keys = "its duration_s (or 1 / speed_mps), ramp_s and times_s times this"
+    return f"{text}, or phase {number} ({name}) alone {times}: {keys}"
 
 
 def blocked(

@@ -1,8 +1,8 @@
 """Limits of a team along a path, and the least slowing of the path with which it keeps them."""
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -32,6 +32,19 @@ class Extreme:
     bound: float
     is_upper: bool  # whether the bound is the largest value admitted
     value: float
+    uavs: tuple[int, ...]  # that have the value, 0-based: one, or two that are this far apart
+    instant: int  # number of the instant of the path, from 0
+
+    @property
+    def room(self) -> float:
+        """Room that is left up to the bound as a share of it; below 0 beyond the bound."""
+        left = self.bound - self.value if self.is_upper else self.value - self.bound
+        return left / abs(self.bound) if self.bound else left
+
+    @property
+    def names(self) -> str:
+        """UAVs that have the value, counted from 1."""
+        return " and ".join(f"UAV{uav + 1}" for uav in self.uavs)
 
     @property
     def holds(self) -> bool:
@@ -45,10 +58,10 @@ class Extreme:
         is_further = other.value > self.value if self.is_upper else other.value < self.value
         return other if is_further else self
 
-    def text(self) -> str:
-        """Return expected and got in words."""
+    def text(self, when: Callable[[int], str] = lambda _: "") -> str:
+        """Return expected and got in words, with the UAVs; `when` has the words of an instant."""
         expected = f"expected {self.quantity} {self.bound:.4g}{self.unit} along the reference"
-        return f"{expected}, got {self.value:.4g}{self.unit}"
+        return f"{expected}, got {self.value:.4g}{self.unit} of {self.names}{when(self.instant)}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,12 +98,17 @@ def teams_left(system: System, hover: Hover, faults: Sequence[Fault]) -> Iterato
         )
 
 
-def exceeded(path: Array, team: TeamLeft, settings: ControllerSettings) -> str | None:
+def exceeded(
+    path: Array,
+    team: TeamLeft,
+    settings: ControllerSettings,
+    when: Callable[[int], str] = lambda _: "",
+) -> str | None:
     """Return the first limit that the team exceeds along a path, in words; None if it keeps all.
 
     The path is given by its jets at k instants, (7, k, 3), or (7, k, 5) with a formation. The
-    instants must be dense (`path_instants`): nothing is known between them.
-    Source: docs/equations.md (69).
+    instants must be dense (`path_instants`): nothing is known between them. `when` has the words of
+    an instant, by its number. Source: docs/equations.md (69).
     """
     held_N = team.hover.tensions[team.left]
     if not held_N.min() >= LEAST_TENSION * held_N.mean():
@@ -102,23 +120,32 @@ def exceeded(path: Array, team: TeamLeft, settings: ControllerSettings) -> str |
         expected = "expected a formation with UAVs less than a rod's length off their attachments"
         return f"{expected}, got {aside:.3g}"
 
-    extremes: list[Extreme] = []
+    beyond = (extreme for extreme in extremes(path, team, settings) if not extreme.holds)
+    return next((extreme.text(when) for extreme in beyond), None)
+
+
+def extremes(path: Array, team: TeamLeft, settings: ControllerSettings) -> list[Extreme]:
+    """Return the extremes of all limited quantities along a path, given as in `exceeded`."""
+    furthest: list[Extreme] = []
     for first in range(0, path.shape[1], _AT_ONCE):
         part = path[:, first : first + _AT_ONCE]
         flown = flight(team.system, team.hover, part, released=team.released)
-        further = list(_extremes(flown, team, settings))
-        before = extremes or further
-        extremes = [one.joined(other) for one, other in zip(before, further, strict=True)]
-
-    return next((extreme.text() for extreme in extremes if not extreme.holds), None)
+        further = [
+            replace(extreme, instant=first + extreme.instant)
+            for extreme in _extremes(flown, team, settings)
+        ]
+        before = furthest or further
+        furthest = [one.joined(other) for one, other in zip(before, further, strict=True)]
+    return furthest
 
 
 def least_slowing(path: Array, team: TeamLeft, settings: ControllerSettings) -> float | None:
     """Return the least factor on all durations with which the limits are kept; None without one."""
+    return least_factor(lambda factor: exceeded(slowed(path, factor), team, settings) is None)
 
-    def is_kept(factor: float) -> bool:
-        return exceeded(slowed(path, factor), team, settings) is None
 
+def least_factor(is_kept: Callable[[float], bool]) -> float | None:
+    """Return the least factor on durations with which limits are kept; None without one."""
     low = 1.0
     high = 2.0
     while not is_kept(high):
@@ -150,48 +177,70 @@ def _aside(path: Array, system: System) -> float:
 
 def _extremes(flown: Flight, team: TeamLeft, settings: ControllerSettings) -> Iterator[Extreme]:
     """Yield the extremes of the quantities of the UAVs left, always in the same order."""
-    limits = settings.limits
     left = team.left
+    uavs = [(uav,) for uav in left]
     inputs = flown.u.reshape(len(flown.x), team.system.N, INPUTS)[:, left]
     tensions_N = flown.tensions[:, left]
     shares_of_hover = tensions_N / team.hover.tensions[left]
 
-    yield _highest("a thrust of at most", " N", limits.thrust_N[1], inputs[..., 0])
+    def highest(quantity: str, unit: str, bound: float, values: Array) -> Extreme:
+        return _furthest(quantity, unit, bound, values, uavs, is_upper=True)
+
+    def lowest(quantity: str, unit: str, bound: float, values: Array) -> Extreme:
+        return _furthest(quantity, unit, bound, values, uavs, is_upper=False)
+
+    yield highest("a thrust of at most", " N", settings.limits.thrust_N[1], inputs[..., 0])
 
     Theta = StateView(flown.x).Theta[:, left]
     tilt_deg = math.degrees(MOST_TILT)
     if settings.tilt is not None:
         tilt_deg = min(tilt_deg, settings.tilt.limit_deg)
-    yield _highest("a UAV tilt of at most", " deg", tilt_deg, np.degrees(np.abs(Theta)))
+    largest_deg = np.degrees(np.abs(Theta)).max(axis=-1)
+    yield highest("a UAV tilt of at most", " deg", tilt_deg, largest_deg)
 
     kind, unit = (
         ("a commanded rate", " rad/s") if team.system.commands_rates else ("a moment", " N m")
     )
     for axis, bound in enumerate(settings.upper(1)[1:], start=1):
         quantity = f"{kind} about axis {axis} of at most"
-        yield _highest(quantity, unit, float(bound), np.abs(inputs[..., axis]))
+        yield highest(quantity, unit, float(bound), np.abs(inputs[..., axis]))
 
-    yield _lowest("a thrust of at least", " N", limits.thrust_N[0], inputs[..., 0])
+    yield lowest("a thrust of at least", " N", settings.limits.thrust_N[0], inputs[..., 0])
 
     share = "a share of the rod tension at hover of at least"
-    yield _lowest(share, "", LEAST_TENSION, shares_of_hover)
+    yield lowest(share, "", LEAST_TENSION, shares_of_hover)
     if settings.tension is not None:
-        yield _lowest("a rod tension of at least", " N", settings.tension.minimum_N, tensions_N)
+        yield lowest("a rod tension of at least", " N", settings.tension.minimum_N, tensions_N)
 
     if settings.separation is not None and len(left) > 1:
-        quantity = "a distance of UAVs of at least"
+        pairs = list(combinations(left, 2))
         distances_m = _distances(flown, team)
-        yield _lowest(quantity, " m", settings.separation.minimum_m, distances_m)
+        quantity = "a distance of UAVs of at least"
+        minimum_m = settings.separation.minimum_m
+        yield _furthest(quantity, " m", minimum_m, distances_m.T, pairs, is_upper=False)
 
 
-def _highest(quantity: str, unit: str, bound: float, values: Array) -> Extreme:
-    value = float(values.max())
-    return Extreme(quantity=quantity, unit=unit, bound=bound, is_upper=True, value=value)
-
-
-def _lowest(quantity: str, unit: str, bound: float, values: Array) -> Extreme:
-    value = float(values.min())
-    return Extreme(quantity=quantity, unit=unit, bound=bound, is_upper=False, value=value)
+def _furthest(
+    quantity: str,
+    unit: str,
+    bound: float,
+    values: Array,
+    of: Sequence[tuple[int, ...]],
+    *,
+    is_upper: bool,
+) -> Extreme:
+    """Return the extreme of values, (k, len(of)), of UAVs or pairs at k instants."""
+    place = values.argmax() if is_upper else values.argmin()  # that of a NaN, if there is one
+    instant, column = np.unravel_index(place, values.shape)
+    return Extreme(
+        quantity=quantity,
+        unit=unit,
+        bound=bound,
+        is_upper=is_upper,
+        value=float(values[instant, column]),
+        uavs=of[int(column)],
+        instant=int(instant),
+    )
 
 
 def _distances(flown: Flight, team: TeamLeft) -> Array:

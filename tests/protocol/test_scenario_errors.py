@@ -313,7 +313,7 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         "faults.event=[{at_s=1,do='kill',target='agent3',duration_s=2}]",
         "faults.event.1.duration_s: expected no value without 'sensors_off', got 2.0",
     ),
-    ("controller.tension.minimum_N=8", "expected less than 7.36 N (hover), got 8"),
+    ("controller.tension.minimum_N=8", "expected less than 7.36 N (rod of UAV1 at hover), got 8"),
     (
         ("controller.motor_lag_s=0.05", "controller.tension.minimum_N=2"),
         "expected 0.0 with controller.tension = Tension(minimum_N=2.0, penalty=10.0), got 0.05",
@@ -361,7 +361,10 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         "controller.limits.thrust_N=[0,20]",
         "expected a range that contains the hover thrust 22.07 N of UAV1, got [0.0, 20.0]",
     ),
-    ("controller.separation.minimum_m=0.6", "expected at most 0.500 m (hover), got 0.6"),
+    (
+        "controller.separation.minimum_m=0.6",
+        "expected at most 0.500 m (UAV1 and UAV2 at hover), got 0.6",
+    ),
     (
         "system.payload.inertia_kgm2=[1,1,3]",
         "system.payload: no body has principal moments [1.0, 1.0, 3.0] kg m^2: the largest exceeds the sum",

@@ -84,7 +84,8 @@ REFUSED = [
     (
         ("--uavs", "3", "--from", "wide.toml"),
         SCENARIO,
-        "--from: wide.toml: controller.separation.minimum_m: expected at most 0.500 m (hover), got 0.6",
+        "--from: wide.toml: controller.separation.minimum_m: expected at most 0.500 m "
+        "(UAV1 and UAV2 at hover), got 0.6",
     ),
     (
         ("--uavs", "3", "--from", "unequal.toml"),

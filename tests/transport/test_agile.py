@@ -1,5 +1,7 @@
 """Agile flight along a flat reference: the ready scenario, shortened."""
 
+import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,12 +9,14 @@ import pytest
 
 import transport
 from transport.analysis.series import series_of
+from transport.model.curves import Curve
 from transport.model.flight import flight
 from transport.mpc.settings import Tension
 from transport.protocol.scenario.errors import RequestError, ScenarioError
 from transport.protocol.scenario.feasibility import exceeded, teams_left
 from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.target_planning import target_fields
+from transport.report.limits_in_words import explained, explained_in_words
 
 QUICK = [
     {"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]},
@@ -151,7 +155,7 @@ def test_least_tension_is_that_of_the_uavs_left() -> None:
     problem = exceeded(path, team, higher)
     assert problem is not None
     least_N = flight(team.system, team.hover, path, released={3}).tensions[:, :3].min()
-    assert problem.endswith(f"at least 5 N along the reference, got {least_N:.4g} N")
+    assert f"at least 5 N along the reference, got {least_N:.4g} N of UAV" in problem
 
 
 def test_targets_are_checked_for_the_uavs_left() -> None:
@@ -221,6 +225,50 @@ def test_infeasible_reference_is_refused_with_the_least_slowing() -> None:
         transport.Scenario("eight", {"maneuver.phase.2.speed_mps": 9.0}).setup  # noqa: B018
 
 
+def test_a_refused_reference_names_uav_phase_and_time_and_the_phase_to_change() -> None:
+    """The text says who exceeds the limit, when, and how much longer this one phase has to be.
+
+    With the factor of the text the reference is feasible, with a hundredth less it is not.
+    """
+    fast = {"maneuver.phase.2.speed_mps": 9.0}
+    with pytest.raises(ScenarioError) as refused:
+        transport.Scenario("eight", fast).setup  # noqa: B018
+    text = str(refused.value)
+    told = re.search(r"got (.*) N of UAV(\d) at (.*) s in phase 2 \(eight\); ", text)
+    assert told is not None
+    factor = re.search(r"or phase 2 \(eight\) alone (.*) times: ", text)
+    assert factor is not None
+
+    longer = float(factor[1])
+    ramp_s = 5.0  # of the scenario
+    for share, is_kept in ((1.0, True), (0.99, False)):
+        slower = {
+            "maneuver.phase.2.speed_mps": 9.0 / (share * longer),
+            "maneuver.phase.2.ramp_s": share * longer * ramp_s,
+        }
+        if is_kept:
+            assert transport.Scenario("eight", slower).setup.reference.is_flat
+            continue
+        with pytest.raises(ScenarioError, match=r"along the reference, got .* of UAV\d at"):
+            transport.Scenario("eight", slower).setup  # noqa: B018
+
+    # UAV and time are those of the largest thrust along the reference, within its maneuver.
+    thrust_N, uav, at_s = (float(number) for number in told.groups())
+    # The same phase on the path of the ready scenario, whose speed is 5 m/s: T - t_r is the way / speed.
+    setup = transport.Scenario("eight").setup
+    phases = list(setup.maneuver.phases)
+    curve = phases[1].way
+    assert isinstance(curve, Curve)
+    duration_s = (curve.duration_s - ramp_s) * 5.0 / 9.0 + ramp_s
+    phases[1] = replace(phases[1], duration_s=duration_s, way=replace(curve, duration_s=duration_s))
+    maneuver = replace(setup.maneuver, phases=tuple(phases))
+
+    path = maneuver.jets(np.array([at_s]))
+    thrusts_N = flight(setup.system, setup.hover, path).u.reshape(-1, 4)[:, 0]
+    assert thrusts_N.max() == pytest.approx(thrust_N, rel=1e-2)
+    assert thrusts_N.argmax() + 1 == uav
+
+
 @pytest.mark.parametrize(
     ("key", "value", "reason"),
     [
@@ -251,3 +299,40 @@ def test_flat_reference_needs_its_settings(key: str, value: object, reason: str)
         settings["maneuver.phase.1.displacement_m"] = [1.0, 0.0, 0.0]
     with pytest.raises(ScenarioError, match=reason):
         transport.Scenario("eight", settings).setup  # noqa: B018
+
+
+def test_the_nearest_limit_is_explained() -> None:
+    """The closest pair and the limit of a UAV with the least room, with UAV and time, are those of the track."""
+    setup = transport.Scenario("eight").setup
+    told = explained(setup)
+    assert setup.track is not None
+    uavs_I = setup.reference.outputs(setup.reference.times_s)[:, :9].reshape(-1, 3, 3)
+    apart_m = np.linalg.norm(uavs_I[:, [0, 0, 1]] - uavs_I[:, [1, 2, 2]], axis=2)
+    closest = told["closest_pair"]
+    assert closest["distance_m"] == pytest.approx(apart_m.min(), abs=1e-3)
+    assert closest["uavs"] == [[1, 2], [1, 3], [2, 3]][int(apart_m.min(axis=0).argmin())]
+
+    # The track has the same at its instants, between which the check looks as well.
+    inputs = np.abs(setup.track.U.reshape(-1, 3, 4))
+    shares = inputs.max(axis=(0, 1)) / np.abs(setup.settings.upper(1))
+    nearest = told["nearest_limit"]
+    assert nearest["room"] <= 1.0 - shares.max() + 1e-3
+    entry = {"thrust": 0, "axis 1": 1, "axis 2": 2, "axis 3": 3}
+    (column,) = [column for name, column in entry.items() if name in nearest["limit"]]
+    row = int(np.abs(setup.reference.times_s - nearest["at_s"]).argmin())
+    assert inputs[row, nearest["uavs"][0] - 1, column] == pytest.approx(nearest["value"], rel=0.05)
+    closest_line, nearest_line, remedy = explained_in_words(setup)
+    assert closest_line.startswith(f"closest pair: UAV{closest['uavs'][0]} and UAV")
+    assert (
+        f"of UAV{nearest['uavs'][0]} at {nearest['at_s']:.2f} s in phase 2 (eight)" in nearest_line
+    )
+    assert "maneuver.phase.2 (eight)" in remedy
+
+
+def test_the_nearest_limit_of_a_hover_is_that_of_its_thrust() -> None:
+    """A reference of hover has no accelerations: hover thrust over the largest one."""
+    setup = transport.Scenario("resilient").setup
+    nearest = explained(setup)["nearest_limit"]
+    assert (nearest["at_s"], nearest["limit"]) == (None, "a thrust of at most")
+    assert nearest["value"] == pytest.approx(float(setup.hover.u[0]))
+    assert nearest["room"] == pytest.approx(1.0 - float(setup.hover.u[0]) / 45.0)

@@ -111,4 +111,6 @@ def test_uavs_too_close_at_the_start() -> None:
     text = refusal(
         "paper", "system.uav.2.rho_m=[0.25,-0.1,-0.125]", "system.uav.1.rho_m=[0.25,0.1,-0.125]"
     )
-    assert "separation.minimum_m: expected at most 0.200 m (hover), got 0.4" in text
+    assert (
+        "separation.minimum_m: expected at most 0.200 m (UAV1 and UAV2 at hover), got 0.4" in text
+    )

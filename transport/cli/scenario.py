@@ -24,6 +24,7 @@ from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.team import FEWEST, MOST, Team, given_values
 from transport.protocol.wire.exit_codes import EXIT_CHECK_FAILED
 from transport.report.laws import MOST_UAVS, in_words
+from transport.report.limits_in_words import explained, explained_in_words
 
 # Share of the largest thrust at hover above which a scenario is said to have little left.
 _MOST_HOVER = 0.85
@@ -130,20 +131,27 @@ def hover_thrusts(setup: Setup) -> str:
 def validate(
     scenario: ScenarioArgument,
     settings: SetOption = None,
+    explain: bool = Option(
+        False, "--explain", help="Also tell the closest pair of UAVs and the nearest limit."
+    ),
     large: LargeOption = False,
     output: FormatOption = Format.text,
 ) -> None:
     """Check a scenario and print it with every default.
 
-    Prints an estimate of memory, log size and processor time on standard error.
+    Prints an estimate of memory, log size and processor time on standard error. With --explain also
+    which limit along the reference has the least room: its UAV, its time, and a remedy.
 
-    Example: transport validate paper --set controller.horizon=10
+    Example: transport validate eight --set controller.horizon=10 --explain
     """
     setup = read_setup(scenario, settings, allow_large=large)
     own_classes = checked(setup)
     tree = setup.scenario.tree()
     digest = setup.scenario.digest()
-    show(output, {"scenario": tree, "digest": digest}, tomli_w.dumps(tree).rstrip("\n"))
+    content = {"scenario": tree, "digest": digest}
+    if explain:
+        content["explained"] = explained(setup)
+    show(output, content, tomli_w.dumps(tree).rstrip("\n"))
     if output is Format.json:
         return
 
@@ -157,6 +165,9 @@ def validate(
         if slots is not None:
             kind = "radio" if slots.are_enough else "radio, warning"
             typer.echo(f"{kind}: {label}{slots.text()}", err=True)
+    if explain:
+        for line in explained_in_words(setup):
+            typer.echo(line, err=True)
     if setup.system.N <= MOST_UAVS:
         for line in in_words(setup):
             typer.echo(line, err=True)
