@@ -15,6 +15,7 @@ from transport.deploy.units import ETC, PROGRAM, TEMPLATES, unit
 from transport.protocol.network.endpoints import process_names
 from transport.protocol.network.security import AUTHORITY
 from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.whole_files import write_whole
 from transport.protocol.wire.keys import OPERATOR, WATCHER
 from transport.protocol.wire.names import COORDINATOR
 
@@ -45,7 +46,7 @@ def render(
         folder.mkdir(parents=True)
         network = _network(inventory, own, None if keys is None else etc / "keys")
         text = tomli_w.dumps({**setup.scenario.tree(), "network": network})
-        (folder / "scenario.toml").write_text(text, encoding="utf-8")
+        write_whole(folder / "scenario.toml", text)
         _write_units(inventory, own, folder / "systemd", etc)
         _write_install_script(own, folder / "install.sh")
         if keys is not None:
@@ -84,7 +85,7 @@ def _write_units(inventory: Inventory, own: Sequence[Placement], folder: Path, e
         if placement.process == COORDINATOR:
             after = [other for other in running if other != COORDINATOR]
         file = folder / f"transport-{placement.process}.service"
-        file.write_text(unit(placement, inventory, after, etc), encoding="utf-8")
+        write_whole(file, unit(placement, inventory, after, etc))
 
 
 def _write_install_script(own: Sequence[Placement], file: Path) -> None:
@@ -92,7 +93,7 @@ def _write_install_script(own: Sequence[Placement], file: Path) -> None:
     template = Template((TEMPLATES / "install.sh").read_text(encoding="utf-8"))
     services = " ".join(f"transport-{placement.process}.service" for placement in own)
     script = template.substitute(host=own[0].host.name, etc=ETC, program=PROGRAM, services=services)
-    file.write_text(script, encoding="utf-8")
+    write_whole(file, script)
     file.chmod(0o755)
 
 

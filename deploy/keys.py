@@ -18,6 +18,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from transport.deploy.errors import DeployError
 from transport.protocol.network.security import AUTHORITY
+from transport.protocol.scenario.whole_files import write_whole
 from transport.protocol.wire.keys import OPERATOR, RECORDER, ROUTER, WATCHER
 
 AUTHORITY_KEY = "ca.key"  # the authority's own, needed to sign further certificates; no host has it
@@ -38,7 +39,7 @@ def make_certificates(folder: Path, addresses: Mapping[str, Sequence[str]], days
         # Private keys are not for a repository that the folder may be in.
         ignored = folder / ".gitignore"
         if not ignored.exists():
-            ignored.write_text("*\n", encoding="utf-8")
+            write_whole(ignored, "*\n")
         file = folder / AUTHORITY
         if file.exists():
             known = x509.load_pem_x509_certificate(file.read_bytes())
@@ -100,7 +101,7 @@ def _issued(
         os.open(file.with_suffix(".key"), os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb"
     ) as stream:
         stream.write(key.private_bytes(serialization.Encoding.PEM, form, unencrypted))
-    file.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
+    write_whole(file, certificate.public_bytes(serialization.Encoding.PEM))
     return certificate, key
 
 

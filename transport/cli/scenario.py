@@ -22,6 +22,7 @@ from transport.protocol.scenario.radio_settings import slot_lengths
 from transport.protocol.scenario.relations import after_the_end
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.team import FEWEST, MOST, Team, given_values
+from transport.protocol.scenario.whole_files import write_whole
 from transport.protocol.wire.exit_codes import EXIT_CHECK_FAILED
 from transport.report.laws import MOST_UAVS, in_words
 from transport.report.limits_in_words import explained, explained_in_words
@@ -88,7 +89,7 @@ def new(
     show(output, {"scenario": tree, "file": out and str(out)}, *shown)
     if out is not None:
         with blame("--out"):
-            out.write_text(text, encoding="utf-8")
+            write_whole(out, text)
         thrusts = hover_thrusts(setup)
         team = f"{uavs} UAVs, {len(setup.agents)} agents, {thrusts}"
         command = f"transport run {shlex.quote(str(out))}"

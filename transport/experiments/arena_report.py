@@ -1,6 +1,7 @@
 """Report of the arena: a table for each axis, one file with results and versions, and the figure."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,10 +16,11 @@ from transport.experiments import arena_tasks
 from transport.experiments.arena import NAME, VIOLATION, Arena
 from transport.experiments.arena_entries import REFERENCE
 from transport.experiments.arena_tasks import NETWORK_TEXTS, NETWORKS, TASKS
+from transport.experiments.cases import Case
 from transport.experiments.statistics import COST_RATIO, PointStatistics
 from transport.experiments.sweep import Results, Simulate, Swept, markdown_of, sweep
 from transport.flight.run_files import machine, versions
-from transport.log.whole_files import write_whole
+from transport.protocol.scenario.whole_files import write_whole
 
 RESULTS = "arena.json"
 _MISSING = "-"
@@ -157,16 +159,26 @@ class ArenaResult:
 
         `transport run` flies it again, with figures and log.
         """
-        files: dict[int, Path] = {}
+        ended: dict[int, Case] = {}
         for case, result in zip(self.swept.cases, self.swept.results, strict=True):
-            if result.outcome == "completed" or case.point in files:
-                continue
-            words = "-".join(map(str, self.arena.experiment.points[case.point].labels.values()))
-            name = "".join(letter if letter.isalnum() else "-" for letter in words)
+            if result.outcome != "completed":
+                ended.setdefault(case.point, case)
+        if ended:
             folder.mkdir(exist_ok=True)
-            files[case.point] = folder / f"{name}.toml"
-            write_whole(files[case.point], tomli_w.dumps(case.scenario.tree()).encode())
-        return list(files.values())
+
+        files = []
+        for index, point in enumerate(self.arena.experiment.points):
+            words = "-".join(map(str, point.labels.values()))
+            name = "".join(letter if letter.isalnum() else "-" for letter in words)
+            file = folder / f"{name}.toml"
+            if index in ended:
+                write_whole(file, tomli_w.dumps(ended[index].scenario.tree()))
+                files.append(file)
+            else:
+                file.unlink(missing_ok=True)  # of the runs before this one was resumed
+        with suppress(OSError):
+            folder.rmdir()  # empty
+        return files
 
     def markdown(self) -> str:
         """Return tables and sentences in Markdown."""

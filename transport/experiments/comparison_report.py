@@ -17,8 +17,8 @@ from transport.experiments.declaration import Experiment
 from transport.experiments.statistics import COST_RATIO, Column, console_table
 from transport.experiments.sweep import Results, Simulate, Swept, sweep, write_markdown
 from transport.experiments.verdicts import sentence, verdicts
-from transport.log.whole_files import write_csv
 from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from transport.protocol.scenario.whole_files import write_csv
 
 TITLE = (
     "paper: means of completed runs; ± 95 % confidence of the ratio to centralized, "

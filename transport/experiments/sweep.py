@@ -8,8 +8,9 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import Any, Self
 
+import msgspec
 import orjson
 from rich.console import Console
 from rich.progress import (
@@ -27,7 +28,8 @@ from transport.experiments.figures import draw
 from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.flight.progress import ConsoleProgress, compile_models
 from transport.flight.run_files import machine
-from transport.log.whole_files import PARTIAL, write_csv, write_whole
+from transport.protocol.scenario.whole_files import PARTIAL, Lines, write_csv, write_whole
+from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_FAILED
 
 # Files of a folder: the experiment to which it belongs, and the results.
@@ -47,16 +49,18 @@ class Results:
     def __init__(self, experiment: str, folder: Path | None = None) -> None:
         self.folder = folder
         self._by_key: dict[str, Result] = {}
-        self._file: BinaryIO | None = None
+        self._file: Lines | None = None
         if folder is None:
             return
 
         try:
             _identify(folder, experiment)
-            self._file = (folder / _RESULTS).open("ab+", buffering=0)
+            self._file = Lines(folder / _RESULTS)
         except OSError as error:
             raise ExperimentError(f"--out: cannot write {folder} ({error.strerror})") from error
-        self._read(self._file)
+        for line in self._file.read():
+            with suppress(ValueError):
+                self._take(msgspec.json.decode(line, type=Result))
 
     def __enter__(self) -> Self:
         return self
@@ -76,21 +80,13 @@ class Results:
     def add(self, result: Result) -> None:
         """Keep a result."""
         if self._file is not None:
-            self._file.write(orjson.dumps(asdict(result)) + b"\n")
+            self._file.add(orjson.dumps(asdict(result)))
         self._by_key[result.key] = result
 
-    def _read(self, file: BinaryIO) -> None:
-        """Read the results of a file, and end its last line."""
-        file.seek(0)
-        lines = file.read().splitlines(keepends=True)
-        if lines and not lines[-1].endswith(b"\n"):
-            file.write(b"\n")  # otherwise the next result would continue the last line
-
-        for line in lines:
-            with suppress(ValueError, TypeError):
-                result = Result(**orjson.loads(line))
-                if result.outcome == ERROR or result.numbers.keys() >= set(NUMBERS):
-                    self._by_key[result.key] = result
+    def _take(self, result: Result) -> None:
+        """Take in a result from the folder, unless it lacks numbers."""
+        if result.outcome == ERROR or result.numbers.keys() >= set(NUMBERS):
+            self._by_key[result.key] = result
 
 
 def _identify(folder: Path, experiment: str) -> None:
@@ -213,7 +209,7 @@ def sweep(
                 point = experiment.points[case.point]
                 run = f"{point.scenario}, {point.text}, seed {case.scenario.seed}"
                 progress.advance(f"{run}: {result.outcome}")
-    except (KeyboardInterrupt, ExperimentError):
+    except (KeyboardInterrupt, TransportError):
         saved = sum(results.done(case.key) for case in cases)
         if results.folder is not None:
             hint = f"{saved} of {len(cases)} runs are saved; resume with: --out {results.folder}"

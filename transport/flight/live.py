@@ -19,6 +19,7 @@ from transport.model.arrays import Array
 from transport.protocol.network.security import Security
 from transport.protocol.network.session import Reach, ask
 from transport.protocol.scenario.link_changes import PERFECT
+from transport.protocol.scenario.whole_files import write_whole
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.keys import ROUTER
 from transport.protocol.wire.names import COORDINATOR, RECORDER, agent_name
@@ -51,10 +52,8 @@ def write(folder: Path, run: LiveRun) -> None:
 
     In a folder that cannot be written there is no mark: `read` ignores that run.
     """
-    new = folder / f".{_FILE}"
     with suppress(OSError):
-        new.write_bytes(msgspec.json.encode(run))
-        new.replace(folder / _FILE)  # whole for every reader
+        write_whole(folder / _FILE, msgspec.json.encode(run))
     registry.add(folder)
 
 

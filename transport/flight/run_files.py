@@ -22,6 +22,7 @@ from transport.plant.engines import checked_engine
 from transport.protocol.network.security import SHARED
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.whole_files import write_whole
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.protocol.wire.names import PLANT, agent_name
@@ -66,7 +67,7 @@ def create(folder: Path, setup: Setup) -> str:
         raise _not_created(folder, error) from error
 
     try:
-        (folder / "scenario.toml").write_text(text, encoding="utf-8")
+        write_whole(folder / "scenario.toml", text)
         point_latest(folder)
     except OSError as error:
         discard(folder)

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from transport.log.whole_files import atomic_file
 from transport.model.arrays import Array
+from transport.protocol.scenario.whole_files import atomic_file
 from transport.scene.parts import quaternion
 
 # Metadata record with the header of the log; another name than in a log, which the copy is not.

@@ -13,6 +13,7 @@ from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
 from matplotlib.transforms import ScaledTranslation
 
 from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.whole_files import atomic_file
 
 # Width of every figure: a column of a paper (8.5 cm), inches.
 COLUMN_IN = 3.35
@@ -133,5 +134,7 @@ def save(figure: Figure, path: Path, also: Collection[str] = ("svg",)) -> list[P
     files = [path.with_suffix(ending) for ending in endings]
     for file in files:
         unnamed = dict.fromkeys(_UNNAMED[file.suffix])
-        figure.savefig(file, metadata=unnamed, dpi=RC["savefig.dpi"])
+        kind = file.suffix.removeprefix(".")
+        with atomic_file(file) as stream:
+            figure.savefig(stream, format=kind, metadata=unnamed, dpi=RC["savefig.dpi"])
     return files

@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from transport.agent.own import PROJECT
@@ -43,15 +44,15 @@ class Evaluation:
     passed_s: float | None = None
 
     @staticmethod
-    def of(tree: Any) -> "Evaluation":
+    def of(line: bytes) -> "Evaluation":
         """Return an evaluation from a line of JSON, in which an infinite value is null.
 
-        Raises: TypeError: the line is none.
+        Raises: ValueError: the line is none.
         """
-        if not isinstance(tree, dict):
-            raise TypeError(f"expected an object, got {type(tree).__name__}")
-        value = math.inf if tree.get("value") is None else tree["value"]
-        return Evaluation(**{**tree, "value": value})
+        tree = msgspec.json.decode(line, type=dict[str, Any])
+        if tree.get("value", 0.0) is None:
+            tree["value"] = math.inf
+        return msgspec.convert(tree, Evaluation)
 
     @property
     def failed(self) -> bool:

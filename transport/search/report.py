@@ -19,6 +19,7 @@ from transport.log.run_log import Recorded, RunLog
 from transport.model.arrays import Array
 from transport.protocol.scenario.schema import LONGEST_NAME
 from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.whole_files import write_whole
 from transport.protocol.wire.messages import Message
 from transport.report.column import column_panels
 from transport.report.style import RC, save
@@ -49,11 +50,11 @@ _LIMIT: Any = {"color": "#B2182B", "linewidth": 0.9, "linestyle": ":"}
 def write(folder: Path, result: SearchResult) -> None:
     """Write the results of a search into its folder."""
     if result.minimal is not None:
-        (folder / SCENARIO).write_text(scenario_text(result.minimal), encoding="utf-8")
+        write_whole(folder / SCENARIO, scenario_text(result.minimal))
         with mpl.rc_context(RC):
             save(draw(Figure(), result.minimal), folder / FIGURE)
     text = orjson.dumps(summary(result), option=orjson.OPT_INDENT_2)
-    (folder / SUMMARY).write_bytes(text + b"\n")
+    write_whole(folder / SUMMARY, text + b"\n")
 
 
 def summary(result: SearchResult) -> dict[str, Any]:

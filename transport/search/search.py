@@ -4,15 +4,15 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import orjson
 
 from transport.experiments.cases import ExperimentError, refused
 from transport.experiments.workers import Workers
-from transport.log.whole_files import PARTIAL, write_whole
 from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.whole_files import PARTIAL, Lines, write_whole
 from transport.search.candidate import Candidate
 from transport.search.evaluation import REFUSED, Evaluation, Problem, Verdict
 from transport.search.optimiser import BATCH, Optimiser
@@ -93,24 +93,20 @@ class Evaluations:
 
     def __init__(self, folder: Path | None, identity: dict[str, Any]) -> None:
         self._by_key: dict[str, Evaluation] = {}
-        self._file: BinaryIO | None = None
+        self._file: Lines | None = None
 
         if folder is None:
             return
         try:
             folder.mkdir(parents=True, exist_ok=True)
             _identify(folder, identity)
-            self._file = (folder / EVALUATIONS).open("ab+", buffering=0)
+            self._file = Lines(folder / EVALUATIONS)
         except OSError as error:
             raise ExperimentError(f"--out: cannot write {folder} ({error.strerror})") from error
 
-        self._file.seek(0)
-        kept = self._file.read()
-        if kept and not kept.endswith(b"\n"):
-            self._file.write(b"\n")  # the next line does not continue one that a kill has cut
-        for line in kept.splitlines():
-            with suppress(ValueError, TypeError):  # such a case is evaluated again
-                evaluation = Evaluation.of(orjson.loads(line))
+        for line in self._file.read():
+            with suppress(ValueError):  # such a case is evaluated again
+                evaluation = Evaluation.of(line)
                 self._by_key[evaluation.key] = evaluation
 
     def close(self) -> None:
@@ -127,7 +123,7 @@ class Evaluations:
         }
         for evaluation in fly(problem, list(missing.values())):
             if self._file is not None:
-                self._file.write(orjson.dumps(asdict(evaluation)) + b"\n")
+                self._file.add(orjson.dumps(asdict(evaluation)))
             self._by_key[evaluation.key] = evaluation
 
         return [self._by_key[problem.key(candidate)] for candidate in candidates]

@@ -333,3 +333,26 @@ def test_a_run_that_ends_early_can_be_flown_again(
     assert again.outcome == row["outcome"] == "diverged"
     assert again.summary["reason"] == row["reason"]
     assert f"0/1 {row['lost_s']:.1f} s" in str(result)
+
+
+@pytest.mark.usefixtures("short_tasks")
+def test_a_resumed_run_that_completes_has_not_ended(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The scenario of a run that failed goes, with its folder, once the run has completed.
+
+    The run is resumed after its result has been lost and its class mended.
+    """
+
+    def fly() -> None:
+        transport.arena(
+            Large, tasks=["short"], networks=[PERFECT], algorithms=[REFERENCE], seeds=1, workers=1,
+            folder=tmp_path, progress=False,
+        )  # fmt: skip
+
+    fly()
+    assert len(list((tmp_path / "ended").iterdir())) == 1
+    (tmp_path / "results.jsonl").unlink()
+    monkeypatch.setattr(Large, "start", Steady.start)  # declares no data
+    fly()
+    assert not (tmp_path / "ended").exists()

@@ -5,6 +5,7 @@ Kept results survive, damage is told, other people's folders are left alone.
 
 from pathlib import Path
 
+import orjson
 import pytest
 
 from transport.experiments.cases import ERROR, NUMBERS, ExperimentError, Result
@@ -50,6 +51,23 @@ def test_an_incomplete_line_is_ignored(tmp_path: Path, left: int) -> None:
                 added == "d",
             )
             results.add(result(added))
+
+
+def test_lines_of_other_types_are_ignored(tmp_path: Path) -> None:
+    """A value of another type, at any place, is no result: its case is simulated again."""
+    with opened(tmp_path) as results:
+        results.add(result("a"))
+    path = tmp_path / "results.jsonl"
+    tree = orjson.loads(path.read_bytes())
+    wrong = [{**tree, name: value} for name in tree for value in (1, [1], None, True, {"x": "y"})]
+    wrong += [{**tree, "numbers": {**tree["numbers"], "cost_mean": value}} for value in ("1", [1])]
+    others = [b"[1]", b"1", b"null", b"\xff", b'{"key": "a"}']
+    path.write_bytes(b"\n".join([*others, *map(orjson.dumps, wrong)]) + b"\n")
+    with opened(tmp_path) as results:
+        assert not results.done("a")
+        results.add(result("a"))
+    with opened(tmp_path) as results:
+        assert results["a"] == result("a")
 
 
 def test_a_folder_whose_beginning_a_kill_has_cut_is_used(tmp_path: Path) -> None:
