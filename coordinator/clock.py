@@ -38,11 +38,17 @@ class Clock:
         self.waiting_since_ns = 0
         self.plant_ns = 0
         self._start_ns = 0  # instant of tick 0
+        self.is_told = False  # whether others follow it as well
         self._owed_since_ns: dict[int, int] = {}  # by agent: since when it owes an answer
         self._overrun_ns = 0  # largest overrun of a plan since the last tick
         self._overruns = 0  # missed deadlines
         self._called_ns = 0  # when the coordinator last handled something
         self._excused_tick = -1  # newest tick at which the coordinator had stood still
+
+    def begin(self, start_ns: int) -> None:
+        """Set the instant of tick 0, which the vehicles have been told."""
+        self._start_ns = start_ns
+        self.is_told = True
 
     def due_ns(self, tick: int) -> int:
         """Return the earliest time at which a tick may open."""
@@ -84,7 +90,7 @@ class Clock:
         self, tick: int, members: Collection[int], joined: Collection[int], now_ns: int
     ) -> None:
         """Note that a tick is opened for the roster, some agents of which have just joined."""
-        if tick == 0:
+        if tick == 0 and not self.is_told:
             self._start_ns = now_ns
         if self._holds:
             late_ns, _ = self.lateness_ns(tick, now_ns)

@@ -13,6 +13,7 @@ from enum import Enum
 from transport.coordinator.air import TeamAir
 from transport.coordinator.clock import Clock
 from transport.coordinator.failed_steps import FailedSteps
+from transport.coordinator.fleet import Fleet
 from transport.coordinator.requests import RunStatus, answer_request
 from transport.coordinator.roster import TeamRoster, names
 from transport.protocol.admission.plausibility import check_tick
@@ -37,8 +38,9 @@ from transport.protocol.wire.messages import (
     Presence,
     Request,
     Tick,
+    VehicleStatus,
 )
-from transport.protocol.wire.names import COORDINATOR, PLANT
+from transport.protocol.wire.names import COORDINATOR, PLANT, vehicle_name
 from transport.protocol.wire.node import Outbox
 
 # Outcomes of runs that are not aborted, by exit code; a run with another code was aborted.
@@ -53,11 +55,13 @@ _OUTCOMES = {
 class State(Enum):
     """State of a run.
 
-    WAITING ends with the last process that is ready, HELD with the last agent that returns or at
+    WAITING ends with the last process that is ready, PREPARING, in a run with vehicles, at the instant
+    of tick 0, which is told when all are ready. HELD ends with the last agent that returns or at
     the end of its time. ENDING follows a state of the plant from OPEN and HELD. STOPPED is the end.
     """
 
     WAITING = "the processes are joining"
+    PREPARING = "the vehicles prepare, or tick 0 has been told"
     OPEN = "a tick is open"
     HELD = "the next tick waits for agents that the scenario's faults bring back"
     ENDING = (
@@ -82,7 +86,13 @@ class CoordinatorNode:
     name = COORDINATOR
     publish_ns = 0
 
-    def __init__(self, setup: Setup, incarnation: int = 0, observers: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        setup: Setup,
+        incarnation: int = 0,
+        observers: Sequence[str] = (),
+        wall_offset_ns: int = 0,
+    ) -> None:
         self.state = State.WAITING
         self.tick = -1
         self.incarnation = incarnation
@@ -94,11 +104,20 @@ class CoordinatorNode:
         self._clock = Clock(setup)
         self._roster = TeamRoster(setup, self._out)
         # Processes that the first tick waits for.
-        self._not_ready = {PLANT, *self._roster.agents, *observers}
+        self._has_plant = setup.scenario.has_plant
+        vehicles: set[str] = set()
+        self._fleet: Fleet | None = None
+        if setup.scenario.has_vehicles:
+            vehicles = {vehicle_name(uav + 1) for uav in range(setup.system.N)}
+            self._fleet = Fleet(setup, self._out, wall_offset_ns)
+        self._vehicles = vehicles
+        plant = {PLANT} if self._has_plant else set()
+        self._not_ready = {*plant, *self._roster.agents, *vehicles, *observers}
         self._observers = set(observers)  # that have not left
 
         # Agents that answered the open tick, and whether with a plan that the others received.
         self._answered: dict[int, bool] = {}
+        self._early: dict[int, Plan] = {}  # plans of ticks to come, by agent
         # Negotiation iterations left in the open tick, by agent.
         self._negotiating: dict[int, int] = {}
         self._plant_tick = -1  # newest tick the plant has recorded
@@ -113,6 +132,9 @@ class CoordinatorNode:
         """Time of the next poll, ns: end of a timeout, or opening of the next tick; None without."""
         if self.state in (State.WAITING, State.STOPPED):
             return None
+        if self.state is State.PREPARING and self._fleet is not None:
+            is_decided = self._fleet.start_ns > 0
+            return self._fleet.steady_start_ns if is_decided else self._fleet.next_ns
         if self.state is State.HELD:
             return self._clock.hold_ends_ns
         if self._lacks_state or self._clock.waits_for(self._missing):
@@ -133,6 +155,8 @@ class CoordinatorNode:
                 self._note_plant(event, now_ns)
             case Plan():
                 self._note_plan(event, now_ns)
+            case VehicleStatus() if self._fleet is not None:
+                self._fleet.take(event, now_ns)
         return self._advance(now_ns)
 
     def poll(self, now_ns: int) -> Sequence[Message]:
@@ -140,6 +164,8 @@ class CoordinatorNode:
         if self.state in (State.WAITING, State.STOPPED):
             return ()
         self._clock.excuse_absence(self.tick, self.wake_ns, now_ns)
+        if self.state is State.PREPARING and self._fleet is not None:
+            return self._prepare(self._fleet, now_ns)
 
         if self.state is State.HELD:
             if now_ns < self._clock.hold_ends_ns:
@@ -152,7 +178,7 @@ class CoordinatorNode:
         expired = now_ns >= self._clock.expires_ns
         if expired and self.state is State.ENDING:
             return self._end()
-        if self._clock.plant_is_silent(now_ns):
+        if self._has_plant and self._clock.plant_is_silent(now_ns):
             reason = f"plant has not answered since tick {self._plant_tick}"
             return self._stop(EXIT_UNREACHABLE, reason)
 
@@ -179,7 +205,7 @@ class CoordinatorNode:
         The last one completes the record; on a radio, positions one tick old say who hears whom.
         """
         if self._is_last:
-            return self._plant_tick < self.tick
+            return self._has_plant and self._plant_tick < self.tick
         return self._air is not None and not self._air.may_open(self.tick + 1)
 
     @property
@@ -199,7 +225,9 @@ class CoordinatorNode:
                     text = "plan of an incarnation that is not on the roster"
                     raise MessageError("wrong_incarnation", text)
                 first = 0 if self._clock.is_realtime else self.tick
-                check_tick(message, first, self.tick)
+                # Agents of vehicles may open a tick before this process does.
+                last = self.tick if self._fleet is None else self._ticks - 1
+                check_tick(message, first, last)
 
     def _note_plant(self, plant_state: PlantState, now_ns: int) -> None:
         """Note what the plant has recorded, and whether it has diverged."""
@@ -221,6 +249,9 @@ class CoordinatorNode:
             if self._air is not None:
                 self._air.send(plan)
             return
+        if plan.tick > self.tick:
+            self._early[plan.agent] = plan
+            return
         self._failed_steps.count(plan)
         if plan.tick == self.tick:
             self._answered[plan.agent] = plan.shared
@@ -238,7 +269,7 @@ class CoordinatorNode:
 
     def _process_ready(self, event: Presence, now_ns: int) -> Sequence[Message]:
         """Note that a process is ready; open the first tick when all are."""
-        takes_part = event.name == PLANT or event.name in self._roster.agents
+        takes_part = event.name in (PLANT, *self._roster.agents, *self._vehicles)
         if not takes_part and event.name not in self._not_ready:
             return ()
         self._not_ready.discard(event.name)
@@ -247,11 +278,37 @@ class CoordinatorNode:
         self._roster.incarnations[event.name] = max(event.incarnation, before)
         if self._not_ready:
             return ()
-        return [self._roster.message("all processes are ready", 0), *self._open(now_ns)]
+        roster = self._roster.message("all processes are ready", 0)
+        if self._fleet is not None:
+            self.state = State.PREPARING
+            return [roster, *self._prepare(self._fleet, now_ns)]
+        return [roster, *self._open(now_ns)]
+
+    def _prepare(self, fleet: Fleet, now_ns: int) -> Sequence[Message]:
+        """Speak to the vehicles until all are ready; open the first tick at its instant."""
+        if fleet.start_ns:
+            if now_ns < fleet.steady_start_ns:
+                return ()
+            return self._open(now_ns)
+        if fleet.is_over(now_ns):
+            reason = f"the vehicles are not ready: {fleet.problem()}"
+            return self._stop(EXIT_UNREACHABLE, reason)
+        word = fleet.speak(now_ns)
+        if fleet.start_ns:
+            self._clock.begin(fleet.steady_start_ns)
+        return () if word is None else [word]
 
     def _agent_returned(self, event: Presence, now_ns: int) -> Sequence[Message]:
-        """Let a new incarnation of an agent join at the next tick."""
+        """Let a new incarnation of an agent join at the next tick; tell a vehicle all so far."""
         agent = self._roster.agents.get(event.name)
+        if agent is None and event.name in self._vehicles and self._fleet is not None:
+            self._roster.incarnations[event.name] = event.incarnation
+            reason = f"{event.name} returned at {self._roster.time(max(self.tick, 0))}"
+            return [
+                *self._roster.repeated(),
+                self._roster.message(reason, self.tick),
+                self._fleet.word(now_ns),
+            ]
         if agent is None:
             return ()
         known = self._roster.incarnations.get(event.name, -1)
@@ -277,7 +334,17 @@ class CoordinatorNode:
         self._observers.discard(event.name)
         if event.name == PLANT:
             return self._stop(EXIT_UNREACHABLE, "plant is gone")
+        if event.name in self._vehicles:
+            return self._vehicle_gone(event.name)
         return self._lose_member(agent, event.name, now_ns)
+
+    def _vehicle_gone(self, name: str) -> Sequence[Message]:
+        """Report a vehicle that is gone, or end the run by `clock.on_agent_loss`."""
+        reason = f"{name} is gone at {self._roster.time(max(self.tick, 0))}"
+        is_early = self.state in (State.WAITING, State.PREPARING)
+        if self._setup.scenario.clock.on_agent_loss == "abort" or is_early:
+            return self._stop(EXIT_UNREACHABLE, reason)
+        return [self._roster.message(reason, self.tick)]
 
     def _status(self) -> RunStatus:
         """Return the progress of the run, for requests."""
@@ -286,7 +353,7 @@ class CoordinatorNode:
             ticks=self._ticks,
             members=sorted(self._roster.members),
             observers=sorted(self._observers),
-            takes_changes=self.state is not State.WAITING and not self._is_last,
+            takes_changes=self.state not in (State.WAITING, State.PREPARING) and not self._is_last,
             period_ns=self._setup.period_ns,
         )
 
@@ -322,7 +389,8 @@ class CoordinatorNode:
         Before the first tick the run ends.
         """
         reason = f"{reason} at {self._roster.time(max(self.tick, 0))}"
-        if self._setup.scenario.clock.on_agent_loss == "abort" or self.state is State.WAITING:
+        is_early = self.state in (State.WAITING, State.PREPARING)
+        if self._setup.scenario.clock.on_agent_loss == "abort" or is_early:
             return self._stop(EXIT_UNREACHABLE, reason)
 
         self._roster.members.difference_update(agents)
@@ -338,7 +406,7 @@ class CoordinatorNode:
 
     def _close(self, now_ns: int) -> Sequence[Message]:
         """Close the open tick if it may be closed: open the next one, or end the run."""
-        if self.state is State.WAITING:
+        if self.state in (State.WAITING, State.PREPARING):
             return ()
         is_ending = self.state is State.ENDING
         if is_ending and self.tick > self._plant_tick:
@@ -387,6 +455,10 @@ class CoordinatorNode:
         self._answered = {}
         self._negotiating = {}
         self._clock.open(tick, self._roster.members, joined, now_ns)
+        early = [plan for plan in self._early.values() if plan.tick <= tick]
+        for plan in early:
+            del self._early[plan.agent]
+            self._note_plan(plan, now_ns)
         if self._plant_tick + 1 == tick:
             self._clock.plant_ns = now_ns  # it owes no earlier interval
         return [*changes, *air, opened]

@@ -115,9 +115,13 @@ class TeamRoster:
         messages += self._announce_targets(tick)
         return joined, messages
 
+    def repeated(self) -> list[Message]:
+        """Return all changes of links and targets so far, for a process that joins."""
+        return [self._out.again(message) for message in [*self._links, *self._targets]]
+
     def _join(self, tick: int) -> list[Message]:
         """Put the joining agents on the roster; return all changes so far, and the roster."""
-        repeated = [self._out.again(message) for message in [*self._links, *self._targets]]
+        repeated = self.repeated()
         self.members |= self.joining.keys()
         for agent, incarnation in self.joining.items():
             self.incarnations[agent_name(agent)] = incarnation

@@ -51,10 +51,27 @@ class Integrated:
     tensions: Array
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Period:
+    """What is decided at the beginning of a sampling period.
+
+    Attributes:
+        u: Commands over it, (4 N,).
+        sources: Source of those of each UAV, as in `PlantState.plan_ticks`.
+        forces: External forces, (3 + 3 N,), N; None without wind.
+        plans_lost: Plans that are known to be lost since the period before.
+    """
+
+    u: Array
+    sources: tuple[int, ...]
+    forces: Array | None
+    plans_lost: int
+
+
 class PlantNode(Participant):
     """Plant of one run."""
 
-    wake_ns = None
+    wake_ns: int | None = None
 
     def __init__(self, setup: Setup, incarnation: int = 0) -> None:
         section = setup.scenario.plant
@@ -232,31 +249,39 @@ class PlantNode(Participant):
 
     def _integrate(self, now_ns: int) -> list[Message]:
         """Integrate [t_k, t_{k+1}) and return what is recorded of it."""
-        k = self._k
-        x = self._x
+        period = self._period(now_ns)
+        return self._conclude(period, self._advance(period.u, period.forces))
+
+    def _period(self, now_ns: int) -> Period:
+        """Return what is decided for [t_k, t_{k+1})."""
         plans_lost = self._schedule_arrived(now_ns)
         u, sources = self._commands()
-        forces = self.environment.forces(k, x)
-        end = self._advance(u, forces)
+        forces = self.environment.forces(self._k, self._x)
+        return Period(u=u, sources=sources, forces=forces, plans_lost=plans_lost)
+
+    def _conclude(self, period: Period, end: Integrated) -> list[Message]:
+        """Go on to the next tick; return what is recorded of the period until it."""
+        k = self._k
+        x = self._x
         reason = self._failure(k + 1, end.x)
 
         self._diverged = bool(reason)
         self._k = k + 1
         self._x = end.x
-        self._u = u
+        self._u = period.u
         self._actual = end.actual
-        self._forces = forces
+        self._forces = period.forces
         oldest = k + 1 - self._usable_after
         self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick >= oldest}
         plant_state = self._out.stamp(
             PlantState,
             tick=k,
             x=x,
-            u=u,
-            plan_ticks=sources,
+            u=period.u,
+            plan_ticks=period.sources,
             local_error=end.error if np.isfinite(end.x).all() else UNKNOWN_ERROR,
             diverged=reason,
-            plans_lost=plans_lost,
+            plans_lost=period.plans_lost,
         )
         return [plant_state, *self._actual_inputs(k, end)]
 
@@ -279,23 +304,38 @@ class PlantNode(Participant):
 
     def _advance(self, u: Array, forces: Array | None) -> Integrated:
         """Integrate a sampling period under commands, (4 N,), and external forces, (3 + 3 N,)."""
-        x = self._x
-        error = UNKNOWN_ERROR  # less than any error
-        actual = u
-        mean = np.zeros_like(u)
-        tensions = np.array([np.inf])  # the least ones have the shape of the engine's
+        end = self._begun(u)
         part_s = self._period_s / self._parts
 
         for _ in range(self._parts):
             command = u
             if self._inner_loop is not None:
                 rates = u.reshape(-1, state.INPUTS)
-                command = self._inner_loop.moments(rates, x).reshape(-1)
-            for actual, duration_s in self._motors.inputs(command, part_s, self._steps):
-                x, local_error = self.engine.advance(actual, forces, duration_s)
-                error = max(local_error, error)
-                mean = mean + duration_s / self._period_s * actual
-                tensions = np.minimum(tensions, self.engine.tensions)
+                command = self._inner_loop.moments(rates, end.x).reshape(-1)
+            end = self._part(end, command, forces, part_s)
+        return end
+
+    def _begun(self, u: Array) -> Integrated:
+        """Return the state at the beginning of a period under inputs, (4 N,)."""
+        return Integrated(
+            x=self._x,
+            error=UNKNOWN_ERROR,  # less than any error
+            actual=u,
+            mean=np.zeros_like(u),
+            tensions=np.array([np.inf]),  # the least ones have the shape of the engine's
+        )
+
+    def _part(
+        self, until: Integrated, command: Array, forces: Array | None, part_s: float
+    ) -> Integrated:
+        """Integrate a part of a period, s, with thrust and moments commanded, (4 N,)."""
+        x, error, actual = until.x, until.error, until.actual
+        mean, tensions = until.mean, until.tensions
+        for actual, duration_s in self._motors.inputs(command, part_s, self._steps):
+            x, local_error = self.engine.advance(actual, forces, duration_s)
+            error = max(local_error, error)
+            mean = mean + duration_s / self._period_s * actual
+            tensions = np.minimum(tensions, self.engine.tensions)
         return Integrated(x=x, error=error, actual=actual, mean=mean, tensions=tensions)
 
     def _actual_inputs(self, k: int, end: Integrated) -> list[Message]:

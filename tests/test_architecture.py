@@ -21,6 +21,7 @@ LAYERS = {
     "agent": 3,
     "plant": 3,
     "coordinator": 3,
+    "vehicle": 3,
     "deploy": 3,
     "transport": 4,
 }
@@ -101,7 +102,7 @@ EXCEPTIONS = {
 }
 
 SOURCES = sorted(path for package in LAYERS for path in (ROOT / package).rglob("*.py"))
-NODES = [ROOT / role / "node.py" for role in ("agent", "plant", "coordinator")]
+NODES = [ROOT / role / "node.py" for role in ("agent", "plant", "coordinator", "vehicle")]
 PURE = [path for path in SOURCES if path.relative_to(ROOT).parts[0] in ("model", "mpc")]
 
 

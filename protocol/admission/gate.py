@@ -32,7 +32,17 @@ from transport.protocol.wire.messages import (
     Rejected,
     Target,
 )
-from transport.protocol.wire.names import AGENT, COORDINATOR, MAX_UAVS, PLANT, RECORDER, agent_name
+from transport.protocol.wire.names import (
+    AGENT,
+    COORDINATOR,
+    MAX_UAVS,
+    PLANT,
+    RECORDER,
+    VEHICLE,
+    agent_name,
+    role_of,
+    vehicle_name,
+)
 from transport.protocol.wire.node import Outbox, RunShape
 
 # Time between two batches of `Rejected` messages, ns.
@@ -150,6 +160,11 @@ class Gate:
 
         agents = range(1, MAX_UAVS + 1) if shape is None else shape.owned
         self._senders = {COORDINATOR, PLANT, RECORDER, *map(agent_name, agents)}
+        # None: either, in a run that is not known.
+        self._by_vehicles = None if shape is None else shape.by_vehicles
+        if self._by_vehicles is not False:
+            uavs = MAX_UAVS if shape is None else shape.uavs
+            self._senders |= {vehicle_name(uav) for uav in range(1, uavs + 1)}
         self._relayed = shape is not None and shape.relayed
         self._subscribed = [keys.end(key) for key in keys.subscriptions(name)]
         self._own = {keys.end(key) for key in keys.publications(name)}
@@ -279,6 +294,12 @@ class Gate:
             raise MessageError("wrong_sender", f"{message.kind} of this process itself")
         if message.sender not in self._senders:
             raise MessageError("unknown_agent", f"{message.kind} of {message.sender}")
+
+        if message.route.by_vehicles and self._by_vehicles is not None:
+            expected = VEHICLE if self._by_vehicles else PLANT
+            if role_of(message.sender) != expected:
+                text = f"{message.kind} of {message.sender}, expected it from the {expected}"
+                raise MessageError("wrong_sender", text)
 
         is_alone = bundle is None and isinstance(message, Plan) and message.negotiation == 0
         if self._relayed and is_alone:

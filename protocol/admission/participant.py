@@ -20,7 +20,14 @@ from transport.protocol.wire.messages import (
     Roster,
     Target,
 )
-from transport.protocol.wire.names import COORDINATOR, PLANT, agent_name
+from transport.protocol.wire.names import (
+    COORDINATOR,
+    PLANT,
+    VEHICLE,
+    agent_name,
+    role_of,
+    vehicle_name,
+)
 from transport.protocol.wire.node import Outbox, end_without_coordinator
 
 _KEPT = 1024  # plans kept for a roster to come: a few ticks of a large team
@@ -140,6 +147,7 @@ class Participant(ABC):
         self._setup = setup
         self._usable_after = after
         self._membership = Membership(own)
+        self._goes_on = setup.scenario.clock.on_coordinator_loss == "continue"
         self._waits = setup.scenario.clock.mode == "lockstep"
         # Scenario seconds per second; None in lockstep, where plans arrive by ticks.
         self._speed = None if self._waits else setup.scenario.clock.speed
@@ -153,7 +161,12 @@ class Participant(ABC):
 
         participants = (*map(agent_name, self._setup.agents), PLANT)
         senders = [name for name in participants if name != self.name]
-        self._links = {name: self._setup.link(name, self.name) for name in senders}
+        # A vehicle is to its agent what the plant is to all.
+        own = PLANT if role_of(self.name) == VEHICLE else self.name
+        self._links = {name: self._setup.link(name, own) for name in senders if name != own}
+        if self._setup.scenario.has_vehicles and own != PLANT:
+            for uav in range(1, self._setup.system.N + 1):
+                self._links[vehicle_name(uav)] = self._links[PLANT]
         self._link_changes = LinkChanges(self._links.values())
         self._plans: Arrivals[Plan] = Arrivals(
             self._links, after=self._usable_after, speed=self._speed, aired=self._hears_by_radio
@@ -165,7 +178,7 @@ class Participant(ABC):
         match event:
             case Message():
                 self._handle(event, now_ns)
-            case Presence(alive=False) if event.name == COORDINATOR:
+            case Presence(alive=False) if event.name == COORDINATOR and not self._goes_on:
                 self.finished = end_without_coordinator(
                     self._out, self._tick, "coordinator is gone"
                 )

@@ -27,7 +27,7 @@ from transport.protocol.wire.codec import VERSION
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.keys import RECORDER, Keys, Token
 from transport.protocol.wire.messages import Bundle, Event, Presence, Request
-from transport.protocol.wire.names import COORDINATOR, PLANT, agent_name
+from transport.protocol.wire.names import COORDINATOR, PLANT, VEHICLE, agent_name, role_of
 
 # Time in which the coordinator answers a process that is about to return, s.
 _ANSWER_S = 1.0
@@ -317,7 +317,9 @@ class Bus:
         status = self.ask(COORDINATOR, "status", timeout_s=1.0)
         if status is None or status.get("tick", -1) < 0:
             return None
-        team = {COORDINATOR, PLANT, *map(agent_name, status["members"])} & set(expected)
+        vehicles = {name for name in self.alive if role_of(name) == VEHICLE}
+        agents = map(agent_name, status["members"])
+        team = {COORDINATOR, PLANT, *agents, *vehicles} & set(expected)
         return (team | set(status.get("observers", ()))) - {self.name}
 
     def renew(self, incarnation: int) -> None:

@@ -11,7 +11,7 @@ from transport.protocol.network.security import Security, SecurityError
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.wire.keys import RECORDER
 from transport.protocol.wire.messages import agent_name
-from transport.protocol.wire.names import COORDINATOR, PLANT
+from transport.protocol.wire.names import COORDINATOR, PLANT, vehicle_name
 
 DEFAULT_BASE_PORT = 7447
 
@@ -66,7 +66,14 @@ def first_exposed(endpoints: Sequence[str]) -> str | None:
 
 def process_names(scenario: Scenario) -> list[str]:
     """Return the names of a run's processes in the order of their ports."""
-    return [COORDINATOR, PLANT, *[agent_name(agent + 1) for agent in range(len(scenario.owned))]]
+    agents = [agent_name(agent + 1) for agent in range(len(scenario.owned))]
+    vehicles = [vehicle_name(uav.id) for uav in scenario.system.uav]
+    return [
+        COORDINATOR,
+        *([PLANT] if scenario.has_plant else []),
+        *agents,
+        *(vehicles if scenario.has_vehicles else []),
+    ]
 
 
 def security_of(scenario: Scenario) -> Security | None:

@@ -4,6 +4,11 @@ import time
 from collections.abc import Callable
 
 
+def wall_offset_ns() -> int:
+    """Return the time since 1970 less the steady clock's, ns: what a process adds to its times."""
+    return time.time_ns() - time.monotonic_ns()
+
+
 class SteadyClock:
     """Wall-clock time of its construction, continued by a steady clock.
 

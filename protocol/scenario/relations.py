@@ -56,6 +56,10 @@ _NEEDS = (
     Need("clock.mode", "realtime", "controller.negotiation_iterations", 1),
     Need("clock.mode", "realtime", "plant.inner_loop", "model"),
     Need("clock.mode", "realtime", "clock.offsets_s", None),
+    Need("plant.kind", "vehicles", "plant.autopilot", None),
+    Need("plant.inner_loop", "betaflight", "plant.autopilot", None),
+    Need("clock.on_coordinator_loss", "continue", "clock.mode", "realtime"),
+    Need("clock.on_coordinator_loss", "continue", "clock.on_overrun", "continue"),
     Need("plant.engine", "rods", "plant.ground_m", None),
     Need("plant.engine", "rods", "plant.mujoco", MujocoSection()),
     Need("plant.inner_loop", "betaflight", "controller.inputs", "rates"),
@@ -82,6 +86,7 @@ def check_relations(scenario: Scenario, source: str) -> None:
         _clock,
         fault_problems,
         _plant,
+        _vehicles,
         _phases,
         _obstacles,
     )
@@ -283,6 +288,32 @@ def _plant(scenario: Scenario) -> Problems:
         if drag_kgps * period_s > mass_kg:
             expected = f"at most mass over sampling period {mass_kg / period_s:g}"
             yield f"plant.wind.{key}", expected, drag_kgps
+
+
+def _vehicles(scenario: Scenario) -> Problems:
+    """Yield what a run whose UAVs have processes of their own cannot have."""
+    if not scenario.has_vehicles:
+        return
+    cause = "plant.kind = 'vehicles' or plant.autopilot"
+    for key, needed in (
+        ("clock.mode", "realtime"),
+        ("clock.on_overrun", "continue"),
+        ("plant.sensors", "vehicle"),
+        ("controller.inputs", "rates"),
+        ("controller.fail_safe", "follow"),
+        ("radio", None),
+    ):
+        got = attrgetter(key)(scenario)
+        if got != needed:
+            yield key, f"{needed!r} with {cause}", f"{got!r:.60}"
+    if any(len(group) > 1 for group in scenario.owned):
+        yield (
+            "agents.owned",
+            f"one UAV for each agent with {cause}",
+            list(map(list, scenario.owned)),
+        )
+    if [group[0] for group in scenario.owned] != list(range(1, len(scenario.owned) + 1)):
+        yield "agents.owned", f"UAV i for agent i with {cause}", list(map(list, scenario.owned))
 
 
 def _phases(scenario: Scenario) -> Problems:

@@ -27,6 +27,7 @@ from transport.protocol.scenario.maneuver_sections import ManeuverSection, Obsta
 from transport.protocol.scenario.own_class import or_class
 from transport.protocol.scenario.plant_sections import PlantSection
 from transport.protocol.scenario.radio_section import RadioSection
+from transport.protocol.scenario.vehicles_section import VehiclesSection
 from transport.protocol.wire.messages import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS
 from transport.protocol.wire.names import MAX_UAVS
 
@@ -213,6 +214,9 @@ class ClockSection(Section):
     restarted agent"""
     on_agent_loss: Annotated[Literal["abort", "continue"], Key(short="on_agent_loss")] = "abort"
     """end the run with exit code 4, or continue without the agent, which may return"""
+    on_coordinator_loss: Literal["end", "continue"] = "end"
+    """end the run when the coordinator is gone, or in real time go on with the roster in force: each
+    process knows the instants of the ticks, and a coordinator that is started again takes over"""
     on_overrun: Literal["continue", "hold", "abort"] = "continue"
     """in real time, when plans are missing at a deadline: open the next tick, hold it for them, or
     end the run"""
@@ -289,6 +293,9 @@ class NetworkSection(Section):
     ([deploy.md](deploy.md#access-control))"""
     insecure: bool = False
     """true: listen unencrypted on an address that other hosts can reach"""
+    vehicle_port: Annotated[int, Interval(ge=1024, le=65_000)] | None = None
+    """with `plant.autopilot`, UDP port of the link to the autopilot of UAV 1, then UAV 2, ... Default:
+    free ports, or 14550 with processes started by hand"""
     secret: bool = True
     """false: any local process can connect to a run without `keys` and `router`, also without its
     random secret ([deploy.md](deploy.md#a-run-on-one-host))"""
@@ -317,7 +324,18 @@ class Scenario(Section):
     radio: RadioSection | None = None
     faults: FaultsSection = FaultsSection()
     plant: PlantSection = PlantSection()
+    vehicles: VehiclesSection = VehiclesSection()
     network: NetworkSection = NetworkSection()
+
+    @property
+    def has_plant(self) -> bool:
+        """Return whether a process simulates the team."""
+        return self.plant.kind == "simulated"
+
+    @property
+    def has_vehicles(self) -> bool:
+        """Return whether each UAV has a process that measures and acts by an autopilot."""
+        return not self.has_plant or self.plant.autopilot is not None
 
     @property
     def owned(self) -> tuple[tuple[int, ...], ...]:

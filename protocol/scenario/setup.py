@@ -279,6 +279,7 @@ class Setup:
             vehicle_sensors=self.sensors.vehicle,
             # The coordinator, which waits for all plans, hands them on.
             relayed=clock.mode == "lockstep",
+            by_vehicles=self.scenario.has_vehicles,
         )
 
     def link(self, sender: str, receiver: str) -> Link:

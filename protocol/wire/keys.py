@@ -15,9 +15,11 @@ from transport.protocol.wire.names import (
     PLANT,
     RECORDER,
     ROUTER,
+    VEHICLE,
     WATCHER,
     agent_name,
     role_of,
+    vehicle_name,
 )
 
 __all__ = [
@@ -101,6 +103,9 @@ class Keys:
                 # agents all that they share.
                 end = "*" if cls.route.sender == AGENT else name.removeprefix(AGENT)
                 keys.append(self._under(cls, end)[0])
+            elif role == VEHICLE and cls.route.sender == AGENT:
+                # Of plans it receives those of its own agent, shared or not.
+                keys += self._under(cls, name.removeprefix(VEHICLE))
             else:
                 keys += self._under(cls, "*")
         if role == RECORDER:
@@ -110,13 +115,14 @@ class Keys:
     def publications(self, name: str) -> list[str]:
         """Return the keys a process may publish under; recorder and watchers have none."""
         role = role_of(name)
-        if role not in (COORDINATOR, PLANT, AGENT):
+        if role not in (COORDINATOR, PLANT, AGENT, VEHICLE):
             return []
         keys: list[str] = []
         for cls in _CLASSES:
-            if cls.route.sender not in (role, None):
+            is_own = cls.route.sender in (role, None) or (role == VEHICLE and cls.route.by_vehicles)
+            if not is_own:
                 continue
-            end = name.removeprefix(AGENT) if role == AGENT else "*"
+            end = name.removeprefix(role) if role in (AGENT, VEHICLE) else "*"
             if cls.route.each == "sender":
                 end = name
             keys += self._under(cls, end)
@@ -174,6 +180,10 @@ class Keys:
         if owner == AGENT:
             agent: int = getattr(message, "agent")  # noqa: B009  # messages of agents have the field
             owner = agent_name(agent)
+        if owner == VEHICLE:
+            owner = vehicle_name(getattr(message, "uav"))  # noqa: B009  # as do those of vehicles
+        if message.route.by_vehicles and role_of(sender) == VEHICLE:
+            owner = vehicle_name(getattr(message, "agent"))  # noqa: B009
         if owner not in (None, sender):  # without an owner the key ends with the sender
             text = f"{message.kind} from {sender}, expected it from {owner}"
             raise MessageError("wrong_sender", text, sender)

@@ -27,8 +27,10 @@ from transport.protocol.wire.names import (
     MAX_UAVS,
     PLANT,
     RECORDER,
+    VEHICLE,
     WATCHER,
     agent_name,
+    vehicle_name,
 )
 
 # Limits of a message; anything beyond them is refused, from any sender.
@@ -61,6 +63,8 @@ PlanTicks = Annotated[
 ]
 Finite = Annotated[float, Meta(ge=-_LARGEST, le=_LARGEST)]
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
+# Instants of the common clock, ns since 1970; 0 before there is one.
+Instants = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 KeyEnds = Annotated[
     tuple[Annotated[str, Meta(max_length=MAX_KEY)], ...], Meta(max_length=MAX_PARTS)
 ]
@@ -93,6 +97,8 @@ class Route:
     unshared_key: str = ""
     grows: str = "sequence"
     falls: str = ""
+    # Whether it comes from the process of the UAV in place of the sender where a run has vehicles.
+    by_vehicles: bool = False
 
 
 class Message(
@@ -178,7 +184,7 @@ FaultOrigin = Literal["script", "person", "unknown"]
 # of the computation.
 STAGES = ("wait", "estimate", "linearise", "discretise", "condense", "solve", "publish", "total")
 
-_ALL_BUT_COORDINATOR = (AGENT, PLANT, RECORDER, WATCHER)
+_ALL_BUT_COORDINATOR = (AGENT, PLANT, VEHICLE, RECORDER, WATCHER)
 
 
 def _per_uav(numbers: int) -> ShapeOf:
@@ -330,14 +336,64 @@ class Airtime(Message, tag="airtime", frozen=True, kw_only=True):
         return np.asarray(self.arrivals[is_decided])
 
 
+class Schedule(Message, tag="schedule", frozen=True, kw_only=True):
+    """Coordinator to plant and vehicles: the instants of the ticks, on the common clock.
+
+    Tick k is at `start_ns` + k T_s / speed for every process, also without a coordinator.
+    """
+
+    route: ClassVar[Route] = Route(
+        sender=COORDINATOR, receivers=(PLANT, VEHICLE, RECORDER, WATCHER)
+    )
+
+    sent_ns: Instants  # when the coordinator sent this, by its clock
+    start_ns: Instants  # of tick 0; 0 while vehicles are still preparing
+
+
 # The control loop
 
 
-class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
-    """Plant to one agent: the measurements of tick k. It opens the tick for that agent."""
+class VehicleStatus(Message, tag="vehicle", frozen=True, kw_only=True):
+    """Vehicle to coordinator, the other vehicles and the record: how its UAV is.
+
+    At each tick, and some times a second before the first.
+    """
 
     route: ClassVar[Route] = Route(
-        sender=PLANT, receivers=(AGENT, RECORDER), each="agent", grows="tick"
+        sender=VEHICLE, receivers=(COORDINATOR, PLANT, VEHICLE, RECORDER, WATCHER), each="sender"
+    )
+    shapes: ClassVar[Mapping[str, ShapeOf]] = {"position": lambda _: (3,)}
+
+    uav: Agent
+    phase: Text  # see `vehicle.phases`
+    problem: Text  # what keeps it from going on, or has happened; empty for nothing
+    armed: bool
+    mode: Text  # of the autopilot
+    battery: Finite  # share that is left; -1 where it is not known
+    healthy: bool  # whether the autopilot believes its estimate
+    position: Array  # by its estimate, (3,), common frame, m; zeros before one
+    age_s: Finite  # of the measurements at the tick; -1 before there are some
+    # Tick of the plan that it follows: -1 before any, -2 for its own law, -3 without setpoints.
+    plan_tick: Annotated[int, Meta(ge=-3, le=MAX_TICK)]
+    latency_s: Finite  # from the arrival of that plan to its first setpoint; -1 for none
+    late_s: Finite  # largest delay of a setpoint after its instant since the last status
+    roster: Count  # version of the newest roster that it has
+    # For the offset of clocks: `Schedule.sent_ns` of the newest, when it arrived, when this was sent.
+    heard_ns: Instants
+    heard_at_ns: Instants
+    sent_ns: Instants
+    start_ns: Instants  # of the ticks that it follows; 0 before
+
+
+class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
+    """Plant, or vehicle, to one agent: the measurements of tick k. It opens the tick for that agent."""
+
+    route: ClassVar[Route] = Route(
+        sender=PLANT,
+        receivers=(AGENT, RECORDER),
+        each="agent",
+        grows="tick",
+        by_vehicles=True,
     )
     shapes: ClassVar[Mapping[str, ShapeOf]] = {
         "payload": lambda message: (0 if message.uav_states.shape[-1:] == (SENSED,) else PAYLOAD,),
@@ -381,7 +437,7 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
 
     route: ClassVar[Route] = Route(
         sender=AGENT,
-        receivers=(AGENT, COORDINATOR, PLANT, RECORDER),
+        receivers=(AGENT, COORDINATOR, PLANT, VEHICLE, RECORDER),
         each="agent",
         unshared_key="unshared",
         grows="tick",

@@ -28,6 +28,8 @@ class RunShape:
     # Whether UAVs are described by the measurements of their own sensors, not by states.
     vehicle_sensors: bool
     relayed: bool  # whether plans come in bundles
+    # Whether measurements come from the process of each UAV, not from the plant.
+    by_vehicles: bool = False
 
 
 class Node(Protocol):

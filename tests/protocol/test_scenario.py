@@ -47,6 +47,8 @@ OTHER_WORDS = {
     "mode": "realtime",
     "on_agent_loss": "continue",
     "on_collision": "end",
+    "on_coordinator_loss": "continue",
+    "autopilot": "px4",
     "on_overrun": "hold",
     "between": "agent4",
     "from": "agent3",
@@ -104,11 +106,20 @@ def changed(tree: dict[str, Any], path: tuple[str | int, ...]) -> dict[str, Any]
     value = node[path[-1]]
     if isinstance(value, bool):
         node[path[-1]] = not value
+    elif path == ("plant", "kind"):
+        node[path[-1]] = "vehicles"
     elif isinstance(value, str):
         node[path[-1]] = OTHER_WORDS[next(key for key in reversed(path) if isinstance(key, str))]
     elif path[-1] in ("loss", "duplicate", "reorder", "enter", "leave"):
         node[path[-1]] = 0.5
-    elif path[-1] in ("relaxation", "step_s", "failed_share"):
+    elif path[-1] in (
+        "relaxation",
+        "step_s",
+        "failed_share",
+        "battery",
+        "stale_s",
+        "clock_offset_s",
+    ):
         node[path[-1]] = value / 2
     else:
         node[path[-1]] = value + 1
@@ -159,6 +170,7 @@ def test_defaults() -> None:
         "barrier_timeout_s": 5.0,
         "join_timeout_s": 30.0,
         "on_agent_loss": "abort",
+        "on_coordinator_loss": "end",
         "on_overrun": "continue",
         "overrun_limit": 0,
     }

@@ -34,6 +34,7 @@ _EXTRAS = {
     "cryptography": "deploy",
     "prometheus_client": "metrics",
     "pyarrow": "parquet",
+    "pymavlink": "flight",
     "rosbags": "ros2",
 }
 

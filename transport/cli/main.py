@@ -92,6 +92,10 @@ app = lazy_group(
             ),
             "plant": ("processes:plant", "Run the plant: dynamics and actuators."),
             "agent": ("processes:agent", "Run one agent: the controller of the UAVs it owns."),
+            "vehicle": (
+                "processes:vehicle",
+                "Connect one UAV: its agent and its autopilot.",
+            ),
             "record": (
                 "processes:record",
                 "Record and report a run whose processes were started by hand.",

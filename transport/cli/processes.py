@@ -33,13 +33,19 @@ from transport.cli.options import (
 from transport.cli.output import Format, blame, fail
 from transport.model.compiled import needs_compilation
 from transport.protocol.network.bus import Place
-from transport.protocol.network.endpoints import Endpoints, endpoints_of, security_of
+from transport.protocol.network.endpoints import (
+    Endpoints,
+    endpoints_of,
+    process_names,
+    security_of,
+)
 from transport.protocol.network.process import Journal, run_node
 from transport.protocol.scenario.built import kinds_of
+from transport.protocol.network.steady_clock import wall_offset_ns
 from transport.protocol.scenario.schema import LONGEST_WAIT_S
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.keys import ROUTER, Keys
-from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER, agent_name
+from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER, agent_name, vehicle_name
 
 if TYPE_CHECKING:
     from transport.mpc.regulation import Regulation
@@ -177,8 +183,7 @@ def agent(
     place = options.place(agent_name(number))
     node = AgentNode(setup, number, place.incarnation, time.perf_counter_ns)
     node.warm_up()
-    others = [name for name in map(agent_name, setup.agents) if name != node.name]
-    raise typer.Exit(run_node(node, place, setup, [COORDINATOR, PLANT, *others]))
+    raise typer.Exit(run_node(node, place, setup, _others(setup, node.name)))
 
 
 @with_options(ProcessOptions)
@@ -196,8 +201,8 @@ def coordinator(
 
     setup = options.setup()
     place = options.place(COORDINATOR)
-    node = CoordinatorNode(setup, place.incarnation, observer or [])
-    others = [PLANT, *map(agent_name, setup.agents), *(observer or [])]
+    node = CoordinatorNode(setup, place.incarnation, observer or [], wall_offset_ns())
+    others = [*_others(setup, COORDINATOR), *(observer or [])]
     raise typer.Exit(
         run_node(node, place, setup, others, on_interrupt=node.interrupt, linger_for=others)
     )
@@ -212,10 +217,71 @@ def plant(options: ProcessOptions) -> None:
     from transport.plant.node import PlantNode
 
     setup = options.compiled_setup()
+    if not setup.scenario.has_plant:
+        fail("plant: expected a scenario with plant.kind = 'simulated', got 'vehicles'")
     place = options.place(PLANT)
-    node = PlantNode(setup, place.incarnation)
+    if setup.scenario.plant.autopilot is None:
+        node = PlantNode(setup, place.incarnation)
+    else:
+        from transport.plant.autopilot.node import PlayedPlant
+        from transport.plant.autopilot.processes import DEFAULT_PORT, Autopilots
+
+        port = setup.scenario.network.vehicle_port or DEFAULT_PORT
+        autopilots = Autopilots(setup, port)
+        node = PlayedPlant(setup, autopilots, place.incarnation, wall_offset_ns())
     node.warm_up()
-    raise typer.Exit(run_node(node, place, setup, [COORDINATOR, *map(agent_name, setup.agents)]))
+    raise typer.Exit(run_node(node, place, setup, _others(setup, PLANT)))
+
+
+def _others(setup: Setup, name: str) -> list[str]:
+    """Return the names of the other processes of a run."""
+    return [other for other in process_names(setup.scenario) if other != name]
+
+
+@with_options(ProcessOptions)
+def vehicle(
+    options: ProcessOptions,
+    uav: int = Option(..., metavar="NUMBER", min=1, help="Number of the UAV, from 1."),
+    link: str = Option(
+        ...,
+        metavar="ENDPOINT",
+        help="MAVLink to the autopilot: udp:HOST:PORT to listen, udpclient:HOST:PORT to call.",
+    ),
+    autopilot: str | None = Option(
+        None, metavar="NAME", help="ardupilot or px4; by default the scenario's."
+    ),
+    key: Path | None = Option(
+        None, metavar="FILE", help="Key of MAVLink signing: 64 hexadecimal digits."
+    ),
+    stands: bool = Option(
+        False, "--stands", help="The UAV stands until tick 0: arm it, and give the hover thrust."
+    ),
+    check: bool = Option(
+        False, "--check", help="Only check the autopilot, for 10 s; exit code 9 if it does not fit."
+    ),
+) -> None:
+    """Connect one UAV: its agent and its autopilot.
+
+    Example: transport vehicle --uav 2 --autopilot ardupilot --link udp:127.0.0.1:14550
+    """
+    from transport.vehicle.node import VehicleNode
+    from transport.vehicle.start import check_autopilot, open_autopilot
+
+    setup = options.setup() if check else options.compiled_setup()
+    if uav > setup.system.N:
+        allowed = f"1 to {setup.system.N} of scenario {setup.scenario.name}"
+        fail(f"--uav: expected a UAV from {allowed}, got {uav}")
+    driver = open_autopilot(setup, uav, link, autopilot, key)
+    try:
+        if check:
+            raise typer.Exit(check_autopilot(driver, typer.echo))
+        place = options.place(vehicle_name(uav))
+        offset_ns = wall_offset_ns()
+        node = VehicleNode(setup, uav, driver, place.incarnation, offset_ns, stands=stands)
+        node.warm_up()
+        raise typer.Exit(run_node(node, place, setup, _others(setup, node.name)))
+    finally:
+        driver.close()
 
 
 @with_options(ProcessOptions)

@@ -19,8 +19,16 @@ from transport.protocol.network.parent import PARENT_PIPE, STANDBY
 from transport.protocol.scenario.schema import LONGEST_WAIT_S
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
-from transport.protocol.wire.names import COORDINATOR, RECORDER
+from transport.protocol.wire.names import (
+    AGENT,
+    COORDINATOR,
+    PLANT,
+    RECORDER,
+    VEHICLE,
+    role_of,
+)
 
+_TRIES = 100  # to find successive ports
 _GRACE_S = 5.0  # time for processes to end before they are killed, and for killed ones
 
 
@@ -160,6 +168,7 @@ class Harness:
     mesh: Mapping[str, Endpoints]  # endpoints by process name
     logs: Path  # folder for their output
     keys: Path | None = None  # folder of keys in place of the scenario's
+    vehicle_port: int = 0  # UDP port of the link to the autopilot of UAV 1; 0 without vehicles
     children: list[Child] = field(default_factory=list)  # processes in the order of their starts
 
     def ended(self) -> list[Child]:
@@ -206,8 +215,13 @@ class Harness:
     def _arguments(self, name: str, incarnation: int) -> list[str]:
         """Return the arguments of `transport` that make a process of the mesh."""
         arguments = [name]
-        if name.startswith("agent"):
-            arguments = ["agent", "--id", name.removeprefix("agent")]
+        role = role_of(name)
+        if role == AGENT:
+            arguments = [AGENT, "--id", name.removeprefix(AGENT)]
+        if role == VEHICLE:
+            uav = int(name.removeprefix(VEHICLE))
+            link = f"udp:127.0.0.1:{self.vehicle_port + uav - 1}"
+            arguments = [VEHICLE, "--uav", str(uav), "--link", link, "--stands"]
         arguments.append("--allow-large")  # the parent has checked the scenario's size
 
         options = [
@@ -215,6 +229,8 @@ class Harness:
             ("--run", self.run),
             ("--incarnation", str(incarnation)),
         ]
+        if role in (PLANT, VEHICLE) and self.vehicle_port:
+            options.append(("--set", f"network.vehicle_port={self.vehicle_port}"))
         if self.keys is not None:
             options.append(("--set", keys_setting(self.keys)))
         # The recorder gives up processes that do not join: it knows which are on their way.
@@ -261,3 +277,20 @@ def _reserved(probe: socket.socket, host: str, port: int) -> int:
         raise HarnessError(f"network.{key}: {problem}") from error
     number: int = probe.getsockname()[1]
     return number
+
+
+def free_udp_ports(count: int) -> int:
+    """Return the first of some successive UDP ports of this host that are free at the moment.
+
+    Raises: HarnessError: there are none.
+    """
+    for _ in range(_TRIES):
+        with ExitStack() as stack, suppress(OSError):
+            probe = stack.enter_context(socket.socket(type=socket.SOCK_DGRAM))
+            probe.bind(("127.0.0.1", 0))
+            first: int = probe.getsockname()[1]
+            for port in range(first + 1, first + count):
+                probe = stack.enter_context(socket.socket(type=socket.SOCK_DGRAM))
+                probe.bind(("127.0.0.1", port))
+            return first
+    raise HarnessError(f"network.vehicle_port: found no {count} successive free UDP ports")

@@ -13,7 +13,13 @@ from rich.console import Console
 
 from transport.flight import live
 from transport.flight.fault_script import FaultScript
-from transport.flight.harness import Child, Harness, keys_setting, reserved_ports
+from transport.flight.harness import (
+    Child,
+    Harness,
+    free_udp_ports,
+    keys_setting,
+    reserved_ports,
+)
 from transport.flight.priority import below_the_team
 from transport.flight.progress import RunProgress, compile_models
 from transport.flight.recorder import Recorder
@@ -191,6 +197,10 @@ def _harness(
     own = {name: place for name, place in addresses.processes.items() if name not in external}
     scenario_file = folder / "scenario.toml"
     harness = Harness(addresses.run, scenario_file, own, folder / "logs", own_keys_folder)
+    scenario = progress.setup.scenario
+    if scenario.plant.autopilot is not None:
+        given = scenario.network.vehicle_port
+        harness.vehicle_port = given or free_udp_ports(progress.setup.system.N)
     try:
         for name in own:
             harness.start(name)

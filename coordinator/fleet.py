@@ -1,0 +1,138 @@
+"""The vehicles of a run before and during the flight, as the coordinator knows them.
+
+PREPARING  vehicles tell their phase and problem, five times a second; each answer to a word of
+           the coordinator measures the offset of its clock
+ENGAGING   all are ready, in their places, with one time: tick 0 is told, a second ahead
+"""
+
+import math
+from itertools import combinations
+
+import numpy as np
+
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Schedule, VehicleStatus
+from transport.protocol.wire.node import Outbox
+
+# Time between two words to the vehicles before tick 0, and from the decision to tick 0, ns.
+_EVERY_NS = 200_000_000
+_AHEAD_NS = 1_000_000_000
+READY = "ready"  # `vehicle.node.Phase`
+
+
+class Fleet:
+    """Newest status of each vehicle, by UAV, 1-based; times are ns of a steady clock.
+
+    wall_offset_ns: The common clock less the steady one, ns.
+
+    Attributes:
+        start_ns: Instant of tick 0 by the common clock, 0 before it is decided.
+        next_ns: When the next word is due.
+    """
+
+    def __init__(self, setup: Setup, out: Outbox, wall_offset_ns: int) -> None:
+        self._setup = setup
+        self._section = setup.scenario.vehicles
+        self._out = out
+        self._wall_offset_ns = wall_offset_ns
+        self._status: dict[int, VehicleStatus] = {}
+        # Offset of each clock and its uncertainty, s: of the exchange that took least time.
+        self._offsets: dict[int, tuple[float, float]] = {}
+        self._began_ns: int | None = None
+        self.start_ns = 0
+        self.next_ns = 0
+
+    @property
+    def steady_start_ns(self) -> int:
+        """Instant of tick 0 by the steady clock."""
+        return self.start_ns - self._wall_offset_ns
+
+    def take(self, status: VehicleStatus, now_ns: int) -> None:
+        """Take in a status.
+
+        The offset of its clock is ((t2 - t1) + (t3 - t4)) / 2, where t1 is when the coordinator sent,
+        t2 and t3 are when the vehicle received and answered, by its clock, and t4 is now. It is
+        wrong by at most half the time on the way, (t4 - t1) - (t3 - t2).
+        """
+        self._status[status.uav] = status
+        if not status.heard_ns:
+            return
+        t4 = now_ns + self._wall_offset_ns
+        there_ns = status.heard_at_ns - status.heard_ns
+        back_ns = status.sent_ns - t4
+        offset_s = (there_ns + back_ns) / 2e9
+        doubt_s = (there_ns - back_ns) / 2e9
+        if doubt_s < self._offsets.get(status.uav, (0.0, math.inf))[1]:
+            self._offsets[status.uav] = offset_s, doubt_s
+
+    def speak(self, now_ns: int) -> Schedule | None:
+        """Return the word that is due, and decide tick 0 once nothing is missing."""
+        if self._began_ns is None:
+            self._began_ns = now_ns
+        if now_ns < self.next_ns:
+            return None
+        self.next_ns = now_ns + _EVERY_NS
+        if not self.start_ns and not self.problem():
+            self.start_ns = now_ns + self._wall_offset_ns + _AHEAD_NS
+        return self.word(now_ns)
+
+    def word(self, now_ns: int) -> Schedule:
+        """Return the instants of the ticks, as far as they are decided."""
+        sent_ns = now_ns + self._wall_offset_ns
+        return self._out.stamp(Schedule, tick=0, sent_ns=sent_ns, start_ns=self.start_ns)
+
+    def is_over(self, now_ns: int) -> bool:
+        """Return whether the time is over in which vehicles have to be ready."""
+        waited_ns = now_ns - (now_ns if self._began_ns is None else self._began_ns)
+        return not self.start_ns and waited_ns > self._section.ready_s * 1e9
+
+    def problem(self) -> str:
+        """Return what keeps the team from its first tick, empty if nothing does."""
+        for uav in range(1, self._setup.system.N + 1):
+            status = self._status.get(uav)
+            if status is None:
+                return f"vehicle{uav}: no word from it"
+            if status.phase != READY:
+                return f"vehicle{uav} is {status.phase}: {status.problem}"
+            offset_s, doubt_s = self._offsets.get(uav, (0.0, math.inf))
+            most_s = self._section.clock_offset_s
+            if not abs(offset_s) + doubt_s <= most_s:
+                limit = f"expected at most {1e3 * most_s:g} ms with its uncertainty"
+                got = f"got {1e3 * offset_s:+.1f} ms +- {1e3 * doubt_s:.1f} ms"
+                return f"vehicle{uav}: clock: {limit}, {got}"
+        return self._misplaced()
+
+    def _misplaced(self) -> str:
+        """Return which distance between two UAVs does not fit the rods at hover, empty if all do."""
+        x = self._setup.initial_state()
+        wanted = self._setup.model.sensed(x, self._setup.hover.u).reshape(-1, 15)[:, :3]
+        for one, other in combinations(range(self._setup.system.N), 2):
+            expected_m = float(np.linalg.norm(wanted[one] - wanted[other]))
+            apart = self._status[one + 1].position - self._status[other + 1].position
+            got_m = float(np.linalg.norm(apart))
+            if abs(got_m - expected_m) > self._section.distance_m:
+                expected = f"expected {expected_m:.2f} m +- {self._section.distance_m:g} m"
+                where = "between their positions, as the rods hold them"
+                return f"UAV{one + 1} and UAV{other + 1}: {expected} {where}, got {got_m:.2f} m"
+        for uav, place in enumerate(wanted, start=1):
+            off_m = float(np.linalg.norm(self._status[uav].position - place))
+            if off_m > 2.0 * self._section.distance_m:
+                most = f"expected within {2.0 * self._section.distance_m:g} m"
+                return (
+                    f"UAV{uav}: {most} of its place at the start of the maneuver, got {off_m:.2f} m"
+                )
+        return ""
+
+    def follow(self, start_ns: int) -> None:
+        """Take the instants of the ticks that the vehicles follow already."""
+        self.start_ns = start_ns
+
+    @property
+    def roster(self) -> int:
+        """Newest version of a roster that a vehicle has."""
+        return max((status.roster for status in self._status.values()), default=0)
+
+    @property
+    def followed_ns(self) -> int:
+        """Instant of tick 0 that vehicles follow, by the common clock; 0 before."""
+        return max((status.start_ns for status in self._status.values()), default=0)

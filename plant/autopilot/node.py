@@ -1,0 +1,150 @@
+"""The plant of a run whose simulated UAVs are flown by autopilots.
+
+It plays physics and sensors to them in small steps, at the pace of the run, and measures for
+nobody: measurements come from the processes of the vehicles, which hear the autopilots. Until
+tick 0 the team stands: its state is held, while the autopilots start, arm and raise their thrust.
+"""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from transport.model.arrays import Array
+from transport.plant.node import Integrated, PlantNode
+from transport.protocol.admission.ticking import Ticking
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Message, Schedule
+
+# Most steps in one turn, so that messages are read between them.
+_MOST_STEPS = 40
+# Time between two turns, s of wall time.
+_TURN_S = 0.005
+# Time by which the physics may be behind the clock of the run, s of wall time.
+_BEHIND_S = 1.0
+
+
+class AutopilotBank(Protocol):
+    """Autopilots of all UAVs, in lockstep with the physics."""
+
+    step_s: float
+    failure: str  # why the run ends; empty while all answer
+
+    def inputs(self) -> Array:
+        """Return thrust and moments of the motors, (4 N,), N and N m."""
+
+    def sense(self, time_s: float, sensed: Array) -> None:
+        """Let all go on for a step by their sensors at a time since their start, (15 N,)."""
+
+
+class PlayedPlant(PlantNode):
+    """Plant that plays physics to autopilots.
+
+    wall_offset_ns: The common clock less the steady clock of this process, ns.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        autopilots: AutopilotBank,
+        incarnation: int = 0,
+        wall_offset_ns: int = 0,
+    ) -> None:
+        super().__init__(setup, incarnation)
+        self._autopilots = autopilots
+        self._wall_offset_ns = wall_offset_ns
+        self._step_ns = round(autopilots.step_s * 1e9)
+        self._steps_per_tick = round(self._period_s / autopilots.step_s)
+        self._steps = 1  # integration steps between two exchanges
+        self._speed_of_run = setup.scenario.clock.speed
+        self.wake_ns = 0
+        self._begun_ns: int | None = None  # when the first step was played
+        self._played = 0  # steps since then
+        self._first: int | None = None  # the step of tick 0
+        self._ticking: Ticking | None = None
+        self._period: tuple[Array, tuple[int, ...], Array | None] | None = None
+        self._until: Integrated | None = None  # within the period
+
+    def _take(self, message: Message, now_ns: int) -> None:
+        if isinstance(message, Schedule) and message.start_ns and self._ticking is None:
+            self._ticking = Ticking.of(
+                message.start_ns,
+                self._setup.period_ns,
+                self._speed_of_run,
+                self._wall_offset_ns,
+            )
+            begun_ns = now_ns if self._begun_ns is None else self._begun_ns
+            passed_ns = (self._ticking.start_ns - begun_ns) * self._speed_of_run
+            self._first = max(round(passed_ns / self._step_ns), self._played)
+
+    def _work(self, now_ns: int) -> list[Message]:  # noqa: ARG002
+        """Return nothing on a message: this plant acts by its clock."""
+        return []
+
+    def poll(self, now_ns: int) -> Sequence[Message]:
+        """Play the steps that are due; return what is recorded of periods that end."""
+        if self._begun_ns is None:
+            self._begun_ns = now_ns
+        due = int((now_ns - self._begun_ns) * self._speed_of_run / self._step_ns)
+        behind_s = (due - self._played) * self._autopilots.step_s / self._speed_of_run
+        out: list[Message] = []
+        if self._first is None:
+            # Before tick 0 is told nothing depends on the pace: a host that is slow falls back.
+            if behind_s > _BEHIND_S:
+                self._begun_ns += round((behind_s - _BEHIND_S) * 1e9)
+        elif behind_s > _BEHIND_S and not self._diverged:
+            remedy = "lower clock.speed"
+            self._autopilots.failure = f"the physics are {behind_s:.1f} s behind: {remedy}"
+        for _ in range(min(due - self._played, _MOST_STEPS)):
+            if self._diverged:
+                break
+            out += self._play(now_ns)
+        is_behind = due > self._played
+        self.wake_ns = now_ns if is_behind else now_ns + round(_TURN_S * 1e9)
+        if self._diverged:
+            self.wake_ns = now_ns + round(1e9)
+        return out
+
+    def _play(self, now_ns: int) -> list[Message]:
+        """Play one step; return what is recorded of a period that ends with it."""
+        wrench = self._autopilots.inputs()
+        free = -1 if self._first is None else self._played - self._first
+        out: list[Message] = []
+        x, actual = self._x, self._actual
+        if free >= 0:
+            if free % self._steps_per_tick == 0:
+                self._begin_period(free // self._steps_per_tick, now_ns)
+            out = self._step(wrench, (free + 1) % self._steps_per_tick == 0)
+            x = self._x if self._until is None else self._until.x
+            actual = self._actual if self._until is None else self._until.actual
+        forces = None if self._period is None else self._period[2]
+        sensed = self.environment.model.sensed(x, actual, forces=forces)
+        self._played += 1
+        self._autopilots.sense(self._played * self._autopilots.step_s, sensed)
+        return out
+
+    def _begin_period(self, k: int, now_ns: int) -> None:
+        """Begin the period of tick k: failures of UAVs, the plans for the record, the wind."""
+        self._tick = k
+        self._fail_uavs(k)
+        self._schedule_arrived(now_ns)
+        u, sources = self._commands()
+        self._period = u, sources, self.environment.forces(k, self._x)
+        self._until = self._begun(u)
+
+    def _step(self, wrench: Array, is_last: bool) -> list[Message]:
+        """Integrate one step under thrust and moments of the motors; conclude a period with its last."""
+        if self._period is None or self._until is None:
+            return []
+        u, sources, forces = self._period
+        self._until = self._part(self._until, wrench, forces, self._autopilots.step_s)
+        if not is_last and not self._autopilots.failure:
+            return []
+        end = self._until
+        self._until = None
+        if self._k >= self._setup.ticks:  # after the last tick nothing is recorded
+            self._x = end.x
+            return []
+        return self._conclude(u, sources, forces, end)
+
+    def _failure(self, tick: int, x: Array) -> str:
+        """Return why the run ends after a period, empty if it goes on."""
+        return self._autopilots.failure or super()._failure(tick, x)

@@ -1,0 +1,137 @@
+"""MAVLink over UDP: which packets count, through real sockets."""
+
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from transport.protocol.network.mavlink import (
+    Endpoint,
+    LinkError,
+    MavlinkLink,
+    Signatures,
+    messages,
+    read_key,
+)
+
+KEY = bytes(range(32))
+WAIT_S = 1.0  # for a packet that comes
+SHORT_S = 0.05  # for one that does not
+
+
+def heartbeat() -> Any:
+    """A message of an autopilot."""
+    m = messages()
+    return m.MAVLink_heartbeat_message(m.MAV_TYPE_QUADROTOR, 3, 0, 4, 4, 3)
+
+
+def packet(system: int, key: bytes | None = None, timestamp: int | None = None) -> bytes:
+    """Bytes of a heartbeat of a system, as a link sends them."""
+    sent: list[bytes] = []
+    link = object.__new__(MavlinkLink)
+    link._mav = messages().MAVLink(None, srcSystem=system, srcComponent=1)
+    link._signatures = None if key is None else Signatures(key)
+    if link._signatures is not None and timestamp is not None:
+        link._signatures._sent = timestamp
+    link._is_client, link._peer = True, None
+
+    class Kept:
+        def send(self, data: bytes) -> None:
+            sent.append(data)
+
+    link._socket = Kept()  # type: ignore[assignment]
+    link.send(heartbeat())
+    return sent[0]
+
+
+@pytest.fixture(params=[None, KEY], ids=["open", "signed"])
+def key(request: pytest.FixtureRequest) -> Any:
+    """Key of the links of a test, or none."""
+    return request.param
+
+
+@pytest.fixture
+def listening(key: bytes | None) -> Iterator[tuple[MavlinkLink, int]]:
+    """A link to system 2, and its port."""
+    link = MavlinkLink(Endpoint(False, "127.0.0.1", 0), (255, 191), 2, key)
+    yield link, link._socket.getsockname()[1]
+    link.close()
+
+
+def sent(data: bytes, port: int, link: MavlinkLink, timeout_s: float) -> list[Any]:
+    """The messages of a datagram from a new address that count."""
+    with socket.socket(type=socket.SOCK_DGRAM) as stranger:
+        stranger.sendto(data, ("127.0.0.1", port))
+        return link.receive(timeout_s)
+
+
+def test_both_ways(key: bytes | None, listening: tuple[MavlinkLink, int]) -> None:
+    """Two ends with the same key, or without one, hear each other."""
+    link, port = listening
+    other = MavlinkLink(Endpoint(True, "127.0.0.1", port), (2, 1), 255, key)
+    link.send(heartbeat())  # to no one yet
+    other.send(heartbeat())
+    assert [message.get_type() for message in link.receive(WAIT_S)] == ["HEARTBEAT"]
+    link.send(heartbeat())
+    assert [message.get_srcSystem() for message in other.receive(WAIT_S)] == [255]
+    assert (link.refused, other.refused) == (0, 0)
+    other.close()
+
+
+def test_another_system_or_garbage_counts_for_nothing(
+    key: bytes | None, listening: tuple[MavlinkLink, int]
+) -> None:
+    """Packets of another system, with a bit changed, cut off, or of random bytes are refused."""
+    link, port = listening
+    good = packet(2, key)
+    wrong = bytearray(good)
+    wrong[12] ^= 1
+    for data in (packet(3, key), bytes(wrong), good[:-1], b"\xfd" * 40, b""):
+        assert sent(data, port, link, WAIT_S) == []
+    assert link.refused >= 2
+    assert len(sent(good, port, link, WAIT_S)) == 1
+
+
+@pytest.mark.parametrize("key", [None], ids=["open"])
+def test_another_address_counts_for_nothing(listening: tuple[MavlinkLink, int]) -> None:
+    """While a system is heard, its packets from another address are refused."""
+    link, port = listening
+    with socket.socket(type=socket.SOCK_DGRAM) as first:
+        first.sendto(packet(2), ("127.0.0.1", port))
+        assert len(link.receive(WAIT_S)) == 1
+        assert sent(packet(2), port, link, WAIT_S) == []
+        first.sendto(packet(2), ("127.0.0.1", port))
+        assert len(link.receive(WAIT_S)) == 1
+    assert link.refused == 1
+
+
+@pytest.mark.parametrize("key", [KEY], ids=["signed"])
+def test_a_signature_is_needed(listening: tuple[MavlinkLink, int]) -> None:
+    """Without a signature, with one of another key, or repeated, a packet changes nothing.
+
+    Also not the timestamp that later packets have to exceed: a forged one from the future must not
+    silence the autopilot.
+    """
+    link, port = listening
+    good = packet(2, KEY)
+    far_future = packet(2, bytes(32), timestamp=2**47)
+    for data in (packet(2), far_future):
+        assert sent(data, port, link, WAIT_S) == []
+    assert len(sent(good, port, link, WAIT_S)) == 1
+    assert sent(good, port, link, WAIT_S) == []
+    assert link.refused == 3
+
+
+def test_addresses_and_keys_are_checked(tmp_path: Path) -> None:
+    """A wrong address or key is told in one line, with what was expected."""
+    with pytest.raises(LinkError, match="--link: expected udp:HOST:PORT"):
+        Endpoint.of("tcp:127.0.0.1:5760")
+    assert Endpoint.of("udpclient:10.0.0.2:14550") == Endpoint(True, "10.0.0.2", 14550)
+    file = tmp_path / "key"
+    file.write_text("12ab")
+    with pytest.raises(LinkError, match="expected a key of 64 hexadecimal digits"):
+        read_key(file)
+    file.write_text(KEY.hex() + "\n")
+    assert read_key(file) == KEY

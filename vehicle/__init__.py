@@ -1,0 +1,1 @@
+"""The process of one UAV: between its agent and an autopilot that others have written."""

@@ -1,0 +1,366 @@
+"""The process of one UAV as a state machine, between its agent and its autopilot.
+
+    SILENT    the autopilot has not been heard                --its sign of life--> CHECKING
+    CHECKING  its parameters, estimate, place, battery        --all fit, armed--> READY
+    READY     the autopilot hovers by itself, or stands       --tick 0--> FLYING
+    FLYING    measures at each tick, and obeys its agent      --end of the run--> RELEASED
+    RELEASED  the autopilot holds its place by itself
+
+A process that starts while the team flies goes to FLYING as soon as it hears its autopilot, whose
+motors run, and the instants of the ticks. In FLYING the setpoints come
+
+    from the newest plan of the agent that has started, while it is fresh;
+    else from the law of a UAV alone, by the autopilot's own state of this tick;
+    else there is none, and the autopilot levels the UAV by itself after its time-out.
+"""
+
+from collections.abc import Sequence
+from enum import Enum
+
+import numpy as np
+
+from transport.model import state
+from transport.model.arrays import Array
+from transport.protocol.admission.participant import Participant
+from transport.protocol.admission.ticking import Ticking
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import (
+    Measurement,
+    Message,
+    Plan,
+    Schedule,
+    Target,
+    VehicleStatus,
+)
+from transport.protocol.wire.names import vehicle_name
+from transport.vehicle.autopilot import Autopilot, AutopilotState
+from transport.vehicle.own_law import OwnLaw
+from transport.vehicle.setpoints import BEFORE_ANY_PLAN, NONE, OWN_LAW, Plans
+
+# Time between two of its turns before tick 0, and between two of its words there, ns of wall time.
+_TURN_NS = 20_000_000
+_TELL_NS = 200_000_000
+_NO_PLACE = np.zeros(3)
+
+
+class Phase(Enum):
+    """Phase of a vehicle, as the table above has them."""
+
+    SILENT = "silent"
+    CHECKING = "checking"
+    READY = "ready"
+    FLYING = "flying"
+    RELEASED = "released"
+
+
+class VehicleNode(Participant):
+    """The process of one UAV, 1-based, which is that of the agent with the same number.
+
+    Args:
+        setup: The run.
+        uav: Its number.
+        autopilot: Its autopilot.
+        incarnation: Number of this start.
+        wall_offset_ns: The common clock less the steady clock of this process, ns.
+        stands: Whether the UAV stands until tick 0: it is armed by this process, and given the
+            thrust of hover. Otherwise a person arms it, and it hovers by itself.
+
+    Attributes:
+        phase: Its phase.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        uav: int,
+        autopilot: Autopilot,
+        incarnation: int = 0,
+        wall_offset_ns: int = 0,
+        *,
+        stands: bool = False,
+    ) -> None:
+        self._uav = uav
+        self._autopilot = autopilot
+        self._stands = stands
+        self._vehicles = setup.scenario.vehicles
+        self._wall_offset_ns = wall_offset_ns
+        self._period_s = setup.settings.sampling_period_s
+        self._own = OwnLaw(setup, uav - 1)
+        fail_safe = setup.whole_team().law.fail_safe
+        self._plans_in_force = Plans(fail_safe.played(setup.settings.horizon, self._period_s))
+        self._hover: Array = setup.hover.u[state.input_slice(uav - 1)]
+        super().__init__(setup, vehicle_name(uav), incarnation, after=1)
+
+        self.phase = Phase.SILENT
+        self._ticking: Ticking | None = None
+        self._schedule_ns = 0  # the start that it follows, ns since 1970
+        self._heard: tuple[int, int] = 0, 0  # `Schedule.sent_ns` and when it arrived
+        self._wakes_ns = 0
+        self._tells_ns = 0
+        self._setpoint = 0  # number of the next one since tick 0
+        self._inputs = self._hover  # of the last setpoint
+        self._applied: list[Array] = []  # since the last tick
+        self._own_inputs: Array | None = None  # of its own law at this tick
+        self._shift_I = np.zeros(3)  # jumps of the estimate until now, m
+        self._last: tuple[Array, int] | None = None  # place and velocity, and their arrival
+        self._source = BEFORE_ANY_PLAN
+        self._answered_tick = -1  # newest plan whose first setpoint has been sent
+        self._latency_s = -1.0
+        self._late_s = 0.0
+        self._problem = ""
+
+    @property
+    def wake_ns(self) -> int:
+        """Time of its next turn, ns."""
+        return self._wakes_ns
+
+    def warm_up(self) -> None:
+        """Prepare, so that no tick takes longer than the others."""
+        self._own.warm_up()
+
+    # What comes
+
+    def _follow_target(self, target: Target) -> None:  # noqa: ARG002
+        self._own.follow(self._setup)
+
+    def _take(self, message: Message, now_ns: int) -> None:
+        match message:
+            case Schedule():
+                self._heard = message.sent_ns, now_ns + self._wall_offset_ns
+                self._follow_schedule(message.start_ns)
+            case VehicleStatus():
+                # Where the coordinator is gone, another vehicle tells the same instants.
+                self._follow_schedule(message.start_ns)
+
+    def _follow_schedule(self, start_ns: int) -> None:
+        """Take the instants of the ticks; the first that are told hold for the whole run."""
+        if start_ns and self._ticking is None:
+            self._schedule_ns = start_ns
+            speed = self._setup.scenario.clock.speed
+            self._ticking = Ticking.of(start_ns, self._setup.period_ns, speed, self._wall_offset_ns)
+            self._wakes_ns = 0
+
+    def _take_plan(self, plan: Plan, now_ns: int) -> None:
+        super()._take_plan(plan, now_ns)
+        self._wakes_ns = 0
+
+    # Turns
+
+    def _work(self, now_ns: int) -> Sequence[Message]:
+        return self.poll(now_ns) if now_ns >= self._wakes_ns else ()
+
+    def poll(self, now_ns: int) -> Sequence[Message]:
+        """Attend to the autopilot; tell, measure and command what is due."""
+        self._autopilot.attend(now_ns)
+        told = self._autopilot.state()
+        if self._ticking is None or now_ns < self._ticking.due_ns(0):
+            return self._prepare(told, now_ns)
+        return self._fly(told, self._ticking, now_ns)
+
+    def _end(self) -> Sequence[Message]:
+        """Let the autopilot hold its place by itself: the run has ended."""
+        self.phase = Phase.RELEASED
+        self._autopilot.hold()
+        return ()
+
+    def _prepare(self, told: AutopilotState | None, now_ns: int) -> Sequence[Message]:
+        """Check the autopilot, and on a stand arm it and give it the thrust of hover."""
+        self._problem = self._lacks(told)
+        self.phase = Phase.SILENT if told is None else Phase.CHECKING
+        if told is not None and not self._problem:
+            is_up = told.armed and told.takes_setpoints
+            self.phase = Phase.READY if is_up else Phase.CHECKING
+            if not is_up:
+                self._problem = (
+                    f"not armed in the mode of setpoints: {told.mode} {told.says}".strip()
+                )
+            if self._stands and is_up:
+                self._autopilot.command(float(self._hover[0]), np.zeros(3), 0.0)
+
+        self._wakes_ns = now_ns + _TURN_NS
+        if self._ticking is not None:
+            self._wakes_ns = min(self._wakes_ns, self._ticking.due_ns(0))
+        if now_ns < self._tells_ns:
+            return ()
+        self._tells_ns = now_ns + _TELL_NS
+        if self._stands and told is not None and self.phase is Phase.CHECKING:
+            self._autopilot.arm()
+        return [self._status(told, 0, -1.0, now_ns)]
+
+    def _lacks(self, told: AutopilotState | None) -> str:
+        """Return why the UAV may not fly, empty if it may."""
+        if told is None:
+            return "no sign of life from the autopilot"
+        unmet = [str(finding) for finding in self._autopilot.findings() if not finding.is_met]
+        if unmet:
+            return "; ".join(unmet)
+        if told.sensed is None or not told.is_healthy:
+            return f"the autopilot has no valid estimate of its position: {told.says}".strip(": ")
+        if 0.0 <= told.battery < self._vehicles.battery:
+            wanted = f"expected at least {self._vehicles.battery:.0%}"
+            return f"battery: {wanted}, got {told.battery:.0%}"
+        return ""
+
+    def _fly(self, told: AutopilotState | None, ticking: Ticking, now_ns: int) -> Sequence[Message]:
+        """Measure at a tick that has come, and send a setpoint that is due."""
+        self.phase = Phase.FLYING
+        out: list[Message] = []
+        tick = ticking.newest(now_ns)  # also after the last one, until the run has an end
+        self._schedule_arrived(tick, now_ns)
+        if tick > self._tick:
+            self._tick = tick
+            out += self._open(told, tick, ticking, now_ns)
+
+        if now_ns >= self._setpoint_ns(ticking):
+            self._late_s = max(self._late_s, (now_ns - self._setpoint_ns(ticking)) / 1e9)
+            self._command(ticking, now_ns)
+            # Instants that have passed are left out.
+            rate = self._vehicles.setpoint_hz * self._period_s  # setpoints in a tick
+            self._setpoint = max(self._setpoint, int(ticking.ticks(now_ns) * rate)) + 1
+        self._wakes_ns = min(self._setpoint_ns(ticking), ticking.due_ns(self._tick + 1))
+        return out
+
+    def _setpoint_ns(self, ticking: Ticking) -> int:
+        """Return the instant of the next setpoint."""
+        rate = self._vehicles.setpoint_hz * self._period_s
+        return ticking.due_ns(self._setpoint / rate)
+
+    def _schedule_arrived(self, tick: int, now_ns: int) -> None:
+        """Take the plans that have come through the link."""
+        usable, _ = self._plans.take(tick, now_ns)
+        for plan in usable:
+            if self._uav in plan.uavs:
+                self._plans_in_force.add(plan, now_ns)
+
+    def _open(
+        self, told: AutopilotState | None, tick: int, ticking: Ticking, now_ns: int
+    ) -> list[Message]:
+        """Return the measurement of a tick, if the autopilot has a valid one, and the status."""
+        sensed, age_s = self._sensed(told, ticking.due_ns(tick))
+        self._own_inputs = None
+        out: list[Message] = []
+        if sensed is not None:
+            applied = np.mean(self._applied or [self._inputs], axis=0)
+            self._own.observe(sensed, float(applied[0]), tick)
+            is_planned = self._plans_in_force.at(float(tick)) is not None
+            if is_planned:
+                self._own.rest()
+            else:
+                self._own_inputs = self._own.inputs(sensed, tick, self._inputs)
+            if tick < self._setup.ticks:
+                out.append(self._measurement(tick, sensed, applied))
+        self._applied = []
+        out.append(self._status(told, min(tick, self._setup.ticks - 1), age_s, now_ns))
+        self._late_s = 0.0
+        self._latency_s = -1.0
+        return out
+
+    def _measurement(self, tick: int, sensed: Array, applied: Array) -> Measurement:
+        """Return the measurement of a tick for the agent, (15,), with the mean of the setpoints, (4,)."""
+        members = tuple(sorted(self._membership.incarnations))
+        return self._out.stamp(
+            Measurement,
+            tick=tick,
+            agent=self._uav,
+            answered=members,
+            shared=members,
+            roster=self._membership.version,
+            payload=np.zeros(0),
+            uavs=(self._uav,),
+            uav_states=sensed[None],
+            inputs=applied[None],
+        )
+
+    def _sensed(self, told: AutopilotState | None, at_ns: int) -> tuple[Array | None, float]:
+        """Return the measurements at an instant, (15,), and their age, s; None without valid ones.
+
+        Position and attitude go on at their rates from their arrival to the instant.
+        """
+        if told is None or told.sensed is None:
+            self._problem = "no state from the autopilot"
+            return None, -1.0
+        speed = self._setup.scenario.clock.speed
+        moved_s = speed * (at_ns - told.position_ns) / 1e9
+        turned_s = speed * (at_ns - told.attitude_ns) / 1e9
+        age_s = max(moved_s, turned_s)
+        if age_s > self._vehicles.stale_s:
+            self._problem = f"state of the autopilot {age_s:.2f} s old"
+            return None, age_s
+        if not told.is_healthy:
+            self._problem = f"the autopilot's estimate is not valid: {told.says}".strip(": ")
+            return None, age_s
+        self._problem = ""
+
+        sensed = told.sensed.copy()
+        self._note_jump(sensed, told.position_ns, speed)
+        sensed[state.POSITION] += self._shift_I + moved_s * sensed[state.VELOCITY]
+        sensed[state.THETA] += turned_s * sensed[state.OMEGA]
+        return sensed, max(age_s, 0.0)
+
+    def _note_jump(self, sensed: Array, arrived_ns: int, speed: float) -> None:
+        """Take a change of the position that is no motion out of it, and all positions after it."""
+        place = sensed[state.POSITION].copy()
+        if self._last is not None and arrived_ns > self._last[1]:
+            passed_s = speed * (arrived_ns - self._last[1]) / 1e9
+            moved = passed_s * sensed[state.VELOCITY]
+            jump = place - self._last[0] - moved
+            if np.linalg.norm(jump) > self._vehicles.jump_m:
+                self._shift_I = self._shift_I - jump
+        if self._shift_I.any():
+            far_m = float(np.linalg.norm(self._shift_I))
+            self._problem = f"the autopilot's position has jumped by {far_m:.1f} m"
+        self._last = place, arrived_ns
+
+    def _command(self, ticking: Ticking, now_ns: int) -> None:
+        """Send the setpoint of an instant, if there is one."""
+        ticks = ticking.ticks(now_ns)
+        planned = self._plans_in_force.at(ticks)
+        if planned is not None:
+            source, inputs = planned
+            plan = source.plan
+            if plan.tick > self._answered_tick:
+                self._answered_tick = plan.tick
+                usable_ns = max(source.arrived_ns, ticking.due_ns(plan.start_tick))
+                self._latency_s = (now_ns - usable_ns) / 1e9
+            self._source = plan.tick
+            since_s = plan.tick * self._period_s
+        elif self._own_inputs is not None and ticks < self._tick + 1.5:
+            inputs = self._own_inputs
+            self._source = OWN_LAW
+            since_s = self._tick * self._period_s
+        else:
+            self._source = NONE
+            return
+        self._inputs = inputs
+        self._applied.append(inputs)
+        self._autopilot.command(float(inputs[0]), inputs[1:], since_s)
+
+    def _status(
+        self, told: AutopilotState | None, tick: int, age_s: float, now_ns: int
+    ) -> VehicleStatus:
+        """Return how the UAV is."""
+        has_place = told is not None and told.sensed is not None
+        position = _NO_PLACE
+        if told is not None and told.sensed is not None:
+            position = told.sensed[state.POSITION] + self._shift_I
+        return self._out.stamp(
+            VehicleStatus,
+            tick=tick,
+            uav=self._uav,
+            phase=self.phase.value,
+            problem=self._problem[:1000],
+            armed=told is not None and told.armed,
+            mode="" if told is None else told.mode,
+            battery=-1.0 if told is None else told.battery,
+            healthy=has_place and told is not None and told.is_healthy,
+            position=position,
+            age_s=age_s,
+            plan_tick=self._source,
+            latency_s=self._latency_s,
+            late_s=self._late_s,
+            roster=self._membership.version,
+            heard_ns=self._heard[0],
+            heard_at_ns=self._heard[1],
+            sent_ns=now_ns + self._wall_offset_ns,
+            start_ns=self._schedule_ns,
+        )

@@ -1,0 +1,63 @@
+"""Opening of the link to an autopilot, and its check alone."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from transport.protocol.network.mavlink import Endpoint, LinkError, MavlinkLink, read_key
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.exit_codes import EXIT_CHECK_FAILED
+from transport.vehicle.dialects import DIALECTS
+from transport.vehicle.mavlink_driver import MavlinkAutopilot, MavlinkSettings
+
+# Time that an autopilot has to answer all questions, and between two looks at it, s.
+_CHECK_S = 10.0
+_LOOK_S = 0.05
+_OWN = (255, 191)  # system of a ground station, component of an onboard computer
+
+
+def open_autopilot(
+    setup: Setup, uav: int, link: str, autopilot: str | None, key: Path | None
+) -> MavlinkAutopilot:
+    """Return the driver of the autopilot of a UAV, 1-based, on its open link. Raises: LinkError."""
+    vehicles = setup.scenario.vehicles
+    name = autopilot or vehicles.autopilot
+    if name not in DIALECTS:
+        raise LinkError(f"--autopilot: expected one of {', '.join(DIALECTS)}, got {name!r}")
+    opened = MavlinkLink(Endpoint.of(link), _OWN, uav, None if key is None else read_key(key))
+    settings = MavlinkSettings(
+        system=uav,
+        thrust_N=vehicles.thrust_N or setup.settings.limits.thrust_N[1],
+        origin=vehicles.origin,
+        parameters=vehicles.parameters,
+        stream_hz=2.0 * vehicles.setpoint_hz,
+    )
+    return MavlinkAutopilot(opened, DIALECTS[name](vehicles.setpoint_timeout_s), settings)
+
+
+def check_autopilot(driver: MavlinkAutopilot, say: Callable[[str], object]) -> int:
+    """Print the checks of an autopilot, once all are answered or the time is over.
+
+    Returns: The exit code: 0 if all are met.
+    """
+    end_s = time.monotonic() + _CHECK_S
+    while time.monotonic() < end_s:
+        driver.attend(time.monotonic_ns())
+        told = driver.state()
+        has_all = all(finding.got for finding in driver.findings())
+        if told is not None and told.sensed is not None and told.is_healthy and has_all:
+            break
+        time.sleep(_LOOK_S)
+
+    told = driver.state()
+    if told is None:
+        say("failed   no sign of life from the autopilot")
+        return EXIT_CHECK_FAILED
+    rows = [(finding.is_met, str(finding)) for finding in driver.findings()]
+    is_valid = told.sensed is not None and told.is_healthy
+    rows.append((is_valid, f"estimate: {'valid' if is_valid else 'not valid'} {told.says}".strip()))
+    battery = "not known" if told.battery < 0.0 else f"{told.battery:.0%}"
+    rows.append((True, f"battery: {battery}; mode {told.mode}, armed: {told.armed}"))
+    for is_met, text in rows:
+        say(f"{'ok' if is_met else 'failed':8} {text}")
+    return 0 if all(is_met for is_met, _ in rows) else EXIT_CHECK_FAILED
