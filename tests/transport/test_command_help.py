@@ -37,7 +37,7 @@ ONE_LINE = {
     "compare": "expected at least two runs, got 0",
 }
 # Commands that print nothing, run until they are ended, or print more than one value.
-NO_JSON = {"agent", "plant", "coordinator", "router", "ros2"}
+NO_JSON = {"agent", "plant", "coordinator", "vehicle", "router", "ros2"}
 
 
 def test_sections_hold_every_command_once() -> None:
