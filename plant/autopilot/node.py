@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from transport.model.arrays import Array
-from transport.plant.node import Integrated, PlantNode
+from transport.plant.node import Integrated, Period, PlantNode
 from transport.protocol.admission.ticking import Ticking
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Message, Schedule
@@ -60,7 +60,7 @@ class PlayedPlant(PlantNode):
         self._played = 0  # steps since then
         self._first: int | None = None  # the step of tick 0
         self._ticking: Ticking | None = None
-        self._period: tuple[Array, tuple[int, ...], Array | None] | None = None
+        self._decided: Period | None = None  # for the period that is played
         self._until: Integrated | None = None  # within the period
 
     def _take(self, message: Message, now_ns: int) -> None:
@@ -115,7 +115,7 @@ class PlayedPlant(PlantNode):
             out = self._step(wrench, (free + 1) % self._steps_per_tick == 0)
             x = self._x if self._until is None else self._until.x
             actual = self._actual if self._until is None else self._until.actual
-        forces = None if self._period is None else self._period[2]
+        forces = None if self._decided is None else self._decided.forces
         sensed = self.environment.model.sensed(x, actual, forces=forces)
         self._played += 1
         self._autopilots.sense(self._played * self._autopilots.step_s, sensed)
@@ -125,17 +125,15 @@ class PlayedPlant(PlantNode):
         """Begin the period of tick k: failures of UAVs, the plans for the record, the wind."""
         self._tick = k
         self._fail_uavs(k)
-        self._schedule_arrived(now_ns)
-        u, sources = self._commands()
-        self._period = u, sources, self.environment.forces(k, self._x)
-        self._until = self._begun(u)
+        self._decided = self._period(now_ns)
+        self._until = self._begun(self._decided.u)
 
     def _step(self, wrench: Array, is_last: bool) -> list[Message]:
         """Integrate one step under thrust and moments of the motors; conclude a period with its last."""
-        if self._period is None or self._until is None:
+        if self._decided is None or self._until is None:
             return []
-        u, sources, forces = self._period
-        self._until = self._part(self._until, wrench, forces, self._autopilots.step_s)
+        step_s = self._autopilots.step_s
+        self._until = self._part(self._until, wrench, self._decided.forces, step_s)
         if not is_last and not self._autopilots.failure:
             return []
         end = self._until
@@ -143,7 +141,7 @@ class PlayedPlant(PlantNode):
         if self._k >= self._setup.ticks:  # after the last tick nothing is recorded
             self._x = end.x
             return []
-        return self._conclude(u, sources, forces, end)
+        return self._conclude(self._decided, end)
 
     def _failure(self, tick: int, x: Array) -> str:
         """Return why the run ends after a period, empty if it goes on."""

@@ -40,8 +40,8 @@ from transport.protocol.network.endpoints import (
     security_of,
 )
 from transport.protocol.network.process import Journal, run_node
-from transport.protocol.scenario.built import kinds_of
 from transport.protocol.network.steady_clock import wall_offset_ns
+from transport.protocol.scenario.built import kinds_of
 from transport.protocol.scenario.schema import LONGEST_WAIT_S
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.keys import ROUTER, Keys
