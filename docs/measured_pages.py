@@ -29,6 +29,7 @@ LATE = ("links.delay_s=0.2", "links.loss=0.3")
 IMPAIRED = ("links.delay_s=0.1", "links.loss=0.3")
 ESTIMATE = "controller.disturbance.estimate=true"
 HEAVIER = "plant.payload_mass_factor"
+UNKNOWN_DRAG = "controller.knows_drag=false"
 MUJOCO, CABLES = "plant.engine=mujoco", "plant.mujoco.suspension=cables"
 # The sensors of a small autopilot with satellite navigation.
 SENSORS = (
@@ -370,6 +371,16 @@ AGILE: Mapping[str, tuple[str, ...]] = {
     "payload 43 % heavier, estimated, late": (*LATE, ESTIMATE, f"{HEAVIER}=1.43"),
     "wind of 5 m/s, estimated, late": (*LATE, ESTIMATE, "plant.wind.speed_mps=[5.0,0.0,0.0]"),
     "agent 3 dies, late": (*LATE, *DEATH),
+    "5 s without any message, late": (
+        *LATE,
+        "links.change=[{at_s=8.0,loss=1.0},{at_s=13.0,loss=0.3}]",
+    ),
+    "half the known drag, estimated, late": (*LATE, ESTIMATE, "plant.drag_factor=0.5"),
+    "1.5 times the known drag, estimated, late": (*LATE, ESTIMATE, "plant.drag_factor=1.5"),
+    "1.5 times the known drag, late": (*LATE, "plant.drag_factor=1.5"),
+    "unknown drag, estimated, late": (*LATE, ESTIMATE, UNKNOWN_DRAG),
+    "unknown drag, late": (*LATE, UNKNOWN_DRAG),
+    "the engine MuJoCo, late": (*LATE, MUJOCO),
 }
 GAP = {
     "the scenario, 20 seeds": Run("gap", seeds=20),

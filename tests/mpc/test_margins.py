@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.linear_model import PERIOD_S, difference
+from tests.support.random_systems import with_drag
 from transport.model.arrays import Array
 from transport.model.hover import hover
 from transport.model.linearisation import Model
@@ -28,6 +29,7 @@ from transport.mpc.settings import ControllerSettings, CostTerm, Limits, Weights
 
 SYSTEM = table_1()
 RATES = System(payload=SYSTEM.payload, uavs=SYSTEM.uavs, rate_gains=[25.0, 25.0, 10.0])
+DRAGGED = with_drag(np.random.default_rng(4), SYSTEM)
 SHARED = ControllerSettings(prediction="closed_loop", terminal="riccati")
 # Rounding of eigenvalues of modes that come in equal pairs: the square root of that of the matrix.
 ROUNDING = 1e-6
@@ -64,6 +66,7 @@ def _loop(
         (False, 3, SYSTEM),
         (True, 3, SYSTEM),
         (True, 3, RATES),
+        (True, 3, DRAGGED),
     ],
 )
 def test_with_the_plant_as_known_the_loop_is_the_regulator(

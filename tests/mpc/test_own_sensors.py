@@ -1,6 +1,7 @@
 """The motion of one UAV by its own sensors alone (docs/equations.md (31d), (31e))."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -170,3 +171,26 @@ def test_dead_reckoning_replaces_missing_measurements() -> None:
         np.testing.assert_array_equal(reckoned[9:], z[9:])
     assert errors[0] < 0.1
     assert errors[1] == pytest.approx(errors[0] / 2.0, rel=0.15)
+
+
+def test_known_drag_is_no_force_of_the_rod() -> None:
+    """A UAV tilted at 5 m/s through still air: what its accelerometer shows of known drag is no pull, (31d)."""
+    drag = 0.3, 0.5
+    uavs = tuple(replace(uav, drag=np.array(drag)) for uav in SYSTEM.uavs)
+    sensors = OwnSensors(replace(SYSTEM, uavs=uavs), UAV, TENSION_N, (0,) * 5, PERIOD_S)
+    rest = motion_of(SYSTEM, UAV, AT_REST.x)
+    Theta, v_I = np.array([0.1, -0.3, 0.2]), np.array([4.0, 3.0, -0.5])
+    R = rotation(Theta)
+    v_B = R.T @ v_I
+    drag_I = -R @ (np.array([drag[0], drag[0], drag[1]]) * v_B)
+
+    z = np.zeros(state.SENSED)
+    z[state.POSITION] = rest.position_I
+    z[state.VELOCITY] = v_I
+    z[state.THETA] = Theta
+    specific_N = R.T @ (TENSION_N * DOWN + drag_I) - THRUST_N * DOWN
+    z[state.SPECIFIC_FORCE] = specific_N / SYSTEM.uavs[UAV].mass
+    for k in range(100):
+        sensors.observe(z, THRUST_N, k, lambda _: rest)
+    motion = sensors.motion(z, 99, 99, lambda _: rest)
+    np.testing.assert_allclose(motion.rod_I, rest.rod_I, atol=ROUNDING)

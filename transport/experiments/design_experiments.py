@@ -274,6 +274,7 @@ AGILE: Mapping[str, tuple[str, ...]] = {
     },
     "motor lag 60 ms": (*NETWORKS[_LATE], "plant.motors.lag_s=0.06"),
     "wind 5 m/s": (*NETWORKS[_LATE], _ESTIMATE, "plant.wind.speed_mps=[5.0,0.0,0.0]"),
+    "unknown drag": (*NETWORKS[_LATE], _ESTIMATE, "controller.knows_drag=false"),
 }
 
 
@@ -292,7 +293,7 @@ def agile(scenario: Scenario, speed: Sequence[float]) -> Iterator[Point]:
     """Fast flight: the payload's error over speed.
 
     One agent for each UAV on a perfect network and late ones, one agent for all UAVs, and on the
-    late network another payload mass, wind, both estimated, and motor lag.
+    late network another payload mass, wind and unknown drag, all estimated, and motor lag.
 
     A speed that thrust, tension, tilt or distances do not allow is refused with the least slowing
     that they do.
