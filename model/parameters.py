@@ -42,13 +42,24 @@ class Payload:
     # About the centre of mass in the payload frame, (3, 3), kg m^2, given as such or as diagonal.
     inertia: Array
     drag: float  # force against its velocity relative to the air, kg/s
+    # Centre of mass, (3,), payload frame, m, from the point that controllers take for it. The
+    # attachment points of a `System` are from the centre of mass.
+    centre: Array
 
-    def __init__(self, *, mass: float, inertia: ArrayLike, drag: float = 0.0) -> None:
+    def __init__(
+        self,
+        *,
+        mass: float,
+        inertia: ArrayLike,
+        drag: float = 0.0,
+        centre: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
         assign(
             self,
             mass=float(mass),
             inertia=_inertia("payload inertia", inertia),
             drag=float(drag),
+            centre=checked("centre", centre, (3,)),
         )
 
 
@@ -220,9 +231,9 @@ def _inertia(name: str, value: ArrayLike) -> Array:
 def payload_half_size(system: System) -> Array:
     """Return half the edges of the payload's box, (3,), payload frame, m.
 
-    As far as its attachment points.
+    As far as its attachment points, about the point that controllers take for its centre of mass.
     """
-    rho = np.array([uav.rho for uav in system.uavs])
+    rho = np.array([uav.rho for uav in system.uavs]) + system.payload.centre
     return np.asarray(np.maximum(np.abs(rho).max(axis=0), _LEAST_HALF_M))
 
 

@@ -10,7 +10,7 @@ out.
 """
 
 import importlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -246,24 +246,35 @@ class Rotors:
 class Motors:
     """Motors of all UAVs, with their state: hover at first, (4 N,).
 
-    `fails` tells that an efficiency will change during the run. Motors without lag, steps, limits
+    `factors` are what the motors of each UAV give over their commands, (N,). `fails` tells that an
+    efficiency will change during the run. Motors without lag, steps, limits
     and failures are `ideal`: actual inputs are the commands, and are not recorded a second time. Those
     of a UAV whose motors are off are zero, also where an inner loop has given some.
     """
 
-    def __init__(self, section: MotorsSection, u_hover: Array, *, fails: bool = False) -> None:
+    def __init__(
+        self,
+        section: MotorsSection,
+        u_hover: Array,
+        *,
+        fails: bool = False,
+        factors: Sequence[float] | None = None,
+    ) -> None:
+        of_uavs = np.ones(len(u_hover) // state.INPUTS) if factors is None else np.array(factors)
+        fails = fails or bool((of_uavs != 1.0).any())
         self.ideal = not (fails or section.lag_s or section.thrust_step_N or section.rotors)
         self._section = section
         self._rotors = None if section.rotors is None else Rotors(section.rotors)
         self._a: Array = u_hover.copy()  # what the lag has reached
-        self._efficiency = np.ones(len(u_hover))
+        self._factors = of_uavs
+        self._efficiency = np.repeat(of_uavs, state.INPUTS)
 
     def degrade(self, uav: int, efficiency: float) -> None:
-        """Set the share of the inputs that a UAV's motors, 0-based, give from now on.
+        """Set the share of its usual inputs that a UAV's motors, 0-based, give from now on.
 
         0 with the motors off.
         """
-        self._efficiency[state.input_slice(uav)] = efficiency
+        self._efficiency[state.input_slice(uav)] = self._factors[uav] * efficiency
 
     def inputs(self, u: Array, period_s: float, steps: int) -> Iterator[tuple[Array, float]]:
         """Yield the actual inputs over a period, (4 N,), and how long each is held, s.

@@ -15,7 +15,7 @@ from transport.model.linearisation import Model
 from transport.model.parameters import System
 from transport.model.state import StateView
 from transport.plant.actuators import checked_firmware
-from transport.plant.environment import Environment
+from transport.plant.environment import Environment, about
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.own_calls import OwnClassError, errors_of, new_object, real_array
 from transport.protocol.scenario.own_class import own_class, version_of
@@ -117,7 +117,7 @@ class Engine:
         self.failure = ""
         self.tensions: Array = np.zeros(0)
         self._section = setup.scenario.plant
-        self._x: Array = setup.initial_state()
+        self._x: Array = about(setup.initial_state(), system.payload.centre)
         try:
             self._make = _engine_class(self._section.engine)
             self._build(system)
@@ -134,7 +134,7 @@ class Engine:
 
     def restart(self, x: Array, system: System) -> None:
         """Continue from a state, (n,); with other bodies by a new object."""
-        self._x = x
+        self._x = about(x, system.payload.centre)
         with self._failing():
             if system is self._system:
                 self._reset()
@@ -153,11 +153,11 @@ class Engine:
             error = self._physics.advance(u, forces, duration_s)
             self._x = self._physics.state()
             known_error = error if math.isfinite(error) else UNKNOWN_ERROR
-            return self._x, known_error
+            return self._told(), known_error
 
         error = UNKNOWN_ERROR
         if self.failure:
-            return self._x, error
+            return self._told(), error
         with self._failing():
             # Copies: the arrays are the plant's record, and an engine may work in place.
             own_forces = None if forces is None else forces.copy()
@@ -167,7 +167,11 @@ class Engine:
                     error = float(told_error)
             self._x = self._read()
             self.tensions = self._read_tensions()
-        return self._x, error
+        return self._told(), error
+
+    def _told(self) -> Array:
+        """Return the state of the point of the payload that the controllers take for its centre of mass."""
+        return about(self._x, -self._system.payload.centre)
 
     def _build(self, system: System) -> None:
         """Make the engine of some bodies and give it the state. Raises: OwnClassError."""

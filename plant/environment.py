@@ -7,6 +7,7 @@ those of a tick do not depend on the order of calls.
 import math
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -16,8 +17,9 @@ from transport.model.hover import with_released
 from transport.model.linearisation import Model
 from transport.model.parameters import Payload, System, Uav
 from transport.model.rotations import rotation
-from transport.model.state import SENSED, SENSORS, StateView, is_measured
+from transport.model.state import OMEGA0, R0, SENSED, SENSORS, THETA0, V0, StateView, is_measured
 from transport.protocol.scenario.draws import Streams, draw_key
+from transport.protocol.scenario.plant_sections import UavFactorsSection
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.names import PLANT
 
@@ -52,8 +54,14 @@ class Environment:
         N = setup.system.N
         self.system = _actual_system(setup)
         is_known = np.array_equal(self.system.drag, setup.system.drag)
-        is_nominal = section.payload_mass_factor == section.uav_mass_factor == 1.0 and is_known
-        self.model = setup.model if is_nominal else Model(self.system)
+        is_nominal = (
+            section.payload_mass_factor == section.uav_mass_factor == 1.0
+            and section.payload_inertia_factor in (None, 1.0)
+            and not any(section.payload_centre_m)
+            and not section.uav
+        )
+        self.model = setup.model if is_nominal and is_known else Model(self.system)
+        self._rho = np.array([uav.rho for uav in setup.system.uavs])
         self._seed = setup.scenario.seed
 
         wind = section.wind
@@ -95,6 +103,19 @@ class Environment:
         self.system = with_released(self.system, [uav])
         self.model = Model(self.system)
         self._unknown_drag[1 + uav] = 0.0
+
+    def load(self, payload: Payload) -> None:
+        """Replace the payload by another one, whose centre of mass may be at another point."""
+        uavs = [
+            replace(uav, rho=rho - payload.centre)
+            for uav, rho in zip(self.system.uavs, self._rho, strict=True)
+        ]
+        self.system = replace(self.system, payload=payload, uavs=tuple(uavs))
+        self.model = Model(self.system)
+
+    def of_centre(self, x: Array) -> Array:
+        """Return a state, (n,), with place and velocity of the actual centre of mass of the payload."""
+        return about(x, self.system.payload.centre)
 
     def wind(self, tick: int) -> Array:
         """Return the velocity of the air, (3,), inertial frame, m/s.
@@ -138,7 +159,7 @@ class Environment:
             return None
         air_I = self.wind(tick)
         if not self.system.has_drag:
-            relative = air_I - self.model.velocities(x)
+            relative = air_I - self.model.velocities(self.of_centre(x))
             return np.asarray((self._unknown_drag[:, None] * relative).reshape(-1))
 
         # D = d I + (d^z - d) b b'
@@ -227,28 +248,53 @@ class Sensors:
         return tuple(bits.values())
 
 
+def about(x: Array, point: Array) -> Array:
+    """Return a state with place and velocity of another point of the payload.
+
+    Rods and UAVs stay as they are.
+
+    Args:
+        x: State, (n,).
+        point: The other point from the present one, (3,), payload frame, m.
+    Source: docs/equations.md (44a).
+    """
+    if not point.any():
+        return x
+    moved = x.copy()
+    #   r_c = r_0 + R_0 c,  v_c = v_0 + omega_0 x c
+    moved[R0] += rotation(x[THETA0]) @ point
+    moved[V0] += np.cross(x[OMEGA0], point)
+    return moved
+
+
 def _actual_system(setup: Setup) -> System:
-    """Return the actual bodies: masses and inertias of payload and UAVs, and drag, times factors.
+    """Return the actual bodies: masses, inertias and drag times factors, the centre of the payload.
 
     Inputs are moments.
     """
     known = setup.system
     scenario = setup.scenario
     section = scenario.plant
+    mass_factor, inertia_factor = section.payload_mass_factor, section.payload_inertia_factor
+    if inertia_factor is None:
+        inertia_factor = mass_factor
     payload = Payload(
-        mass=section.payload_mass_factor * known.payload.mass,
-        inertia=section.payload_mass_factor * known.payload.inertia,
+        mass=mass_factor * known.payload.mass,
+        inertia=inertia_factor * known.payload.inertia,
         drag=section.drag_factor * scenario.system.payload.drag_kgps,
+        centre=section.payload_centre_m,
     )
+    of_one = {one.id: one for one in section.uav}
     uavs = []
     for uav, own in zip(known.uavs, scenario.system.uav, strict=True):
+        one = of_one.get(own.id, UavFactorsSection(id=own.id))
         uavs.append(
             Uav(
-                mass=section.uav_mass_factor * uav.mass,
-                inertia=section.uav_mass_factor * uav.inertia,
-                rho=uav.rho,
+                mass=section.uav_mass_factor * one.mass_factor * uav.mass,
+                inertia=section.uav_mass_factor * one.inertia * uav.inertia,
+                rho=uav.rho - payload.centre,
                 rod_length=uav.rod_length,
-                drag=section.drag_factor * np.array(own.drag_kgps),
+                drag=section.drag_factor * one.drag_factor * np.array(own.drag_kgps),
             )
         )
     return System(payload=payload, uavs=uavs, gravity=known.gravity)

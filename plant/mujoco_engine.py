@@ -253,7 +253,8 @@ def _specification(system: System, section: PlantSection) -> Any:
     inertial = _inertial(system.payload.mass, system.payload.inertia)
     payload = spec.worldbody.add_body(name="payload", **inertial)
     payload.add_freejoint(name="payload")
-    box = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": payload_half_size(system)}
+    centre = -system.payload.centre  # of the box, from the centre of mass
+    box = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": payload_half_size(system), "pos": centre}
     payload.add_geom(**box, **_MEETS_GROUND)
 
     for i, uav in enumerate(system.uavs):

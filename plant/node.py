@@ -15,11 +15,12 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.hover import motor_off_state, no_inputs, released_state
+from transport.model.parameters import Payload
 from transport.plant.actuators import INNER_STEP_S, MOTOR_OFF, ActuatorSchedule, Motors, inner_loop
 from transport.plant.engines import UNKNOWN_ERROR, Engine
 from transport.plant.environment import Environment, Sensors
 from transport.protocol.admission.participant import Participant
-from transport.protocol.scenario.faults import OF_UAVS
+from transport.protocol.scenario.faults import OF_PLANT, Fault
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import (
     ActualInputs,
@@ -93,11 +94,16 @@ class PlantNode(Participant):
         self._whole_team = setup.whole_team()
         fail_safe = self._whole_team.law.fail_safe
         self._schedule = ActuatorSchedule(setup.hover.u, fail_safe, setup.settings)
-        of_uavs = [fault for fault in setup.faults if fault.do in OF_UAVS]
-        self._faults = deque(of_uavs)  # still to come
+        own = [fault for fault in setup.faults if fault.do in OF_PLANT]
+        self._faults = deque(own)  # still to come
         # Motors that will degrade tell what they give from the first tick on.
-        degrades = any(fault.do == "degrade" for fault in of_uavs)
-        self._motors = Motors(section.motors, setup.hover.u, fails=degrades)
+        degrades = any(fault.do == "degrade" for fault in own)
+        factors = np.ones(setup.system.N)
+        for one in section.uav:
+            factors[one.id - 1] = one.thrust_factor
+        self._motors = Motors(section.motors, setup.hover.u, fails=degrades, factors=factors)
+        # Newest change of the load while it goes on, and the payload before it.
+        self._loading: tuple[Fault, Payload] | None = None
         self._off: set[int] = set()  # UAVs without motors, 0-based
         self._released: set[int] = set()  # of these
 
@@ -167,7 +173,8 @@ class PlantNode(Participant):
         self._tick = tick.tick
         self._fail_uavs(tick.tick)
         if self._sensors is not None:
-            self._sensors.observe(self.environment.model, self._x, self._actual, self._forces)
+            x = self.environment.of_centre(self._x)
+            self._sensors.observe(self.environment.model, x, self._actual, self._forces)
         return [self._measurement(tick, agent) for agent in sorted(self._membership.incarnations)]
 
     def _measurement(self, tick: Tick, agent: int) -> Measurement:
@@ -197,7 +204,7 @@ class PlantNode(Participant):
         )
 
     def _fail_uavs(self, tick: int) -> None:
-        """Apply the scenario's failures of UAVs due at a tick, before it is measured."""
+        """Apply the scenario's faults of UAVs and load due at a tick, before it is measured."""
         while self._faults and self._faults[0].tick <= tick:
             fault = self._faults.popleft()
             match fault.do:
@@ -211,8 +218,23 @@ class PlantNode(Participant):
                 case "sensors_off":
                     if self._sensors is not None:
                         self._sensors.fail(fault.uav, fault.sensors, fault.until)
+                case "load":
+                    self._loading = fault, self.environment.system.payload
                 case other:
-                    raise AssertionError(f"{other} is not a fault of a UAV (OF_UAVS)")
+                    raise AssertionError(f"{other} is no fault of the plant (OF_PLANT)")
+        self._change_load(tick)
+
+    def _change_load(self, tick: int) -> None:
+        """Apply the part of a change of the load that is due at a tick, linear in its duration."""
+        if self._loading is None:
+            return
+        fault, before = self._loading
+        last = fault.tick if fault.until is None else fault.until - 1
+        share = (tick + 1 - fault.tick) / (last + 1 - fault.tick)
+        if tick >= last:
+            share, self._loading = 1.0, None
+        self.environment.load(fault.load.between(before, share))
+        self.engine.restart(self._x, self.environment.system)
 
     def _switch_off(self, uav: int, *, released: bool) -> None:
         """Switch the motors of a UAV off, 0-based, and take it off its rod if it is released."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterator
 
+from transport.model.parameters import ParameterError, Payload
 from transport.protocol.scenario.faults import OF_UAVS
 from transport.protocol.scenario.schema import FaultSection, Scenario
 from transport.protocol.wire.names import COORDINATOR, PLANT, agent_name
@@ -58,12 +59,26 @@ def _keys_of_actions(event: FaultSection, field: str) -> Problems:
         if is_needed != (given is not None):
             expected = f"{value} with {action!r}" if is_needed else f"no {key} without {action!r}"
             yield f"{field}.{key}", expected, given or "nothing"
-    if event.duration_s is not None and event.do != "sensors_off":
-        yield f"{field}.duration_s", "no value without 'sensors_off'", event.duration_s
+    if event.duration_s is not None and event.do not in ("sensors_off", "load"):
+        yield f"{field}.duration_s", "no value without 'sensors_off' or 'load'", event.duration_s
+
+    given = {key: getattr(event, key) for key in ("mass_kg", "inertia_kgm2", "centre_m")}
+    changes = [key for key, value in given.items() if value is not None]
+    if event.do == "load" and not changes:
+        yield f"{field}.do", f"{', '.join(given)} or some of them with 'load'", "none"
+    if event.do != "load" and changes:
+        yield f"{field}.{changes[0]}", f"no {changes[0]} without 'load'", given[changes[0]]
+    if event.inertia_kgm2 is not None:
+        try:
+            Payload(mass=1.0, inertia=event.inertia_kgm2)
+        except ParameterError as error:
+            yield f"{field}.inertia_kgm2", "the inertia of a body", str(error)
 
 
 def _targets_of(scenario: Scenario, event: FaultSection) -> Collection[str]:
     """Return the targets that the action of a fault may have."""
+    if event.do == "load":
+        return ["payload"]
     if event.do in OF_UAVS:
         return [f"uav{section.id}" for section in scenario.system.uav]
 

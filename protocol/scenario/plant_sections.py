@@ -133,6 +133,26 @@ class NoiseSection(Section):
     delay: DelaySection = DelaySection()
 
 
+class UavFactorsSection(Section):
+    """What differs at one UAV from what the controllers assume."""
+
+    id: Annotated[int, Interval(ge=1)]
+    """number of the UAV"""
+    mass_factor: MassFactor = 1.0
+    """actual mass over the assumed one, on top of `plant.uav_mass_factor`"""
+    inertia_factor: MassFactor | None = None
+    """the same of the inertia; default: `mass_factor`"""
+    thrust_factor: Annotated[float, Interval(gt=0.0, le=10.0)] = 1.0
+    """thrust and moments that the motors produce over their commands"""
+    drag_factor: Annotated[float, Interval(ge=0.0, le=100.0)] = 1.0
+    """actual drag over the assumed one, on top of `plant.drag_factor`"""
+
+    @property
+    def inertia(self) -> float:
+        """Actual inertia over the assumed one."""
+        return self.mass_factor if self.inertia_factor is None else self.inertia_factor
+
+
 class PlantSection(Section):
     """Ground truth: integration, differences from the controller's model, limits of divergence."""
 
@@ -169,6 +189,18 @@ class PlantSection(Section):
     ] = 1.0
     """actual mass and inertia of the payload over those of `[system.payload]`, which the controller
     assumes"""
+    payload_inertia_factor: Annotated[
+        MassFactor | None, Key(label="actual over assumed payload inertia")
+    ] = None
+    """the same of the inertia alone; default: `payload_mass_factor`"""
+    payload_centre_m: Annotated[Vector, Key(label="centre of mass of the payload")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
+    """actual centre of mass of the payload, payload frame, from the point that the controllers take for
+    it, which follows the path"""
+    uav: list[UavFactorsSection] = []
     uav_mass_factor: Annotated[MassFactor, Key(label="actual over assumed UAV mass")] = 1.0
     """actual mass and inertia of every UAV over those that the controller assumes"""
     drag_factor: Annotated[

@@ -268,11 +268,18 @@ def _plant(scenario: Scenario) -> Problems:
     if plant.mujoco.suspension == "cables" and is_released:
         yield "plant.mujoco.suspension", "'rods' with a fault 'release'", "'cables'"
 
+    known_ids = [uav.id for uav in scenario.system.uav]
+    for number, one in enumerate(plant.uav):
+        if one.id not in known_ids or one.id in [before.id for before in plant.uav[:number]]:
+            yield f"plant.uav.{number + 1}.id", f"each at most once of {known_ids}", one.id
+
     # Unknown drag is held over a period: dv = -(c / m) T_s v must not exceed v.
     wind = plant.wind
     section = scenario.system
     period_s = scenario.controller.sampling_period_s
-    uav_kg = plant.uav_mass_factor * min(uav.mass_kg for uav in section.uav)
+    factors = {one.id: one.mass_factor for one in plant.uav}
+    masses_kg = [factors.get(uav.id, 1.0) * uav.mass_kg for uav in section.uav]
+    uav_kg = plant.uav_mass_factor * min(masses_kg)
     payload_kg = plant.payload_mass_factor * section.payload.mass_kg
     known = any([section.payload.drag_kgps, *(sum(uav.drag_kgps) for uav in section.uav)])
     for key, drag_kgps, mass_kg in (

@@ -222,7 +222,7 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ("faults.event=[{at_s=1,do='kill'}]", "faults.event.1.target: expected a value, got nothing"),
     (
         "faults.event=[{at_s=1,do='stab',target='plant'}]",
-        "faults.event.1.do: 'degrade' or 'sensors_off', got 'stab'",
+        "faults.event.1.do: 'sensors_off' or 'load', got 'stab'",
     ),
     (
         "faults.event=[{at_s=1,do='kill',target='agent5'}]",
@@ -311,7 +311,28 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ),
     (
         "faults.event=[{at_s=1,do='kill',target='agent3',duration_s=2}]",
-        "faults.event.1.duration_s: expected no value without 'sensors_off', got 2.0",
+        "faults.event.1.duration_s: expected no value without 'sensors_off' or 'load', got 2.0",
+    ),
+    (
+        "faults.event=[{at_s=1,do='load',target='uav1',mass_kg=2}]",
+        "faults.event.1.target: expected one of payload, got 'uav1'",
+    ),
+    (
+        "faults.event=[{at_s=1,do='load',target='payload'}]",
+        "faults.event.1.do: expected mass_kg, inertia_kgm2, centre_m or some of them with 'load', got none",
+    ),
+    (
+        "faults.event=[{at_s=1,do='kill',target='agent1',centre_m=[0,0,0]}]",
+        "faults.event.1.centre_m: expected no centre_m without 'load', got (0.0, 0.0, 0.0)",
+    ),
+    (
+        "faults.event=[{at_s=1,do='load',target='payload',inertia_kgm2=[1,1,3]}]",
+        "faults.event.1.inertia_kgm2: expected the inertia of a body, got payload inertia: no body has",
+    ),
+    ("plant.uav=[{id=7}]", "plant.uav.1.id: expected each at most once of [1, 2, 3, 4], got 7"),
+    (
+        "plant.uav=[{id=2},{id=2}]",
+        "plant.uav.2.id: expected each at most once of [1, 2, 3, 4], got 2",
     ),
     ("controller.tension.minimum_N=8", "expected less than 7.36 N (rod of UAV1 at hover), got 8"),
     (

@@ -125,6 +125,9 @@ def _by_plant(setup: Setup, entry: Recorded) -> Iterator[_Event]:
             text = f"{fault.target} without {sensors}"
         elif fault.do == "sensors_off" and fault.until == tick:
             text = f"{fault.target} has {sensors} again"
+        elif fault.do == "load" and fault.tick == tick:
+            gradually = "" if fault.until is None else " gradually"
+            text = f"payload changes{gradually}: {fault.load.in_words()}"
         if text:
             yield _Event(
                 tick=tick,

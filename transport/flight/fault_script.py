@@ -13,7 +13,7 @@ from typing import Any
 
 from transport.flight.harness import Child, Harness
 from transport.flight.recorder import Recorder
-from transport.protocol.scenario.faults import OF_UAVS, Fault
+from transport.protocol.scenario.faults import OF_PLANT, Fault
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.protocol.wire.messages import CONTINUED, FaultOrigin, Request
@@ -53,7 +53,7 @@ class FaultScript:
         self._recorder = recorder
         self._now_s = now_s
 
-        of_processes = [fault for fault in setup.faults if fault.do not in OF_UAVS]
+        of_processes = [fault for fault in setup.faults if fault.do not in OF_PLANT]
         # A kill is noted when the process has ended.
         self._kills = [fault for fault in of_processes if fault.do == "kill"]
         self._pending = [fault for fault in of_processes if fault.do != "kill"]

@@ -16,6 +16,7 @@ from transport.flight.memory import simulate
 from transport.log.run_log import Recorded, RunLog
 from transport.model.state import StateView
 from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.faults import OF_PLANT
 from transport.protocol.scenario.file import validate
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
@@ -191,7 +192,7 @@ def _centralized(base: Base) -> Scenario:
     tree["faults"]["event"] = [
         fault
         for fault in tree["faults"]["event"]
-        if fault["target"].startswith("uav") and fault["do"] != "sensors_off"
+        if fault["do"] in OF_PLANT and fault["do"] != "sensors_off"
     ]
     tree["plant"]["sensors"] = "state"
     tree["plant"].pop("noise", None)
