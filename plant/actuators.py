@@ -10,7 +10,7 @@ out.
 """
 
 import importlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Protocol
 
 import numpy as np
@@ -258,9 +258,9 @@ class Motors:
         u_hover: Array,
         *,
         fails: bool = False,
-        factors: Sequence[float] | None = None,
+        factors: Array | None = None,
     ) -> None:
-        of_uavs = np.ones(len(u_hover) // state.INPUTS) if factors is None else np.array(factors)
+        of_uavs = np.ones(len(u_hover) // state.INPUTS) if factors is None else factors
         fails = fails or bool((of_uavs != 1.0).any())
         self.ideal = not (fails or section.lag_s or section.thrust_step_N or section.rotors)
         self._section = section
