@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from operator import index
+from typing import SupportsIndex
 
 import numpy as np
 
@@ -57,14 +58,14 @@ class Run(Layout):
     _estimate: OwnEstimate | None = None  # None unless the class has asked for it
     _is_starting: bool = True
 
-    def share(self, shape: int | Iterable[int]) -> None:
+    def share(self, shape: SupportsIndex | Iterable[SupportsIndex]) -> None:
         """Declare the shape of the own data, float64, that each plan has for the others, in `start`.
 
         Every agent declares the same. Others find them as `plan.data` in this shape.
         Raises: ValueError: more than 4 KB, no shape, or after `start`.
         """
         self._check_starting("share")
-        lengths = (shape,) if isinstance(shape, int) else tuple(shape)
+        lengths = tuple(shape) if isinstance(shape, Iterable) else (shape,)
         declared = tuple(index(length) for length in lengths)
         numbers = math.prod(declared)
         if any(length < 1 for length in declared) or numbers > MAX_DATA:

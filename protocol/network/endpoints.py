@@ -41,6 +41,12 @@ class Endpoints:
             raise SecurityError(f"network.host: {expected}, got {open_to_all}")
         return self
 
+    def in_words(self) -> str:
+        """Return where the process listens and connects to; with a router it does not listen."""
+        parts = {"listens on": self.listen, "connects to": self.connect}
+        told = [f"{verb} {', '.join(ends)}" for verb, ends in parts.items() if ends]
+        return ", ".join(told)
+
     def _check_scheme(self, security: Security, name: str) -> None:
         """Refuse endpoints without the protocol of the keys. Raises: SecurityError."""
         security.check(name)

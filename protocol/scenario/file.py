@@ -4,7 +4,6 @@ import importlib.resources
 import os
 import tomllib
 from collections.abc import Collection, Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from transport.protocol.scenario.errors import (
     option,
     validated,
 )
+from transport.protocol.scenario.keys import is_list
 from transport.protocol.scenario.named_files import anchored
 from transport.protocol.scenario.relations import check_relations
 from transport.protocol.scenario.schema import Scenario
@@ -130,25 +130,28 @@ def _run_realtime_at_speed_1(tree: dict[str, Any], keys_set: Collection[str]) ->
 
 def _apply(tree: dict[str, Any], setting: str) -> None:
     """Set one value in a tree of plain data."""
-    *parents, last = dotted_key(setting).split(".")
+    parts = dotted_key(setting).split(".")
+    last = parts[-1]
 
     section: Any = tree
-    for part, below in pairwise([*parents, last]):
-        section = _child(section, part, below, setting)
+    for depth, below in enumerate(parts[1:], start=1):
+        section = _child(section, parts[:depth], below, setting)
 
     place = _index(section, last, setting) if isinstance(section, list) else last
     # Its files are relative to the current folder, unlike those of the scenario's file.
     section[place] = anchored(_value(setting), last)
 
 
-def _child(section: Any, part: str, below: str, setting: str) -> Any:
+def _child(section: Any, path: Sequence[str], below: str, setting: str) -> Any:
     """Return a section or list within another one, by number, or by name and made if missing.
 
-    `below` is the part of the key after it: a list that is missing has no entry to be numbered.
+    `path` are the parts of the key as far as it, `below` is the one after it: a list that is missing
+    has no entry to be numbered.
     """
+    part = path[-1]
     if isinstance(section, list):
         return section[_index(section, part, setting)]
-    if part not in section and below.isdecimal():
+    if part not in section and below.isdecimal() and is_list(path):
         expected = f"expected a list that the file gives, got {part!r} left out"
         raise ScenarioError(option(setting), "", f"{expected}: set the whole list")
 

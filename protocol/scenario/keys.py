@@ -2,11 +2,11 @@
 
 import ast
 import inspect
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from math import inf
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
@@ -101,6 +101,20 @@ def walk(
         inner = section_in(field.annotation)
         if inner is not None:
             yield from walk(inner, _joined(path, key))
+
+
+def is_list(path: Iterable[str]) -> bool:
+    """Return whether a key is that of a list; its path may have numbers of entries."""
+    key = ".".join(part for part in path if not part.isdecimal())
+    field = fields().get(key)
+    return field is not None and _has_entries(field.annotation)
+
+
+def _has_entries(annotation: Any) -> bool:
+    """Return whether a field is a list, or may be one."""
+    if get_origin(annotation) in (list, tuple):
+        return True
+    return any(_has_entries(argument) for argument in get_args(annotation))
 
 
 def fields() -> dict[str, FieldInfo]:

@@ -12,6 +12,7 @@ import pytest
 from msgspec import structs
 
 import transport
+from tests.support.logs import log_of
 from tests.support.nodes import AgentNode
 from tests.support.random_systems import random_state
 from tests.support.runs import (
@@ -28,6 +29,8 @@ from tests.support.runs import (
 )
 from transport.agent.own import checked_controller
 from transport.agent.own_run import Run, run_of
+from transport.analysis.analysed_run import AnalysedRun
+from transport.analysis.metrics import summarise
 from transport.flight.memory import simulate
 from transport.model.arrays import Array
 from transport.plant.engines import checked_engine
@@ -179,6 +182,43 @@ def test_a_wrong_step_is_a_failure(
     end_of_run = simulate(run)
     assert end_of_run.outcome == "failed"
     assert "agent1, agent2, agent3, agent4 failed" in end_of_run.reason
+
+
+@pytest.mark.parametrize(
+    "step",
+    [
+        "raise ValueError(f'at {self.k} for {measurement.uav_states[0, 0]}')",
+        "raise ValueError(object())",
+        "return self.u[:3], {'e': float(self.k)}",
+        "return self.u * np.nan, {'k': float(self.k)}",
+    ],
+)
+def test_failures_of_a_kind_are_one_event(
+    step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A text that differs at each step, or for each agent, is told once, with the number of others."""
+    run = own(tmp_path, monkeypatch, step)
+    messages: list[Message] = []
+    simulate(run, messages.append)
+    events = summarise(AnalysedRun.of(run, log_of(messages)))["faults"]
+    notices = [event["what"] for event in events if event["kind"] == "notice"]
+    texts = {note.problem for note in messages if isinstance(note, Note)}
+    assert len(notices) == 1
+    assert notices[0].startswith("agent1, agent2, agent3, agent4: controller my_own:Mine: step")
+    others = len(texts) - 1
+    assert notices[0].endswith(f" (and {others} like it)") == (others > 0)
+
+
+def test_failures_at_two_lines_are_two_events(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another line that raises, or another exception, is another kind."""
+    step = "if self.k < 3: raise ValueError(self.k)\n        raise ValueError(self.k)"
+    run = own(tmp_path, monkeypatch, step)
+    messages: list[Message] = []
+    simulate(run, messages.append)
+    events = summarise(AnalysedRun.of(run, log_of(messages)))["faults"]
+    assert sum(event["kind"] == "notice" for event in events) == 2
 
 
 def test_inputs_are_clipped_and_numbers_logged(

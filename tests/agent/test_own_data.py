@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -205,6 +206,13 @@ def test_a_class_without_negotiate(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ScenarioError, match="got no negotiate"):
         checked_controller(setup(SHORT, CHAIN, THREE))
     assert checked_controller(setup(SHORT, CHAIN)).endswith(":Chain 1")
+
+
+@pytest.mark.parametrize("shape", [np.int64(4), (np.int32(2), 2), np.array([2, 2]), [4]])
+def test_numbers_of_numpy_are_a_shape(shape: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A length may be any integer, and a shape any sequence of them."""
+    monkeypatch.setattr(Chain, "start", lambda _self, run: run.share(shape))
+    assert plan_shapes(setup(SHORT, CHAIN))["with the inputs of one tick "].data == 4
 
 
 def test_the_length_of_plans_is_told_with_the_declared_data() -> None:

@@ -552,6 +552,20 @@ def test_wrong_setting(setting: str, problem: str) -> None:
     assert refusal(PAPER, setting) == f"--set {setting or EMPTY}: {problem}"
 
 
+@pytest.mark.parametrize(
+    ("key", "problem"),
+    [
+        ("plant.motors.1.lag_s", "plant.motors.1: unknown key; known: lag_s, "),
+        ("plant.foo.1.bar", "plant.foo: unknown key; known: engine, "),
+        ("foo.1.bar", "foo: unknown key; known: schema, "),
+        ("system.uav.1.foo.2.bar", "system.uav.1.foo: unknown key; known: id, "),
+    ],
+)
+def test_a_number_below_what_is_no_list_is_an_unknown_key(key: str, problem: str) -> None:
+    """Only a list may lack an entry; a section, and a key that does not exist, have other words."""
+    assert refusal(PAPER, f"{key}=1").startswith(f"--set {key}=1: {problem}")
+
+
 def test_a_number_of_thousands_of_digits_is_no_entry() -> None:
     """Python refuses to read it; it is refused like any other number of an entry."""
     text = refusal(PAPER, f"maneuver.phase.{'9' * 5000}.duration_s=1")

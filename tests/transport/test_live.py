@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
+import transport
 from transport.flight import live
 from transport.flight.live import LiveRun
+from transport.protocol.wire.errors import TransportError
 
 HERE = LiveRun(
     "hover", {"coordinator": "tcp/127.0.0.1:7447", "agent1": "tcp/127.0.0.1:7448"}, os.getpid()
@@ -34,6 +36,24 @@ def test_the_file_of_a_killed_run_is_ignored(tmp_path: Path) -> None:
     ended.wait()
     live.write(tmp_path, LiveRun(HERE.run, HERE.endpoints, ended.pid))
     assert live.read(tmp_path) is None
+
+
+def test_a_run_that_has_ended_says_so(tmp_path: Path) -> None:
+    """Requests to it name the run, not the keys that went with it, also where a new run has its folder."""
+    run = LiveRun(HERE.run, HERE.endpoints, HERE.pid, str(tmp_path / "keys"))
+    live.write(tmp_path, run)
+    active = transport.active(tmp_path)
+    live.remove(tmp_path)
+    for _ in range(2):
+        with pytest.raises(TransportError, match=f"the run in {tmp_path} has ended"):
+            active.target(0.0, 0.0, -10.0)
+        live.write(tmp_path, LiveRun("another", HERE.endpoints, HERE.pid))
+
+    ended = subprocess.Popen(["true"])
+    ended.wait()
+    dead = LiveRun(HERE.run, HERE.endpoints, ended.pid, str(tmp_path / "keys"))
+    with pytest.raises(TransportError, match="run hover has ended"):
+        dead.ask("coordinator", "target", {})
 
 
 @pytest.mark.parametrize(

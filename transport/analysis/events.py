@@ -1,5 +1,6 @@
 """Events of a run in its summary: faults, detections, rejoins, notices, and its end."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -138,31 +139,52 @@ def _by_plant(setup: Setup, entry: Recorded) -> Iterator[_Event]:
             )
 
 
-class _Notices:
-    """Problems that controllers report: each is one event of all agents that have it.
+# An exception of a class of the user, and the line that raised it.
+_RAISED = re.compile(r"(controller \S+: \w+ raised \w+)\b.*( \([^()]+:\d+\))")
+_NUMBER = re.compile(r"\d[\w.+-]*")
 
-    The event is at the first tick of the problem.
+
+def _kind_of(problem: str) -> str:
+    """Return what problems of a kind share: exception and line, or the text without its numbers.
+
+    The text of a class may differ at each step. Those of the project are kinds of their own.
+    """
+    if not problem.startswith("controller "):
+        return problem
+    raised = _RAISED.fullmatch(problem)
+    return "".join(raised.groups()) if raised else _NUMBER.sub("0", problem)
+
+
+class _Notices:
+    """Problems that controllers report: each kind is one event of all agents that have it.
+
+    The event is at the first tick of the problem, with its text there.
     """
 
     def __init__(self, log: RunLog) -> None:
         self._reported: set[str] = set()
-        self._agents_by_problem: dict[str, set[int]] = {}
+        self._agents: dict[str, set[int]] = {}  # by kind
+        self._texts: dict[str, set[str]] = {}  # by kind
         for note in log.of(messages.Note):
-            self._agents_by_problem.setdefault(note.problem, set()).add(note.agent)
+            kind = _kind_of(note.problem)
+            self._agents.setdefault(kind, set()).add(note.agent)
+            self._texts.setdefault(kind, set()).add(note.problem)
 
     def of(self, entry: Recorded, note: messages.Note) -> Iterator[_Event]:
         """Yield the event of a note if it is the first one with its problem."""
-        problem = note.problem
-        if not problem or problem in self._reported:
+        kind = _kind_of(note.problem)
+        if not kind or kind in self._reported:
             return
 
-        self._reported.add(problem)
-        agents = [agent_name(agent) for agent in sorted(self._agents_by_problem[problem])]
+        self._reported.add(kind)
+        agents = [agent_name(agent) for agent in sorted(self._agents[kind])]
+        others = len(self._texts[kind]) - 1
+        more = f" (and {others} like it)" if others else ""
         yield _Event(
             tick=note.tick,
             received_ns=entry.received_ns,
             kind="notice",
-            text=f"{', '.join(agents)}: {problem}",
+            text=f"{', '.join(agents)}: {note.problem}{more}",
             processes=agents,
         )
 

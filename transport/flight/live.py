@@ -42,6 +42,8 @@ class LiveRun:
         self, name: str, what: str, given: Mapping[str, Any], keys: Path | None = None
     ) -> dict[str, Any]:
         """Return the answer of one of its processes to a request, as `request`."""
+        if not _is_running(self.pid):
+            raise TransportError(f"run {self.run} has ended")
         own_keys = Path(self.keys) if self.keys else None
         # Connect only to the process that is asked: a stopped one delays the connection.
         return request(self.run, [self.endpoints[name]], name, what, given, keys or own_keys)

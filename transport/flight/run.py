@@ -223,9 +223,10 @@ def _marked_active(folder: Path, addresses: _Addresses) -> Iterator[None]:
 def _invitation(name: str, addresses: _Addresses, digest: str) -> str:
     """Return a line with all that an external process needs to join."""
     place = addresses.processes[name]
-    ends = f"listens on {', '.join(place.listen)}, connects to {', '.join(place.connect)}"
     needs = f"; it needs --set '{keys_setting(addresses.keys)}'" if addresses.keys else ""
-    return f"waiting for {name} of run {addresses.run}, digest {digest}; it {ends}{needs}"
+    return (
+        f"waiting for {name} of run {addresses.run}, digest {digest}; it {place.in_words()}{needs}"
+    )
 
 
 def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finished:

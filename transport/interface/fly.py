@@ -20,6 +20,7 @@ from transport.log.run_log import Recorded, RunLog, open_run
 from transport.protocol.scenario.file import ScenarioError
 from transport.protocol.scenario.named_files import points_of
 from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
 from transport.protocol.wire.messages import Message, PlantState, Target
 from transport.protocol.wire.names import COORDINATOR
@@ -166,6 +167,8 @@ class ActiveRun:
 
         every = {"points_m": plain(points), "times_s": plain(times), "speed_mps": plain(speed)}
         given = {key: value for key, value in every.items() if value is not None}
+        if live.read(self.folder) != self._live:
+            raise TransportError(f"the run in {self.folder} has ended")
         return self._live.ask(COORDINATOR, "target", given)
 
 
