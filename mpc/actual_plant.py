@@ -1,5 +1,6 @@
 """The actual plant about hover, which differs from the controllers' model, over a sampling period."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -11,6 +12,9 @@ from transport.model.discretisation import Discrete, zero_order_hold
 from transport.model.hover import hover
 from transport.model.linearisation import Linearisation, Model
 from transport.model.parameters import System
+
+# Size of F times the duration up to which a hold is computed at once; sizes below the other one are zero.
+_LARGEST, _SMALL = 256.0, 1e-12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,5 +178,12 @@ def _exact_step(F: Array, G: Array, duration_s: float) -> Discrete:
     if duration_s == 0.0:
         return Discrete(A=np.eye(len(F)), B=np.zeros_like(G), f_d=none)
 
+    # Short lags of small vehicles decay too fast for the hold of a whole period: halves are joined.
+    size = float(np.abs(F).sum(axis=0).max()) * duration_s
+    halvings = max(0, math.ceil(math.log2(max(size, _SMALL) / _LARGEST)))
     no_outputs = np.zeros((0, len(F)))
-    return zero_order_hold(Linearisation.of(none, F, G, np.zeros(0), no_outputs), duration_s)
+    linear = Linearisation.of(none, F, G, np.zeros(0), no_outputs)
+    held = zero_order_hold(linear, duration_s / 2**halvings)
+    for _ in range(halvings):
+        held = Discrete(A=held.A @ held.A, B=held.A @ held.B + held.B, f_d=none)
+    return held

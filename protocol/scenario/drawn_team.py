@@ -40,6 +40,7 @@ class DrawnRanges:
     load_inertia: Bounds = (0.15, 1.2)  # over mass times square of the ring's radius
     periods_s: tuple[float, ...] = (0.02, 0.025, 0.04, 0.05, 0.08, 0.1)
     horizon_s: Bounds = (0.5, 1.2)
+    horizon: tuple[int, int] = (5, 30)  # in steps, within these bounds
     share_of_rates: float = 0.3  # teams that command body rates
     rate_time_constant_s: Bounds = (0.03, 0.06)
     thrust: Bounds = (2.0, 2.8)  # largest thrust over the largest at hover
@@ -231,7 +232,7 @@ def _controller(
     commands_rates = bool(rng.random() < ranges.share_of_rates)
     return {
         "sampling_period_s": period_s,
-        "horizon": max(5, round(horizon_s / period_s)),
+        "horizon": int(np.clip(round(horizon_s / period_s), *ranges.horizon)),
         "inputs": "rates" if commands_rates else "moments",
         "rate_time_constant_s": [time_constant_s] * 3,
         "limits": {

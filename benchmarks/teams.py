@@ -1,0 +1,321 @@
+"""Drawn teams: `python -m benchmarks.teams` counts which of them hold silences and deaths.
+
+Each case is flown by the drawn teams of `protocol.scenario.drawn_team` with seeds 0, 1, ..: their own
+geometry, periods, horizons, vehicles and late networks. The instant of the silence is drawn from the
+seed, too. A line for each case, `--runs` for each run; `--case TEXT` selects cases. `--kept FOLDER`
+keeps runs, and flies only those not kept there: several commands can share a folder.
+
+`--margins` prints the slowest decay and the margins of the law of UAVs alone of each team instead.
+`--write` renews both tables in docs/guarantees.md.
+"""
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import threadpoolctl
+
+from benchmarks.runs import origin
+from docs.tables import ROOT, put, table
+from transport.flight.memory import simulate
+from transport.log.whole_files import write_whole
+from transport.model.state import StateView
+from transport.mpc.actual_plant import Mismatch
+from transport.mpc.alone_design import DECAY_PER_S, FAMILY
+from transport.mpc.margins import margins
+from transport.protocol.scenario.drawn_team import drawn
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.file import find_scenario, read_scenario, validate
+from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Message, PlantState
+
+TEMPLATE = "precise"
+FOR_GOOD_S = 1e5
+UPSET_DEG = 15.0  # attitude of the payload beyond which a run does not count as held
+_FROM_S = (2.0, 8.0)  # range of the instant at which the silence begins
+_AFTER_S = 1.0  # from the begin of the silence to the death in it
+_STAYS_S = 4.0  # after the silence, to the end of the run
+_DELAY_MS, _LAG_MS = 20.0, 25.0  # wanted margins
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """What the drawn teams meet."""
+
+    name: str
+    silent_s: float = 0.0
+    death: bool = False  # an agent dies in the silence
+    # Delay, s, and loss of the links; None: the team's own.
+    links: tuple[float, float] | None = None
+    sensors: str = "state"
+    gust_mps: float | None = 1.0  # None: the team's own
+    teams: int = 60
+    most_uavs: int = 8
+
+
+CASES = (
+    Case(name="silent 4 s", silent_s=4.0),
+    Case(name="silent 30 s", silent_s=30.0),
+    Case(name="silent for good", silent_s=FOR_GOOD_S),
+    Case(name="a death in a silence of 4 s", silent_s=4.0, death=True),
+    Case(
+        name="sensors of the vehicles, perfect network",
+        links=(0.0, 0.0),
+        sensors="vehicle",
+        gust_mps=None,
+        teams=30,
+        most_uavs=6,
+    ),
+    Case(
+        name="sensors of the vehicles, 200 ms and 30 % loss",
+        links=(0.2, 0.3),
+        sensors="vehicle",
+        gust_mps=None,
+        teams=30,
+        most_uavs=6,
+    ),
+    Case(
+        name="sensors of the vehicles, silent 10 s",
+        silent_s=10.0,
+        links=(0.1, 0.0),
+        sensors="vehicle",
+        gust_mps=None,
+        teams=30,
+        most_uavs=6,
+    ),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flown:
+    """Result of a run."""
+
+    team: int  # its seed
+    outcome: str  # as in a summary, or "refused"
+    attitude_deg: float
+    at_s: float  # of the largest attitude
+    end_s: float
+    text: str  # the team in words, or the reason of the refusal
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the run was completed within the attitude."""
+        return self.outcome == "completed" and self.attitude_deg <= UPSET_DEG
+
+
+@lru_cache(maxsize=1)
+def _template() -> tuple[Scenario, str]:
+    path = find_scenario(TEMPLATE)
+    return read_scenario(path), str(path)
+
+
+def seeds(case: Case) -> Iterator[int]:
+    """Yield the seeds of the teams of a case: the first ones of at most so many UAVs."""
+    found = 0
+    seed = 0
+    while found < case.teams:
+        if len(drawn(seed, *_template()).system.uav) <= case.most_uavs:
+            yield seed
+            found += 1
+        seed += 1
+
+
+def flown_scenario(case: Case, seed: int) -> Scenario:
+    """Return the scenario of a run. Raises: ScenarioError: it is refused."""
+    tree: dict[str, Any] = drawn(seed, *_template()).tree()
+    rng = np.random.default_rng([seed, 7])
+    start_s = round(float(rng.uniform(*_FROM_S)), 3)
+    dying = 1 + int(rng.integers(len(tree["system"]["uav"])))
+
+    plant = tree["plant"]
+    is_sensed = case.sensors == "vehicle"
+    if case.sensors != plant["sensors"]:
+        noise = {
+            "position_m": 0.01,
+            "velocity_mps": 0.02,
+            "attitude_rad": 0.0087,
+            "rate_rads": 0.0175,
+            "specific_force_mps2": 0.3,
+        }
+        plant |= {"sensors": case.sensors, "noise": noise if is_sensed else {}}
+    tree["controller"]["estimator"] = "kalman" if is_sensed else "measured"
+    if case.gust_mps is not None:
+        plant["wind"]["gust_mps"] = [case.gust_mps] * 3
+    if case.links is not None:
+        delay_s, loss = case.links
+        tree["links"] |= {"delay_s": delay_s, "loss": loss, "jitter_s": 0.0}
+
+    if case.silent_s:
+        end_s = start_s + case.silent_s
+        agents = len(tree["system"]["uav"])
+        tree["links"]["partition"] = [
+            {"between": [f"agent{agent}"], "start_s": start_s, "end_s": end_s}
+            for agent in range(1, agents)
+        ]
+        phases = tree["maneuver"]["phase"]
+        total_s = math.fsum(phase["duration_s"] for phase in phases)
+        if case.silent_s < FOR_GOOD_S:
+            phases[-1]["duration_s"] += max(0.0, math.ceil(end_s + _STAYS_S - total_s))
+    if case.death:
+        tree["clock"]["on_agent_loss"] = "continue"
+        fault = {"at_s": start_s + _AFTER_S, "do": "kill", "target": f"agent{dying}"}
+        tree["faults"]["event"] = [fault]
+    return validate(tree, f"team {seed}")
+
+
+def fly(case: Case, seed: int) -> Flown:
+    """Fly a case with the team of a seed."""
+    try:
+        setup = Setup.of(flown_scenario(case, seed), f"team {seed}")
+    except ScenarioError as error:
+        return Flown(
+            team=seed, outcome="refused", attitude_deg=0.0, at_s=0.0, end_s=0.0, text=str(error)
+        )
+    period_s = setup.settings.sampling_period_s
+    attitude_deg, at_tick, end_tick = 0.0, 0, 0
+
+    def watch(message: Message) -> None:
+        nonlocal attitude_deg, at_tick, end_tick
+        if isinstance(message, PlantState):
+            end_tick = message.tick
+            now_deg = float(np.degrees(np.abs(StateView(message.x).Theta0).max()))
+            if now_deg > attitude_deg:
+                attitude_deg, at_tick = now_deg, end_tick
+
+    with threadpoolctl.threadpool_limits(1):
+        control = simulate(setup, watch)
+    gains = "" if setup.alone is None else setup.alone.in_words()
+    actuation = "next tick" if setup.scenario.clock.next_tick else "immediate"
+    text = f"N {setup.system.N}, T_s {period_s:g} s, {setup.settings.inputs}, {actuation}, {gains}"
+    return Flown(
+        team=seed,
+        outcome=control.outcome,
+        attitude_deg=round(attitude_deg, 2),
+        at_s=round(at_tick * period_s, 2),
+        end_s=round(end_tick * period_s, 2),
+        text=text,
+    )
+
+
+def _kept(case: Case, seed: int, folder: Path | None, *, is_flying: bool) -> Flown | None:
+    """Return a run, flown or kept; None where it is neither."""
+    if folder is None:
+        return fly(case, seed)
+    path = (
+        folder
+        / f"{case.name.replace(' ', '-').replace('%', 'percent').replace(',', '')}-{seed}.json"
+    )
+    if not path.exists():
+        if not is_flying:
+            return None
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(path, json.dumps(asdict(fly(case, seed))).encode())
+    return Flown(**json.loads(path.read_bytes()))
+
+
+HEADINGS = ("60 drawn teams", "complete", "within 15 deg", "median attitude", "largest", "refused")
+
+
+def cells(case: Case, runs: Sequence[Flown]) -> list[str]:
+    """Return the row of a case."""
+    done = [run.attitude_deg for run in runs if run.outcome == "completed"]
+    held = sum(run.is_held for run in runs)
+    refused = sum(run.outcome == "refused" for run in runs)
+    middle, largest = (float(np.median(done)), max(done)) if done else (math.nan, math.nan)
+    of = f"of {len(runs)}"
+    numbers = [f"{len(done)} {of}", f"{held} {of}", f"{middle:.1f} deg", f"{largest:.1f} deg"]
+    return [case.name, *numbers, f"{refused}"]
+
+
+def count(options: argparse.Namespace) -> list[list[str]]:
+    """Fly the cases, print their lines, and return their rows."""
+    rows = []
+    for case in CASES:
+        if options.case not in case.name:
+            continue
+        runs = []
+        for seed in list(seeds(case))[options.first :]:
+            run = _kept(case, seed, options.kept, is_flying=not options.no_fly)
+            if run is None:
+                continue
+            runs.append(run)
+            if options.runs or not run.is_held:
+                sys.stdout.write(f"{case.name}: {run}\n")
+                sys.stdout.flush()
+        if runs:
+            rows.append(cells(case, runs))
+            sys.stdout.write(" | ".join(rows[-1]) + "\n")
+    return rows
+
+
+MARGIN_HEADINGS = (
+    "law alone of 60 drawn teams", "decays by 0.04/s", "delay margin 20 ms", "lag margin 25 ms", "all", "refused",
+)  # fmt: skip
+
+
+def count_margins(*, each: bool) -> list[list[str]]:
+    """Compute decay and margins of UAVs alone, with the designed gains and with those of rings."""
+    rows = []
+    for name, designed in (("designed for the team", True), ("gains of rings", False)):
+        met = []
+        refused = 0
+        for seed in range(60):
+            try:
+                setup = Setup.of(drawn(seed, *_template()), f"team {seed}")
+            except ScenarioError as error:
+                sys.stdout.write(f"team {seed}: {error}\n")
+                refused += designed
+                continue
+            team = setup.team_alone(next_tick=setup.scenario.clock.next_tick)
+            gains = team.design().gains if designed else FAMILY[0]
+            with threadpoolctl.threadpool_limits(1):
+                loop = team.loop(gains)
+                growth = loop.growth(Mismatch())
+                found = margins(loop, ("delay_s", "lag_s"))
+            uppers_ms = [
+                math.inf if one.upper is None else 1e3 * one.upper for one in found.values()
+            ] or [0.0, 0.0]
+            met.append([growth < -DECAY_PER_S, uppers_ms[0] >= _DELAY_MS, uppers_ms[1] >= _LAG_MS])
+            if each or (designed and not all(met[-1])):
+                words = (
+                    f"growth {growth:.3f}/s, delay {uppers_ms[0]:.0f} ms, lag {uppers_ms[1]:.0f} ms"
+                )
+                sys.stdout.write(f"team {seed}: {words}\n")
+        counts = np.array(met).sum(axis=0).tolist()
+        whole = sum(all(one) for one in met)
+        of = f"of {len(met)}"
+        rows.append([name, *(f"{number} {of}" for number in (*counts, whole)), f"{refused}"])
+        sys.stdout.write(" | ".join(rows[-1]) + "\n")
+    return rows
+
+
+def main(given: Sequence[str] | None = None) -> None:
+    """Fly the cases, or compute the margins."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.teams", description=__doc__)
+    parser.add_argument("--case", default="", help="text in the names of the cases to fly")
+    parser.add_argument("--first", type=int, default=0, help="skip so many teams of each case")
+    parser.add_argument("--runs", action="store_true", help="print a line for each run")
+    parser.add_argument("--kept", type=Path, help="folder of runs")
+    parser.add_argument("--no-fly", action="store_true", help="count kept runs alone")
+    parser.add_argument("--margins", action="store_true", help="margins in place of flights")
+    parser.add_argument("--write", action="store_true", help="renew the table of the page")
+    options = parser.parse_args(given)
+    if options.margins:
+        mark, rows = "bench: teams alone", count_margins(each=options.runs)
+        headings: Sequence[str] = MARGIN_HEADINGS
+    else:
+        mark, rows, headings = "bench: teams", count(options), HEADINGS
+    if options.write:
+        put(ROOT / "docs" / "guarantees.md", mark, f"{table(headings, rows)}\n\n*{origin()}.*")
+
+
+if __name__ == "__main__":
+    main()
