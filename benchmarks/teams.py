@@ -30,7 +30,7 @@ from transport.model.state import StateView
 from transport.mpc.actual_plant import Mismatch
 from transport.mpc.alone_design import DECAY_PER_S, FAMILY
 from transport.mpc.margins import margins
-from transport.protocol.scenario.drawn_team import drawn
+from transport.protocol.scenario.drawn_team import NOISE, drawn
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.file import find_scenario, read_scenario, validate
 from transport.protocol.scenario.schema import Scenario
@@ -138,14 +138,7 @@ def flown_scenario(case: Case, seed: int) -> Scenario:
     plant = tree["plant"]
     is_sensed = case.sensors == "vehicle"
     if case.sensors != plant["sensors"]:
-        noise = {
-            "position_m": 0.01,
-            "velocity_mps": 0.02,
-            "attitude_rad": 0.0087,
-            "rate_rads": 0.0175,
-            "specific_force_mps2": 0.3,
-        }
-        plant |= {"sensors": case.sensors, "noise": noise if is_sensed else {}}
+        plant |= {"sensors": case.sensors, "noise": NOISE if is_sensed else {}}
     tree["controller"]["estimator"] = "kalman" if is_sensed else "measured"
     if case.gust_mps is not None:
         plant["wind"]["gust_mps"] = [case.gust_mps] * 3

@@ -16,6 +16,7 @@ import numpy as np
 from transport.model.flight import LEAST_TENSION
 from transport.model.hover import Hover, hover
 from transport.model.parameters import ParameterError, Payload, System, Uav
+from transport.protocol.scenario.errors import building
 from transport.protocol.scenario.file import validate
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.team import given_values
@@ -38,6 +39,9 @@ class DrawnRanges:
     height_m: Bounds = (0.05, 0.25)  # of attachments above the centre of mass
     load: Bounds = (0.35, 0.65)  # mass of the payload over that of all UAVs
     load_inertia: Bounds = (0.15, 1.2)  # over mass times square of the ring's radius
+    share_of_drag: float = 0.5  # teams that have drag, and know it
+    uav_drag: Bounds = (0.2, 0.5)  # in the plane of the rotors, over the mass, 1/s
+    load_drag_kgps: Bounds = (0.0, 0.5)
     periods_s: tuple[float, ...] = (0.02, 0.025, 0.04, 0.05, 0.08, 0.1)
     horizon_s: Bounds = (0.5, 1.2)
     horizon: tuple[int, int] = (5, 30)  # in steps, within these bounds
@@ -64,7 +68,7 @@ _APART_M = 0.4
 _SEPARATION = 0.75
 # Tension of each rod at hover, over the mean: twice the least that a path may leave.
 _TAUT = 2.0 * LEAST_TENSION
-_NOISE = {
+NOISE = {
     "position_m": 0.01,
     "velocity_mps": 0.02,
     "attitude_rad": 0.0087,
@@ -85,18 +89,17 @@ def drawn(seed: int, template: Scenario, source: str, uavs: int | None = None) -
     Raises: ScenarioError: the template does not take such a team.
     """
     ranges = DRAWN
-    rng = np.random.default_rng([seed, 65])
-    N = int(rng.integers(ranges.uavs[0], ranges.uavs[1], endpoint=True))
-    N = N if uavs is None else uavs
+    team = _drawn_vehicles(seed, uavs, template.system.gravity_mps2)
+    rng = team.rng
+    N = len(team.system["uav"])
 
     tree = given_values(template)
     tree["name"] = f"team-{seed}-of-{N}"
     tree["seed"] = seed
-    system, at_rest = _team(rng, N, template.system.gravity_mps2)
-    tree["system"] = system
-    tree["maneuver"] = {"start_m": [0.0, 0.0, -10.0], "profile": "ramp", "phase": _phases(rng)}
+    tree["system"] = team.system
+    tree["maneuver"] = {"start_m": [0.0, 0.0, -10.0], "profile": "ramp", "phase": team.phases}
     tree["agents"] = {"owned": [[uav] for uav in range(1, N + 1)]}
-    tree["controller"] = {**tree["controller"], **_controller(rng, system, at_rest)}
+    tree["controller"] = {**tree["controller"], **team.controller}
     tree["clock"] = {
         **tree.get("clock", {}),
         "actuation": "next_tick" if rng.random() < ranges.share_of_next_tick else "immediate",
@@ -110,6 +113,51 @@ def drawn(seed: int, template: Scenario, source: str, uavs: int | None = None) -
     has_sensors = tree["plant"]["sensors"] == "vehicle"
     tree["controller"]["estimator"] = "kalman" if has_sensors else "measured"
     return validate(tree, source)
+
+
+def put_drawn_vehicles(tree: dict[str, Any], seed: int) -> None:
+    """Replace the vehicles in the tree of a scenario by the drawn ones of a seed, as many as there are.
+
+    Payload, UAVs, rods, period, horizon, inputs and limits are drawn; maneuver, network, sensors and weather
+    stay.
+    Raises: ScenarioError: no draw has a hover.
+    """
+    system = tree["system"]
+    team = _drawn_vehicles(seed, len(system["uav"]), system["gravity_mps2"])
+    tree["system"] = team.system
+    wind = tree["plant"]["wind"]
+    if any(wind.get(key) is not None for key in ("drag_payload_kgps", "drag_uav_kgps")):
+        # The scenario has drag that no controller knows, in place of that of the bodies.
+        for body in (team.system["payload"], *team.system["uav"]):
+            body.pop("drag_kgps", None)
+    estimate = tree["controller"]["disturbance"]
+    tree["controller"] |= team.controller | {"disturbance": estimate}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _DrawnVehicles:
+    """Bodies and flight of a team, and the generator with which the rest is drawn."""
+
+    rng: np.random.Generator
+    system: dict[str, Any]
+    phases: list[dict[str, Any]]
+    controller: dict[str, Any]
+
+
+def _drawn_vehicles(seed: int, uavs: int | None, gravity_mps2: float) -> _DrawnVehicles:
+    """Return the vehicles of a seed; with None their number is drawn as well.
+
+    Raises: ScenarioError: no draw has a hover.
+    """
+    rng = np.random.default_rng([seed, 65])
+    fewest, most = DRAWN.uavs
+    drawn_number = int(rng.integers(fewest, most, endpoint=True))
+    N = drawn_number if uavs is None else uavs
+    system, at_rest = building(f"drawn team {seed}", "system", lambda: _team(rng, N, gravity_mps2))
+    phases = _phases(rng)
+    controller = _controller(rng, system, at_rest)
+    _add_drag(np.random.default_rng([seed, 66]), system)
+    return _DrawnVehicles(rng=rng, system=system, phases=phases, controller=controller)
 
 
 def _uniform(rng: np.random.Generator, bounds: Bounds, digits: int = 4) -> float:
@@ -164,8 +212,19 @@ def _section(rng: np.random.Generator, N: int, gravity_mps2: float) -> dict[str,
     load_kg = round(sum(uav["mass_kg"] for uav in uavs) * rng.uniform(*ranges.load), 4)
     inertia_kgm2 = load_kg * radius_m**2 * rng.uniform(*ranges.load_inertia)
     around = [round(inertia_kgm2 * rng.uniform(0.8, 1.2), 5) for _ in range(3)]
-    payload = {"mass_kg": load_kg, "inertia_kgm2": around}
+    payload: dict[str, Any] = {"mass_kg": load_kg, "inertia_kgm2": around}
     return {"gravity_mps2": gravity_mps2, "payload": payload, "uav": uavs}
+
+
+def _add_drag(rng: np.random.Generator, section: dict[str, Any]) -> None:
+    """Add drag to the bodies of a section `system`, of one kind of vehicle, or none."""
+    ranges = DRAWN
+    if rng.random() >= ranges.share_of_drag:
+        return
+    section["payload"]["drag_kgps"] = _uniform(rng, ranges.load_drag_kgps)
+    per_second = rng.uniform(*ranges.uav_drag)
+    for uav in section["uav"]:
+        uav["drag_kgps"] = [round(per_second * uav["mass_kg"], 4), 0.0]
 
 
 def _bodies(section: dict[str, Any]) -> System:
@@ -252,7 +311,7 @@ def _plant(rng: np.random.Generator) -> dict[str, Any]:
     has_sensors = bool(rng.random() < ranges.share_of_sensors)
     factor = rng.uniform(*ranges.noise)
     gust_mps = _uniform(rng, ranges.gust_mps)
-    noise = {quantity: round(factor * sigma, 5) for quantity, sigma in _NOISE.items()}
+    noise = {quantity: round(factor * sigma, 5) for quantity, sigma in NOISE.items()}
     return {
         "sensors": "vehicle" if has_sensors else "state",
         "noise": noise if has_sensors else {},

@@ -93,7 +93,8 @@ def worst(
     Args:
         scenario: Scenario file, name, or `Scenario`.
         settings: Changes by dotted key.
-        over: Kinds of events: silence, deaths, links, gusts, mass, sensors, targets.
+        over: Kinds of events: silence, deaths, links, gusts, mass, sensors, targets,
+            team.
         budget: Number of cases, rounded up to whole batches of 8.
         objective: attitude, separation, payload, constraint or cost.
         limit: Value at which a run has failed; by default 10 deg, 0.9 of the minimum separation,

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
+from transport.protocol.scenario.drawn_team import put_drawn_vehicles
 from transport.protocol.wire.names import PLANT
 
 Tree = dict[str, Any]
@@ -302,4 +303,25 @@ class TargetEvent:
             yield replace(self, at_s=max(0.0, at_s))
 
 
-Event = Silence | Death | Links | Gusts | ModelError | Sensors | TargetEvent
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrawnTeam:
+    """Vehicles and payload drawn by a seed, as many UAVs as in the scenario."""
+
+    of_network: ClassVar[bool] = False
+
+    seed: int
+
+    def apply(self, tree: Tree) -> None:
+        """Replace the bodies, with period, horizon, inputs and limits."""
+        put_drawn_vehicles(tree, self.seed)
+
+    def in_words(self) -> str:
+        """Return the event as a phrase."""
+        return f"the drawn team {self.seed}"
+
+    def simpler(self) -> Iterator["DrawnTeam"]:
+        """Yield nothing: no team is simpler than another."""
+        yield from ()
+
+
+Event = Silence | Death | Links | Gusts | ModelError | Sensors | TargetEvent | DrawnTeam

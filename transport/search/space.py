@@ -18,6 +18,7 @@ from transport.protocol.scenario.schema import Scenario
 from transport.search.candidate import Candidate
 from transport.search.events import (
     Death,
+    DrawnTeam,
     Event,
     Gusts,
     Links,
@@ -120,6 +121,13 @@ class TargetsBounds(Section):
     """distance of a target from the start of the maneuver"""
 
 
+class TeamBounds(Section):
+    """Vehicles and payload drawn at random (`protocol.scenario.drawn_team`)."""
+
+    seeds: Annotated[int, Interval(ge=1)] = 1000
+    """teams to choose from"""
+
+
 class Bounds(Section):
     """Bounds of all kinds of events, as a TOML file has them."""
 
@@ -130,6 +138,7 @@ class Bounds(Section):
     mass: MassBounds = MassBounds()
     sensors: SensorsBounds = SensorsBounds()
     targets: TargetsBounds = TargetsBounds()
+    team: TeamBounds = TeamBounds()
 
 
 KINDS = tuple(Bounds.model_fields)
@@ -337,6 +346,13 @@ def _targets(bounds: TargetsBounds, _: int) -> list[Slot]:
     return [Slot("+....", event)] * bounds.count
 
 
+def _team(bounds: TeamBounds, _: int) -> list[Slot]:
+    def event(point: Array) -> DrawnTeam | None:
+        return DrawnTeam(seed=_choice(bounds.seeds, point[0]))
+
+    return [Slot(".", event)]
+
+
 _SLOTS: dict[str, Callable[[Any, int], list[Slot]]] = {
     "silence": _silences,
     "deaths": _deaths,
@@ -345,4 +361,5 @@ _SLOTS: dict[str, Callable[[Any, int], list[Slot]]] = {
     "mass": _mass,
     "sensors": _sensors,
     "targets": _targets,
+    "team": _team,
 }
