@@ -25,7 +25,6 @@ import threadpoolctl
 from benchmarks.runs import origin
 from docs.tables import ROOT, put, table
 from transport.flight.memory import simulate
-from transport.log.whole_files import write_whole
 from transport.model.state import StateView
 from transport.mpc.actual_plant import Mismatch
 from transport.mpc.alone_design import DECAY_PER_S, FAMILY
@@ -35,6 +34,7 @@ from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.file import find_scenario, read_scenario, validate
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.whole_files import write_whole
 from transport.protocol.wire.messages import Message, PlantState
 
 TEMPLATE = "precise"
