@@ -191,7 +191,7 @@ def margins(
 ) -> None:
     """Compute how much model error a hover tolerates.
 
-    Analyses the sampled loop about hover: actuator lag, delay and gain, masses, inertias and rods
+    Analyses the sampled loop about hover: actuator lag, delay, spread and gain, masses, inertias and rods
     up to which the hover is stable, the others as known. Factors are relative to the known value.
     Takes seconds. With --without the team that is left holds the payload if all deviations decay.
 
