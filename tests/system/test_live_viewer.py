@@ -236,17 +236,19 @@ def test_a_live_run_is_sent_to_targets(tmp_path: Path, window: Browser) -> None:
             assert wait_for(lambda known=known: len(log.of(Target)) > known, BROWSER_S)  # type: ignore[misc]
             assert np.allclose(log.of(Target)[-1].points, [expected])
         known = len(log.of(Target))
-        window.type("x, y, z (m)", "1.25, -0.5")
+        window.type("x, y, down (m)", "1.25, -0.5")
         window.click("Go there")
-        assert wait_for(lambda: "expected three numbers, got" in (window.text() or ""), BROWSER_S)
-        window.type("x, y, z (m)", "1.25, -0.75 -10")
+        assert wait_for(
+            lambda: "expected three numbers x, y, down, got" in (window.text() or ""), BROWSER_S
+        )
+        window.type("x, y, down (m)", "1.25, -0.75 -10")
         window.click("Go there")  # at once: what is typed may come later than the click
         assert wait_for(lambda: len(log.of(Target)) > known, BROWSER_S)
         expected = np.array([1.25, -0.75, -10.0])
         assert [np.round(target.points[0], 6).tolist() for target in log.of(Target)[known:]] == [
             expected.tolist()
         ]
-        place = "target (1.25, -0.75, -10) m"
+        place = "target x 1.25, y -0.75, down -10 m"
         for said in (f"{place}: arrives at t = ", f"{place}: since t = "):
             assert wait_for(partial(window.shows, said), BROWSER_S), window.text()
         assert window.console() == []

@@ -2,10 +2,12 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.support.results import here
 from tests.support.runs import PAPER, SCENARIOS
+from transport.cli.scenario import wide_load
 from transport.protocol.scenario.file import read_scenario
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.team import Team, resized
@@ -167,3 +169,19 @@ def test_validate_tells_all_hover_thrusts(tmp_path: Path) -> None:
     assert len(set(setup.hover.u[::4])) > 1
     assert f"hover thrusts {thrusts} N" in result.stderr
     assert "hover thrust 22.07 N," in here("validate", "paper").stderr
+
+
+def test_a_load_wider_than_the_ring_is_told(tmp_path: Path) -> None:
+    """A line has the payload's radius of gyration sqrt(J_z / m) if it is larger than the ring of attachments."""
+    path = tmp_path / "two.toml"
+    made = here(*NEW, "--uavs", "2", "--load", "4", "--out", str(path))
+    setup = Setup.of(read_scenario(path), str(path))
+    gyration_m = float(setup.system.payload.inertia[2, 2] / 4.0) ** 0.5
+    ring_m = float(np.linalg.norm(setup.system.uavs[0].rho[:2]))
+    assert gyration_m > ring_m
+    line = f"payload: radius of gyration {gyration_m:.2f} m, larger than the ring of attachments, {ring_m:.2f} m"
+    assert line in made.stderr
+
+    compact = f"system.payload.inertia_kgm2={[4.0 * (0.9 * ring_m) ** 2] * 3}"
+    setup = Setup.of(read_scenario(path, [compact]), "two.toml")
+    assert wide_load(setup) == ""

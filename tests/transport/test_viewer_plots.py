@@ -31,11 +31,13 @@ from transport.scene.colours import OFF_COLOUR
 from transport.scene.history import RunHistory
 from transport.scene.parts import Label
 from transport.scene.scene import SceneBuilder
+from transport.viewer import html
 from transport.viewer.camera import FIELD_OF_VIEW
 from transport.viewer.link_controls import ALL_LINKS, LinkControls, groups_of
 from transport.viewer.plots import Plots, rounded_range
+from transport.viewer.server import Page
 from transport.viewer.timeline import Event, events_around, events_of
-from transport.viewer.viewer import Viewer
+from transport.viewer.viewer import Viewer, may_send
 
 NEAR_M = 1e-6
 LAST = 29  # tick of a short run
@@ -197,6 +199,75 @@ def test_a_hidden_page_is_not_waited_for(live: Viewer) -> None:
         live.playback.seek(3)
         assert wait_for(lambda: shown(live) == 3)
         assert time.monotonic() - since > 1.0
+
+
+def frames_sent(pages: Sequence[Page], shows: Mapping[int, float], duration_s: float) -> int:
+    """Return how many frames a viewer sends that has one every 0.1 s.
+
+    Pages show a frame after a time, s, by their place; the others show none.
+    """
+    sent = 0
+    sent_s = 0.0
+    for now_s in np.arange(0.0, duration_s, 0.1):
+        for place, shows_after_s in shows.items():
+            if pages[place].unshown and now_s >= sent_s + shows_after_s:
+                pages[place].shows_newest(now_s)
+        if may_send(pages, float(now_s)):
+            sent += 1
+            sent_s = float(now_s)
+            for page in pages:
+                page.send(sent, sent_s)
+    return sent
+
+
+def page() -> Page:
+    """Return a page without a connection."""
+    return Page(client=None, receipt=None)
+
+
+def test_what_a_page_cannot_show_is_dropped() -> None:
+    """Frames do not gather in the queue of a slow page: it gets ever fewer, at last one in 30 s.
+
+    A page beside it that shows frames at once gets all of them after the first two seconds.
+    """
+    assert frames_sent([page()], {0: 0.05}, 60.0) == 600
+    assert frames_sent([page()], {0: 1.0}, 60.0) == pytest.approx(60, abs=6)
+    hidden = page()
+    frames_sent([hidden], {}, 60.0)
+    assert hidden.unshown <= 5
+    assert frames_sent([page(), page()], {0: 0.05}, 60.0) > 570
+
+
+def test_the_viewer_tells_how_far_behind_it_is(live: Viewer) -> None:
+    """The age of what is shown of an active run: of the newest entry of its log, and the page's delay."""
+    with connected_pages(live.address, 1):
+        assert wait_for(lambda: shown(live) == LAST)
+        assert live._tail is not None
+        # As while the run goes on: that of the log has ended.
+        live._is_over = False
+        live.playback.follow(True)
+        live._tail.newest_ns = time.time_ns() - 3_000_000_000
+        (only,) = live._guard.receipts.pages.values()
+        only.lag_s = 0.5
+        behind_s = live._behind_s()
+        assert behind_s is not None
+        assert 3.5 <= behind_s < 3.5 + PATIENCE_S
+        scene = live.shown
+        assert scene is not None
+        assert "3.5 s ago" in html.flight(scene, 10.0, 3.5)
+        assert "ago" not in html.flight(scene, 10.0)
+        live.playback.seek(3)  # the past is shown as such
+        assert live._behind_s() is None
+
+
+def test_the_result_of_a_request_ends(live: Viewer) -> None:
+    """The sentence about a request is on top of the panel for some seconds."""
+    live._show_result("agent 2 killed at tick 8", False)
+    ends_s = live._result_ends_s
+    live._end_result(ends_s - 0.1)
+    assert live.notice == "agent 2 killed at tick 8"
+    live._end_result(ends_s)
+    assert live.notice == "live"
 
 
 def seen_points(client: Any, position_I: Any) -> Any:
@@ -394,8 +465,14 @@ class Widget:
     def act(self, value: Any = None) -> None:
         """Set the value as a user does, or click."""
         self.value = value
-        client = SimpleNamespace(add_notification=lambda *text: self.said.append(text))
+        client = SimpleNamespace(add_notification=self._notified)
         self._acts(SimpleNamespace(client=client))
+
+    def _notified(self, *text: str, auto_close_seconds: float) -> None:
+        """Note a notification, which has to end."""
+        assert auto_close_seconds > 0.0
+        title, body = text
+        self.said.append((title, body))
 
 
 class LinkGui:

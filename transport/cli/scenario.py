@@ -1,10 +1,12 @@
 """Commands about scenarios: `transport scenario new`, `validate`, `margins` and `doctor`."""
 
+import math
 import shlex
 from collections import Counter
 from itertools import chain
 from pathlib import Path
 
+import numpy as np
 import tomli_w
 import typer
 from typer import Argument, Option
@@ -99,6 +101,24 @@ def new(
             typer.echo(str(error), err=True)
             command += " --allow-large"
         typer.echo(f"{team}; run it with: {command}", err=True)
+        if text := wide_load(setup):
+            typer.echo(text, err=True)
+
+
+def wide_load(setup: Setup) -> str:
+    """Return in words that the payload is wider than the ring of its attachments; empty if it is not.
+
+    Its radius of gyration about the vertical axis, sqrt(J_z / m), is compared with the largest distance
+    of an attachment from that axis.
+    """
+    team = setup.system
+    gyration_m = math.sqrt(float(team.payload.inertia[2, 2]) / team.payload.mass)
+    ring_m = max(float(np.linalg.norm(uav.rho[:2])) for uav in team.uavs)
+    if gyration_m <= ring_m:
+        return ""
+    sizes = f"radius of gyration {gyration_m:.2f} m, larger than the ring of attachments, {ring_m:.2f} m"
+    remedy = "it has the shape of the paper's; a compact load has a smaller inertia"
+    return f"payload: {sizes}: {remedy} (system.payload.inertia_kgm2)"
 
 
 def _by_option(error: ScenarioError, load_kg: float | None, name: str | None) -> ScenarioError:

@@ -111,6 +111,7 @@ class LogTail:
         self.parser = Parser(path)
         self.unknown = 0  # entries of other versions
         self.first_unknown = ""  # description of the first of them
+        self.newest_ns = 0  # wall-clock time at which the newest entry was recorded; 0 before
         self._path = path
         self._setup = setup
         self._gate: Gate | None = None
@@ -141,6 +142,7 @@ class LogTail:
         """
         try:
             for channel, entry in self.parser.entries():
+                self.newest_ns = max(entry.publish_time, self.newest_ns)
                 encoding = channel.message_encoding
                 if encoding != ENCODING:
                     self._pass_over(f"a channel {channel.topic!r} with encoding {encoding!r}")

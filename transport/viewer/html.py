@@ -16,6 +16,8 @@ _CELL = "padding:1px 4px;white-space:nowrap"
 _ALARM: Colour = (178, 24, 43)
 # Ages in the legend, s.
 _AGES = ((0.0, "fresh"), (0.2, "0.2 s"), (0.5, "0.5 s"))
+# Delay of a shown active run from which it is coloured, s.
+_BEHIND_S = 1.0
 # Links that are named.
 _SHOWN_LINKS = 8
 
@@ -27,13 +29,21 @@ def notice(text: str, *, warning: bool) -> str:
     return f'<div style="background:{colours};{box}">{escape(text)}</div>' if text else ""
 
 
-def flight(scene: Scene, duration_s: float) -> str:
-    """Return a table of time, phase, cost, attitude and position error of the payload."""
+def flight(scene: Scene, duration_s: float, behind_s: float | None = None) -> str:
+    """Return a table of time, phase, cost, attitude and position error of the payload.
+
+    With `behind_s` it says how long ago this was in an active run, s.
+    """
     roll, pitch, yaw = scene.attitude_deg
+    behind = []
+    if behind_s is not None:
+        text = f"{behind_s:.1f} s ago"
+        behind = [("shown", text if behind_s < _BEHIND_S else _coloured(text, _ALARM))]
     rows = [] if scene.air is None else [("radio", _air(scene.air))]
     return _table(
         [
             ("time", f"{scene.time_s:.2f} of {duration_s:.1f} s, {escape(scene.phase)}"),
+            *behind,
             ("stage cost", f"{scene.cost:.5f}"),
             ("payload", f"roll {roll:+.2f}, pitch {pitch:+.2f}, yaw {yaw:+.2f} deg"),
             ("payload error", f"{scene.error_m:.3f} m"),
@@ -61,7 +71,8 @@ def target(target_I: Array, arrives_s: float, scene: Scene) -> str:
     when = f"since t = {arrives_s:.1f} s"
     if arrives_s > scene.time_s:
         when = f"arrives at t = {arrives_s:.1f} s"
-    return _small(f"target ({x:g}, {y:g}, {z:g}) m: {when}; {distance_m:.2f} m away")
+    place = f"x {x:g}, y {y:g}, down {z:g} m"
+    return _small(f"target {place}: {when}; {distance_m:.2f} m away")
 
 
 def agents(scene: Scene, owned: Sequence[Sequence[int]], period_s: float) -> str:

@@ -11,6 +11,7 @@ from transport.protocol.scenario.links import Link
 from transport.protocol.wire.messages import agent_name
 from transport.scene.history import RunHistory
 from transport.viewer import html
+from transport.viewer.widgets import NOTIFICATION_S
 
 ALL_LINKS = "all links"
 # Largest delay of the slider, s.
@@ -123,7 +124,9 @@ class LinkControls:
         if self._loss.value != self._filled_percent:
             settings["loss"] = self._loss.value / 100.0
         if not settings:
-            event.client.add_notification("Links", "no slider has been moved")
+            event.client.add_notification(
+                "Links", "no slider has been moved", auto_close_seconds=NOTIFICATION_S
+            )
             return
         self._commands.link(self._ends.get(self._chosen.value), settings)
 
@@ -131,7 +134,7 @@ class LinkControls:
         try:
             groups = groups_of(self._groups.value, self._agents)
         except ValueError as error:
-            event.client.add_notification("Links", str(error))
+            event.client.add_notification("Links", str(error), auto_close_seconds=NOTIFICATION_S)
             return
         self._commands.cut(groups)
 

@@ -53,12 +53,11 @@ class Panel:
             self._target = TargetControls(server, builder, commands)
             self._links = LinkControls(gui, builder.history, commands)
             self._of_run.append(self._links.folder)
+            self._of_run.append(add_processes(gui, setup, commands))
         with gui.add_folder("Plots"):
             self._plots = Plots(gui, builder, whole=commands is None)
         with gui.add_folder("Agents"):
             self._agents = gui.add_html("")
-        if commands is not None:
-            self._of_run.append(add_processes(gui, setup, commands))
         with gui.add_folder("Events"):
             self._timeline.add_list()
         with gui.add_folder("Show", expand_by_default=commands is None):
@@ -73,15 +72,18 @@ class Panel:
         self._follow.value = self._playback.follows
         self._play.label = "Pause" if self._playback.playing else "Play"
 
-    def show(self, scene: Scene) -> None:
-        """Show time, numbers and events of a scene."""
+    def show(self, scene: Scene, behind_s: float | None) -> None:
+        """Show time, numbers and events of a scene.
+
+        `behind_s` is how long ago it was, s; None where that does not matter.
+        """
         self._timeline.show(scene.tick)
         self._plots.show(scene.tick)
         if self._target is not None:
             self._target.show(scene)
         if self._links is not None:
             self._links.show()
-        self._flight.content = html.flight(scene, self._duration_s)
+        self._flight.content = html.flight(scene, self._duration_s, behind_s)
         self._agents.content = html.agents(scene, self._setup.owned, self._period_s)
 
     def close_controls(self) -> None:

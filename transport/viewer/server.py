@@ -12,6 +12,7 @@ import logging
 import re
 import secrets
 import socket
+import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
@@ -52,6 +53,21 @@ class Page:
     sent: int = 0  # newest frame
     # Time since when the page has not told that it shows this frame; None once it has.
     unshown_since_s: float | None = None
+    unshown: int = 0  # frames sent since the last one that it has told to show
+    lag_s: float = 0.0  # time from the last frame that it has shown to its receipt
+
+    def send(self, frame: int, now_s: float) -> None:
+        """Note that the page gets a frame."""
+        self.sent = frame
+        self.unshown_since_s = now_s
+        self.unshown += 1
+
+    def shows_newest(self, now_s: float) -> None:
+        """Note that the page shows the newest frame."""
+        if self.unshown_since_s is not None:
+            self.lag_s = now_s - self.unshown_since_s
+        self.unshown_since_s = None
+        self.unshown = 0
 
 
 class Receipts:
@@ -75,7 +91,7 @@ class Receipts:
         number, frame = map(int, receipt.groups())
         page = self.pages.get(number)
         if page is not None and frame == page.sent:
-            page.unshown_since_s = None
+            page.shows_newest(time.monotonic())
         return True
 
 

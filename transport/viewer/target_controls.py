@@ -10,6 +10,7 @@ from transport.flight.live import Commands
 from transport.model.arrays import Array
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
+from transport.viewer.widgets import NOTIFICATION_S
 
 # Steps of the target in the inertial frame by the keys for them, with Shift: alone, arrows move
 # sliders.
@@ -40,7 +41,9 @@ class TargetControls:
             self._state = gui.add_html("")
             # Three number fields would lose the sign of -0.5 while it is typed: they show -0 as 0.
             self._typed = gui.add_text(
-                "x, y, z (m)", _in_text(start_I), hint="inertial frame: z points down"
+                "x, y, down (m)",
+                _in_text(start_I),
+                hint="inertial frame, z points down: an altitude of 10 m is -10",
             )
             there = gui.add_button(
                 "Go there", hint="as transport target X Y Z; or drag the arrows in the scene"
@@ -96,7 +99,9 @@ class TargetControls:
             x, y, z = map(float, self._typed.value.replace(",", " ").split())
         except ValueError:
             event.client.add_notification(
-                "Target", f"expected three numbers, got {self._typed.value[:40]!r}"
+                "Target",
+                f"expected three numbers x, y, down, got {self._typed.value[:40]!r}",
+                auto_close_seconds=NOTIFICATION_S,
             )
             return
         self._send(np.array([x, y, z]))

@@ -6,10 +6,11 @@ are the requests of the command line.
 
 import asyncio
 import io
+import math
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
 from typing import Any, Self
@@ -26,12 +27,18 @@ from transport.viewer.server import Page, start_server
 from transport.viewer.view3d import View3D
 
 LOG = "run.mcap"
+_LIVE = "live"  # notice of an active run
 # Shortest time between frames, s; a run without pacing needs the processors itself.
 _FRAME_S = 0.1
 _FRAME_UNPACED_S = 0.5
-# A page shows a frame before it gets the next, so that it is never behind by more than one; one
-# that has shown none for this long, such as that of a hidden tab, is no longer waited for, s.
+# A page shows a frame before it gets the next, so that it is never behind by more than one. One that
+# has shown none for this long, such as that of a hidden tab, does not keep other pages waiting, s. Where
+# all pages are so slow, the frames between are dropped: this time doubles with each frame that is not
+# shown, up to the longest.
 _PATIENCE_S = 2.0
+_LONGEST_PATIENCE_S = 30.0
+# Time for which the result of a request is shown on top of the panel, s.
+_RESULT_S = 30.0
 # Priority of the viewer of a live run: the run gets the processors first, but requests are still
 # sent in time.
 _NICE = 10
@@ -63,7 +70,8 @@ class Viewer:
         self.view3d = View3D(self._server, Drawing(builder), builder, follows=live is not None)
         commands = None if live is None else Commands(live, self._show_result)
         self._panel = Panel(self._server, builder, self.playback, self.view3d, commands)
-        self._set_notice(notice or ("" if live is None else "live"), warning=bool(notice))
+        self._result_ends_s = math.inf
+        self._set_notice(notice or ("" if live is None else _LIVE), warning=bool(notice))
 
         self._server.on_client_connect(self._add_page)
         self._server.on_client_disconnect(self._remove_page)
@@ -97,7 +105,8 @@ class Viewer:
             return  # a page that connects gets the newest frame
         self._panel.show_playback()
 
-        if any(_is_waited_for(page, now_s) for page in pages):
+        self._end_result(now_s)
+        if not may_send(pages, now_s):
             return
         is_first = self.shown is None or any(not page.sent for page in pages)
         if is_first or self.shown is None or history.nearest(tick) != self.shown.tick:
@@ -135,20 +144,38 @@ class Viewer:
         """
         with self._server.atomic():
             self.view3d.show(scene)
-            self._panel.show(scene)
+            self._panel.show(scene, self._behind_s())
         self._frame += 1
         for number, page in list(self._guard.receipts.pages.items()):
             if not page.sent:
                 self.view3d.place_camera(page.client)
-            page.sent = self._frame
-            page.unshown_since_s = page.unshown_since_s or time.monotonic()
+            page.send(self._frame, time.monotonic())
             source = f"{self._guard.path}/shown/{number}/{self._frame}"  # of an invisible image
             page.receipt.content = f'<img src="{source}" alt="" style="display:none">'
 
+    def _behind_s(self) -> float | None:
+        """Return how long ago the newest tick of an active run was recorded that pages show, s.
+
+        It is the age of the newest entry of the log and the time that the slowest page takes for a
+        frame. None for a recorded run, and where another tick than the newest is shown.
+        """
+        if self._is_over or self._tail is None or not self.playback.follows:
+            return None
+        pages = self._guard.receipts.pages.values()
+        log_s = time.time() - self._tail.newest_ns / 1e9
+        return max(0.0, log_s) + max((page.lag_s for page in pages), default=0.0)
+
     def _show_result(self, text: str, refused: bool) -> None:
-        """Show the result of a request, unless the run has ended, which matters more."""
+        """Show the result of a request for a time, unless the run has ended, which matters more."""
         if not self._is_over:
             self._set_notice(text, warning=refused)
+            self._result_ends_s = time.monotonic() + _RESULT_S
+
+    def _end_result(self, now_s: float) -> None:
+        """Replace the result of a request whose time is over."""
+        if now_s >= self._result_ends_s and not self._is_over:
+            self._result_ends_s = math.inf
+            self._set_notice(_LIVE, warning=False)
 
     def _set_notice(self, text: str, *, warning: bool) -> None:
         self.notice = text
@@ -161,9 +188,23 @@ class Viewer:
         self._guard.receipts.pages.pop(client.client_id, None)
 
 
-def _is_waited_for(page: Page, now_s: float) -> bool:
-    """Return whether a page has not shown its newest frame yet, but may do so."""
-    return page.unshown_since_s is not None and now_s - page.unshown_since_s < _PATIENCE_S
+def may_send(pages: Sequence[Page], now_s: float) -> bool:
+    """Return whether a frame may be sent: pages show the newest one, or are not waited for any more.
+
+    One slow page does not keep the others waiting for longer than `_PATIENCE_S`. If all are slow, they
+    get fewer frames, so that none waits in their queues.
+    """
+    slow = [page for page in pages if page.unshown_since_s is not None]
+    is_alone = len(slow) == len(pages)  # no page shows the newest frame
+    for page in slow:
+        patience_s = _PATIENCE_S
+        if is_alone:
+            patience_s = min(_PATIENCE_S * 2.0 ** (page.unshown - 1), _LONGEST_PATIENCE_S)
+        elif page.unshown > 1:
+            continue
+        if page.unshown_since_s is not None and now_s - page.unshown_since_s < patience_s:
+            return False
+    return True
 
 
 def open_viewer(folder: Path, host: str, port: int) -> Viewer:

@@ -1,7 +1,10 @@
-"""Callbacks of widgets."""
+"""Callbacks of widgets, and how long notifications stay."""
 
 from collections.abc import Callable
 from typing import Any
+
+# Time after which a notification in the corner of the page ends, s.
+NOTIFICATION_S = 8.0
 
 
 def from_browser(act: Callable[[Any], None]) -> Callable[[Any], None]:
