@@ -73,7 +73,8 @@ class AloneDesign:
     """Gains of UAVs alone for a team."""
 
     gains: AloneGains
-    growth_per_s: float  # of the fastest growing deviation about hover, all UAVs alone
+    # Of the fastest growing deviation about hover, all UAVs alone, also after the releases of the run.
+    growth_per_s: float
     # Whether deviations decay by `DECAY_PER_S`, and at all with `REQUIRED`, and in mixtures with the team's law.
     holds: bool
 
@@ -101,14 +102,14 @@ class TeamAlone:
     next_tick: bool  # inputs act a period after their measurement
     # Sampling periods to the measurements of the vehicles' sensors; None: states are measured.
     ages: tuple[int, ...] | None
-    team_gain: (
-        Array | None
-    )  # of the team's law with which UAVs alone are mixed, (m, n); None without
+    # Of the team's law with which UAVs alone are mixed, (m, n); None without.
+    team_gain: Array | None
+    left: tuple[System, ...] = ()  # those that carry the payload after each release of the run
 
-    def loop(self, gains: AloneGains) -> AloneLoop:
-        """Return the loop of all UAVs alone."""
+    def loop(self, gains: AloneGains, system: System | None = None) -> AloneLoop:
+        """Return the loop of all UAVs alone, of the whole team or of those left."""
         return AloneLoop(
-            self.system,
+            self.system if system is None else system,
             self.settings.sampling_period_s,
             next_tick=self.next_tick,
             gains=gains,
@@ -125,7 +126,8 @@ class TeamAlone:
         numbers = (self.settings.sampling_period_s, self.settings.motor_lag_s, self.next_tick)
         limits = self.settings.upper(1)
         given = repr(self.settings.alone)
-        key = digest(self.system, numbers, self.ages, limits, self.team_gain, given)
+        teams = (self.system, *self.left)
+        key = digest(teams, numbers, self.ages, limits, self.team_gain, given)
         if key not in _DESIGNS:
             while len(_DESIGNS) >= _KEPT:
                 del _DESIGNS[next(iter(_DESIGNS))]
@@ -142,12 +144,12 @@ class TeamAlone:
         best: AloneDesign | None = None
         known = Mismatch(lag_s=self.settings.motor_lag_s)
         for gains in self._possible(family):
-            loop = self.loop(gains)
-            growth = loop.growth(known)
+            loops = [self.loop(gains, system) for system in (self.system, *self.left)]
+            growth = max(loop.growth(known) for loop in loops)
             decays = growth < -DECAY_PER_S
-            holds = decays and self._decays(loop, REQUIRED) and self._is_mixed(gains)
+            holds = decays and self._decay(loops, REQUIRED) and self._is_mixed(gains)
             design = AloneDesign(gains=gains, growth_per_s=growth, holds=holds)
-            if holds and (given is not None or self._decays(loop, WANTED)):
+            if holds and (given is not None or self._decay(loops, WANTED)):
                 return design
             if holds and holding is None:
                 holding = design
@@ -173,10 +175,11 @@ class TeamAlone:
                 turnings.add(stiffness)
                 yield gains
 
-    def _decays(self, loop: AloneLoop, plants: Sequence[Mismatch]) -> bool:
+    def _decay(self, loops: Sequence[AloneLoop], plants: Sequence[Mismatch]) -> bool:
         """Return whether all deviations decay with each of some plants; lags are beyond the known one."""
         lag_s = self.settings.motor_lag_s
-        return all(loop.growth(replace(one, lag_s=lag_s + one.lag_s)) < 0.0 for one in plants)
+        actual = [replace(one, lag_s=lag_s + one.lag_s) for one in plants]
+        return all(loop.growth(plant) < 0.0 for plant, loop in product(actual, loops))
 
     def _is_mixed(self, gains: AloneGains) -> bool:
         """Return whether no mixture with the team's law lets deviations grow, in a hand-over.

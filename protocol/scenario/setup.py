@@ -1,6 +1,7 @@
 """Objects of a run, built from its scenario by every process, identically."""
 
-from collections.abc import Iterable
+import contextlib
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
@@ -14,7 +15,7 @@ from transport.model.hover_reference import Reference as HoverReference
 from transport.model.linearisation import Model
 from transport.model.maneuver import Maneuver
 from transport.model.obstacles import Obstacle
-from transport.model.parameters import System
+from transport.model.parameters import ParameterError, System
 from transport.model.target import Target
 from transport.mpc.alone_design import AloneDesign, TeamAlone
 from transport.mpc.expressions import check_constraints, check_costs
@@ -35,7 +36,7 @@ from transport.protocol.scenario.checks import (
     touching_at_hover,
 )
 from transport.protocol.scenario.errors import HoverError, ScenarioError, building
-from transport.protocol.scenario.faults import Fault, scripted
+from transport.protocol.scenario.faults import Fault, failures, scripted
 from transport.protocol.scenario.links import Link
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.targets import check_scripted, target_of
@@ -131,7 +132,28 @@ class Setup:
             next_tick=next_tick,
             ages=self.sensors.ages if self.sensors.vehicle else None,
             team_gain=team_gain,
+            left=tuple(self._left_after_releases()),
         )
+
+    def _left_after_releases(self) -> Iterator[System]:
+        """Yield the bodies that carry the payload after each scripted release, in the order of time.
+
+        A released UAV pulls with nothing: those left are a smaller team.
+        """
+        released: dict[int, frozenset[int]] = {}  # by tick, after all releases of that tick
+        gone: frozenset[int] = frozenset()
+        for fault in failures(self.faults):
+            if fault.do == "release":
+                gone |= {fault.uav}
+                released[fault.tick] = gone
+        for off in released.values():
+            uavs = [uav for i, uav in enumerate(self.system.uavs) if i not in off]
+            if not uavs:
+                continue
+            with contextlib.suppress(ParameterError):  # these cannot hover: no law holds them
+                left = replace(self.system, uavs=tuple(uavs))
+                hover(left)
+                yield left
 
     def _check(self, source: str) -> None:
         """Check that controllers exist, and that hover, reference and targets keep the limits.

@@ -14,6 +14,7 @@ from transport.mpc.settings import AloneGains
 from transport.protocol.scenario.drawn_team import drawn
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
 
 READY = (
@@ -76,6 +77,20 @@ def test_the_design_follows_from_values() -> None:
     again = replace(setup.team_alone(next_tick=False), ages=(1,) * 5)
     assert isinstance(again.design().gains, AloneGains)
     assert setup.team_alone(next_tick=setup.scenario.clock.next_tick).design() == setup.alone
+
+
+def test_those_left_after_a_release_are_held_too() -> None:
+    """The gains also hold the smaller team, with its share of the payload, without the released UAV."""
+    tree = team(LARGE).scenario.tree()
+    tree["faults"]["event"] = [{"at_s": 8.0, "do": "release", "target": "uav2"}]
+    setup = Setup.of(Scenario.model_validate(tree), "released")
+    alone = setup.team_alone(next_tick=setup.scenario.clock.next_tick)
+    assert [system.N for system in alone.left] == [setup.system.N - 1]
+    assert setup.alone is not None
+    assert setup.alone.holds
+    loop = alone.loop(setup.alone.gains, alone.left[0])
+    assert loop.growth(Mismatch()) < -DECAY_PER_S
+    assert all(loop.growth(plant) < 0.0 for plant in REQUIRED)
 
 
 def test_given_gains_are_flown_as_they_are() -> None:
