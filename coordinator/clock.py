@@ -50,6 +50,11 @@ class Clock:
         self._start_ns = start_ns
         self.is_told = True
 
+    def newest(self, now_ns: int) -> int:
+        """Return the newest tick that is due; -1 before the first."""
+        passed_ns = (now_ns - self._start_ns) * self._settings.speed
+        return max(int(passed_ns // self._period_ns), -1)
+
     def due_ns(self, tick: int) -> int:
         """Return the earliest time at which a tick may open."""
         speed = self._settings.speed

@@ -123,10 +123,6 @@ class Fleet:
                 )
         return ""
 
-    def follow(self, start_ns: int) -> None:
-        """Take the instants of the ticks that the vehicles follow already."""
-        self.start_ns = start_ns
-
     @property
     def roster(self) -> int:
         """Newest version of a roster that a vehicle has."""

@@ -217,7 +217,8 @@ class CoordinatorNode:
         """Raise MessageError for answers to another tick, and plans of agents off the roster."""
         match message:
             case PlantState():
-                check_tick(message, self._plant_tick + 1, self.tick)
+                last = self.tick if self._fleet is None else self._ticks - 1
+                check_tick(message, self._plant_tick + 1, last)
             case Plan():
                 is_member = message.agent in self._roster.members
                 newest = self._roster.incarnations.get(message.sender)
@@ -278,11 +279,10 @@ class CoordinatorNode:
         self._roster.incarnations[event.name] = max(event.incarnation, before)
         if self._not_ready:
             return ()
-        roster = self._roster.message("all processes are ready", 0)
         if self._fleet is not None:
             self.state = State.PREPARING
-            return [roster, *self._prepare(self._fleet, now_ns)]
-        return [roster, *self._open(now_ns)]
+            return self._prepare(self._fleet, now_ns)
+        return [self._roster.message("all processes are ready", 0), *self._open(now_ns)]
 
     def _prepare(self, fleet: Fleet, now_ns: int) -> Sequence[Message]:
         """Speak to the vehicles until all are ready; open the first tick at its instant."""
@@ -290,13 +290,32 @@ class CoordinatorNode:
             if now_ns < fleet.steady_start_ns:
                 return ()
             return self._open(now_ns)
+        if fleet.followed_ns:
+            return self._take_over(fleet, now_ns)
         if fleet.is_over(now_ns):
             reason = f"the vehicles are not ready: {fleet.problem()}"
             return self._stop(EXIT_UNREACHABLE, reason)
         word = fleet.speak(now_ns)
-        if fleet.start_ns:
-            self._clock.begin(fleet.steady_start_ns)
-        return () if word is None else [word]
+        if not fleet.start_ns or word is None:
+            return () if word is None else [word]
+        self._clock.begin(fleet.steady_start_ns)
+        return [self._roster.message("all vehicles are ready", 0), word]
+
+    def _take_over(self, fleet: Fleet, now_ns: int) -> Sequence[Message]:
+        """Take over a team that flies without a coordinator, from the newest tick on.
+
+        Its ticks go on at their instants; the roster has all agents, in a newer version than any
+        vehicle has. Links and targets that an earlier coordinator has changed stay as they are.
+        """
+        fleet.start_ns = fleet.followed_ns
+        self._clock.begin(fleet.steady_start_ns)
+        newest = self._clock.newest(now_ns)
+        self.tick = min(newest, self._ticks - 1) - 1
+        self._plant_tick = max(self._plant_tick, self.tick - 1)
+        self._clock.plant_ns = now_ns
+        self._roster.version = fleet.roster
+        reason = f"the coordinator has returned at {self._roster.time(max(self.tick, 0))}"
+        return [self._roster.message(reason, self.tick), fleet.word(now_ns), *self._open(now_ns)]
 
     def _agent_returned(self, event: Presence, now_ns: int) -> Sequence[Message]:
         """Let a new incarnation of an agent join at the next tick; tell a vehicle all so far."""

@@ -115,7 +115,9 @@ class MavlinkAutopilot:
         with self._lock:
             newest = dict(self._newest)
             says = self._says
-        heartbeat, heard_ns = newest.get("HEARTBEAT", (None, 0))
+        heartbeat, _ = newest.get("HEARTBEAT", (None, 0))
+        # Any message is a sign of life: in a slow simulation heartbeats are seconds apart.
+        heard_ns = max((at_ns for _, at_ns in newest.values()), default=0)
         if heartbeat is None or time.monotonic_ns() > heard_ns + _SILENT_NS:
             return None
         health, _ = newest.get(self._dialect.health, (None, 0))

@@ -185,7 +185,8 @@ class VehicleNode(Participant):
         self._tells_ns = now_ns + _TELL_NS
         if self._stands and told is not None and self.phase is Phase.CHECKING:
             self._autopilot.arm()
-        return [self._status(told, 0, -1.0, now_ns)]
+        # The coordinator speaks first, once all processes listen, the recorder too.
+        return [self._status(told, 0, -1.0, now_ns)] if self._heard[0] else []
 
     def _lacks(self, told: AutopilotState | None) -> str:
         """Return why the UAV may not fly, empty if it may."""
@@ -323,7 +324,7 @@ class VehicleNode(Participant):
                 usable_ns = max(source.arrived_ns, ticking.due_ns(plan.start_tick))
                 self._latency_s = (now_ns - usable_ns) / 1e9
             self._source = plan.tick
-            since_s = plan.tick * self._period_s
+            since_s = (plan.tick - plan.stale) * self._period_s
         elif self._own_inputs is not None and ticks < self._tick + 1.5:
             inputs = self._own_inputs
             self._source = OWN_LAW

@@ -47,7 +47,9 @@ class Plans:
         newest = started[-1]
         self._plans = self._plans[self._plans.index(newest) :]
         steps = ticks - newest.plan.start_tick
-        if steps >= min(self._played, len(newest.plan.inputs)):
+        # A plan that repeats older inputs does not renew the time for which these are played.
+        played = min(self._played, len(newest.plan.inputs))
+        if steps + newest.plan.stale >= played:
             return None
         return newest, interpolated(newest.plan.inputs, steps)
 

@@ -24,7 +24,7 @@ from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire import messages as wire
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE
 from transport.protocol.wire.keys import Keys
-from transport.protocol.wire.names import COORDINATOR
+from transport.protocol.wire.names import COORDINATOR, VEHICLE, role_of
 from transport.protocol.wire.node import Node
 
 _COLLECT_EVERY = 256  # answered events between garbage collections
@@ -222,7 +222,7 @@ def _send(
     """Send the messages of a node, and measure the time it takes."""
     begun_ns = time.monotonic_ns()
     for message in messages:
-        if message.sender == COORDINATOR:
+        if role_of(message.sender) in (COORDINATOR, VEHICLE):
             _fail_if_due(faults, node.name, message, exchange)
         exchange.send(message)
     node.publish_ns = time.monotonic_ns() - begun_ns

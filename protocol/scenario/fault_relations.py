@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterator
 from transport.model.parameters import ParameterError, Payload
 from transport.protocol.scenario.faults import OF_UAVS
 from transport.protocol.scenario.schema import FaultSection, Scenario
-from transport.protocol.wire.names import COORDINATOR, PLANT, agent_name
+from transport.protocol.wire.names import COORDINATOR, PLANT, agent_name, vehicle_name
 
 Problems = Iterator[tuple[str, str, object]]  # field, what was expected there, and what came
 
@@ -82,10 +82,15 @@ def _targets_of(scenario: Scenario, event: FaultSection) -> Collection[str]:
     if event.do in OF_UAVS:
         return [f"uav{section.id}" for section in scenario.system.uav]
 
-    plant_and_agents = processes_of(scenario)
+    plant, *agents = processes_of(scenario)
+    returning = agents
+    if scenario.has_vehicles:
+        returning = [*agents, *(vehicle_name(uav.id) for uav in scenario.system.uav)]
     if event.do == "restart":
-        return plant_and_agents[1:]
-    return [COORDINATOR, *plant_and_agents]
+        goes_on = scenario.clock.on_coordinator_loss == "continue"
+        return [COORDINATOR, *returning] if goes_on else returning
+    plants = [plant] if scenario.has_plant else []
+    return [COORDINATOR, *plants, *returning]
 
 
 def _last_uav(scenario: Scenario, last: dict[str, str]) -> Problems:

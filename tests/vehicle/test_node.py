@@ -106,6 +106,7 @@ class Flight:
         )
         self.said: list[Message] = []
         self.now_ns = START_NS - 2 * S
+        self.tell(self.schedule(0))
         self.tell(
             Roster(
                 sender="coordinator",
@@ -125,17 +126,19 @@ class Flight:
         """Pass an event to the vehicle."""
         self.said += self.node.receive(event, self.now_ns)
 
-    def begin(self, start_ns: int = START_NS) -> None:
+    def begin(self) -> None:
         """Tell tick 0."""
-        self.tell(
-            Schedule(
-                sender="coordinator",
-                incarnation=0,
-                sequence=1,
-                tick=0,
-                sent_ns=self.now_ns + WALL_NS,
-                start_ns=start_ns + WALL_NS,
-            )
+        self.tell(self.schedule(START_NS + WALL_NS))
+
+    def schedule(self, start_ns: int) -> Schedule:
+        """A word of the coordinator."""
+        return Schedule(
+            sender="coordinator",
+            incarnation=0,
+            sequence=1,
+            tick=0,
+            sent_ns=self.now_ns + WALL_NS,
+            start_ns=start_ns,
         )
 
     def until(self, time_s: float) -> None:

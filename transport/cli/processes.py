@@ -160,6 +160,10 @@ class Prepared:
         if setup is self.setup:  # the same object: `read_setup` keeps the last one
             return
         self.setup = setup
+        if setup.scenario.has_vehicles:
+            from transport.protocol.network.mavlink import messages
+
+            messages()  # half a second of import, which a vehicle that returns would fly without
         self.law = Regulation(setup.model, setup.hover, setup.settings, setup.reference.sampled)
         self.law.fail_safe.warm_up()
 

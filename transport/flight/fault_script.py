@@ -229,7 +229,9 @@ class FaultScript:
         for key, got, allowed in (("do", action, _NOTES), ("target", target, self._harness.mesh)):
             if got not in allowed:
                 return {"error": f"{key}: expected one of {', '.join(allowed)}, got {got!r}"}
-        if action == "restart" and target in _ESSENTIAL:
+        goes_on = self._setup.scenario.clock.on_coordinator_loss == "continue"
+        returns = target not in _ESSENTIAL or (target == COORDINATOR and goes_on)
+        if action == "restart" and not returns:
             problem = f"expected an agent to restart, as a run ends with its {target}"
             return {"error": f"target: {problem}"}
 

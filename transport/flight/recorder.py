@@ -112,6 +112,7 @@ class Recorder:
         self._out = Outbox(RECORDER, place.incarnation)
         self._thread = threading.Thread(target=self._run, name=RECORDER, daemon=True)
         self._expected: Set[str] = frozenset()
+        self._goes_on = setup.scenario.clock.on_coordinator_loss == "continue"
 
     @property
     def plant_state(self) -> wire.PlantState | None:
@@ -217,7 +218,9 @@ class Recorder:
         None: for ever.
         """
         if self.control is None:
-            return None if COORDINATOR in self._bus.alive else _OVERTAKEN_S
+            is_over = self.tick >= self.setup.ticks - 1
+            is_led = COORDINATOR in self._bus.alive or (self._goes_on and not is_over)
+            return None if is_led else _OVERTAKEN_S
 
         missing = self._expected - left
         return _TRAIL_S if missing & self._bus.alive.keys() else _QUIET_S
@@ -250,6 +253,9 @@ class Recorder:
 
         # Kinds that tell the progress have keys of their own. A message whose key belongs to another
         # kind is recorded too, but is no progress: it may be forged.
+        if self._goes_on and header.kind in (*_TELL_STATE, wire.VehicleStatus.kind):
+            # Without a coordinator these tell the newest tick.
+            self.tick = max(self.tick, min(header.tick, self.setup.ticks - 1))
         is_progress = header.tick < self.setup.ticks and key == header.kind
         if is_progress:
             self._show_progress(message.data, header)
