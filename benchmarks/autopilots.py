@@ -1,6 +1,6 @@
 """The team above autopilots, by the same processes as outside: errors, latency of setpoints, processor time.
 
-    python -m benchmarks.autopilots --speed 0.5 --write
+    python -m benchmarks.autopilots --speed 0.2 --write
 
 flies the ready scenario `flight` once for each row, at a speed that the machine bears, and renews the table of
 docs/flight.md in a few minutes. Latency is from the arrival of a plan at its vehicle, or from the plan's first instant
@@ -74,7 +74,7 @@ def row(name: str, settings: tuple[str, ...], autopilot: str, speed: float) -> l
     return [
         name,
         summary["outcome"],
-        f"{100 * summary['payload']['rms_m']:.1f} cm",
+        f"{100 * summary['payload_tracking']['rms_m']:.1f} cm",
         f"{summary['attitude_max_deg']:.1f} deg",
         f"{summary['separation_min_m']:.2f} m",
         _percentiles(latencies_ms),

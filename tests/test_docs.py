@@ -46,6 +46,7 @@ OTHER_PARTS: list[tuple[str, str, tuple[str, ...]]] = [
     ("docs/guarantees.md", "benchmarks/silence.py", ("bench: silence",)),
     ("docs/guarantees.md", "benchmarks/timing.py", ("bench: spread", "bench: clocks")),
     ("docs/guarantees.md", "benchmarks/teams.py", ("bench: teams alone",)),
+    ("docs/flight.md", "benchmarks/autopilots.py", ("bench: autopilots",)),
     ("docs/guarantees.md", "benchmarks/worst.py", ("together", "ready")),
     ("docs/performance.md", "benchmarks/__main__.py", ("step", "solvers", "parts", "loop")),
     ("docs/performance.md", "benchmarks/peers/__main__.py", ("bench: peers",)),

@@ -4,7 +4,7 @@
     CHECKING  its parameters, estimate, place, battery        --all fit, armed--> READY
     READY     the autopilot hovers by itself, or stands       --tick 0--> FLYING
     FLYING    measures at each tick, and obeys its agent      --end of the run--> RELEASED
-    RELEASED  the autopilot holds its place by itself
+    RELEASED  the autopilot holds its place or lands, by itself
 
 A process that starts while the team flies goes to FLYING as soon as it hears its autopilot, whose
 motors run, and the instants of the ticks. In FLYING the setpoints come
@@ -158,9 +158,13 @@ class VehicleNode(Participant):
         return self._fly(told, self._ticking, now_ns)
 
     def _end(self) -> Sequence[Message]:
-        """Let the autopilot hold its place by itself: the run has ended."""
+        """Let the autopilot land, or hold its place, by itself: the run has ended."""
         self.phase = Phase.RELEASED
-        self._autopilot.hold()
+        is_in_order = self.finished is not None and self.finished.outcome == "completed"
+        if is_in_order and self._vehicles.at_end == "land":
+            self._autopilot.land()
+        else:
+            self._autopilot.hold()
         return ()
 
     def _prepare(self, told: AutopilotState | None, now_ns: int) -> Sequence[Message]:

@@ -215,8 +215,9 @@ class ClockSection(Section):
     on_agent_loss: Annotated[Literal["abort", "continue"], Key(short="on_agent_loss")] = "abort"
     """end the run with exit code 4, or continue without the agent, which may return"""
     on_coordinator_loss: Literal["end", "continue"] = "end"
-    """end the run when the coordinator is gone, or in real time go on with the roster in force: each
-    process knows the instants of the ticks, and a coordinator that is started again takes over"""
+    """end the run when the coordinator is gone, or with vehicles go on with the roster in force: each
+    knows the instants of the ticks, and a coordinator that is started again takes over
+    ([flight.md](flight.md))"""
     on_overrun: Literal["continue", "hold", "abort"] = "continue"
     """in real time, when plans are missing at a deadline: open the next tick, hold it for them, or
     end the run"""

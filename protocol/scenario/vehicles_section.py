@@ -34,5 +34,9 @@ class VehiclesSection(Section):
     """largest offset of the clock of a vehicle's host from the coordinator's before the start"""
     battery: Annotated[float, Interval(ge=0.0, lt=1.0)] = 0.25
     """least share of the battery before the start"""
+    at_end: Literal["hold", "land"] = "hold"
+    """what each autopilot is asked to do by itself once the run has ended in order; after any other
+    end it holds its place. UAVs on rods that hold by themselves drift against each other: end a
+    maneuver where its load may be set down"""
     ready_s: Annotated[float, Interval(gt=0.0, le=1e6)] = 180.0
     """time that the vehicles have to be ready, of wall time; the run ends after it, with what is missing"""

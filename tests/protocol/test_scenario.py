@@ -49,6 +49,7 @@ OTHER_WORDS = {
     "on_collision": "end",
     "on_coordinator_loss": "continue",
     "autopilot": "px4",
+    "at_end": "land",
     "on_overrun": "hold",
     "between": "agent4",
     "from": "agent3",

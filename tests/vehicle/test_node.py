@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -360,9 +361,13 @@ def test_it_goes_on_without_the_coordinator_and_comes_back() -> None:
     assert [message.tick for message in late.measured()] == list(range(10, 21))
 
 
-def test_at_the_end_the_autopilot_holds_its_place() -> None:
-    """The end of the run leaves the UAV to its autopilot."""
-    run = Flight()
+@pytest.mark.parametrize(
+    ("at_end", "outcome", "asked"),
+    [("hold", "completed", "hold"), ("land", "completed", "land"), ("land", "aborted", "hold")],
+)
+def test_at_the_end_the_autopilot_takes_over(at_end: str, outcome: Any, asked: str) -> None:
+    """The end of the run leaves the UAV to its autopilot: it lands only after an end in order."""
+    run = Flight(f"vehicles.at_end={at_end}")
     run.begin()
     run.until(0.5)
     run.tell(
@@ -371,12 +376,12 @@ def test_at_the_end_the_autopilot_holds_its_place() -> None:
             incarnation=0,
             sequence=9,
             tick=10,
-            outcome="completed",
+            outcome=outcome,
             reason="",
             exit_code=0,
         )
     )
-    assert run.autopilot.asked == ["hold"]
+    assert run.autopilot.asked == [asked]
     assert run.node.finished is not None
 
 
