@@ -176,10 +176,14 @@ class TeamEstimate:
         """Follow the estimated forces as the integrals of UAVs alone do: (32f)."""
         if self.forces is None:
             return
+        share_alone = self.share_alone(k)
+        # The team's estimate of drag: own measurements alone do not tell it.
+        if share_alone < 1.0 and len(self.forces) > 4 + 3 * self._setup.system.N:
+            self._alone.assume_drag(self.forces[-2:])
         # The law of any UAV will do: all have the same gains, and with them the same time constant.
         self._held_forces.follow(
             self._controller.model.with_weight_of_mass_error(self.forces),
-            share_alone=self.share_alone(k),
+            share_alone=share_alone,
             follows_s=self._alone.law(0).follows_s,
         )
 

@@ -46,7 +46,13 @@ class AloneTeam:
         self._settings = settings
         self._regulation = regulation
         self._off, self._released = frozenset[int](), frozenset[int]()
+        self._further_drag: Array | None = None
         self.follow(reference)
+
+    def assume_drag(self, further: Array) -> None:
+        """Assume drag of payload and UAVs beyond the known one, (2,), kg/s, along a flat reference."""
+        self._further_drag = further
+        self._setpoints.clear()
 
     def follow(self, reference: Sampled) -> None:
         """Follow a reference; the regulation follows it already."""
@@ -117,7 +123,7 @@ class AloneTeam:
 
     def _setpoint(self, uav: int, tick: int) -> Setpoint:
         if self._off or self._motion is None:
-            return self._left.setpoint(uav, tick)
+            return self._left.setpoint(uav, tick, self._further_drag)
         return setpoint_of(self._system, uav, *self._motion.at(tick))
 
     def _renew(self, tick: int) -> None:

@@ -107,16 +107,23 @@ class FailSafe:
         """Return the control law of a UAV, 0-based, alone."""
         return self._laws[uav]
 
-    def setpoint(self, uav: int, tick: int) -> Setpoint:
+    def setpoint(self, uav: int, tick: int, further_drag: Array | None = None) -> Setpoint:
         """Return the setpoint of a UAV, 0-based, at a tick.
 
-        Raises: ValueError: it keeps level.
+        Along a flat track it moves with drag beyond the known one of payload and UAVs, (2,), kg/s, as
+        in (73). Raises: ValueError: it keeps level.
         """
         if self._X_ref is None:
             raise ValueError("expected a fail-safe that follows, got one that keeps level")
         if self.track is not None:
             row = rows(tick - self.track.first, 1, len(self.track.U))
-            return setpoint_of(self._system, uav, self.track.X[row][0], self.track.U[row][0])
+            x = self.track.X[row][0]
+            u = self.track.U[row][0]
+            if further_drag is not None:
+                X_forces, U_forces = self.track.by_forces(row)
+                x = x + X_forces[0, :, -2:] @ further_drag
+                u = u + U_forces[0, :, -2:] @ further_drag
+            return setpoint_of(self._system, uav, x, u)
         if self.motion is not None:
             return setpoint_of(self._system, uav, *self.motion.at(tick))
         x_ref = self._X_ref[min(tick, len(self._X_ref) - 1)]

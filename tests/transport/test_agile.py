@@ -109,6 +109,17 @@ def test_unknown_drag_is_found() -> None:
 
 
 @pytest.mark.slow
+def test_estimated_drag_serves_a_uav_alone() -> None:
+    """Without any message at full speed each UAV follows the reference with the drag found before, (73)."""
+    silent = {
+        "controller.knows_drag": False,
+        "controller.disturbance.estimate": True,
+        "links.change": [{"at_s": 3.5, "loss": 1.0}, {"at_s": 6.5, "loss": 0.3}],
+    }
+    assert error_m(silent, **LATE) < 0.05
+
+
+@pytest.mark.slow
 def test_team_without_an_agent_flies_on() -> None:
     """An agent dies for good at full speed.
 
