@@ -82,6 +82,8 @@ class TeamEstimate:
         self.announced.fail_safe = regulation.fail_safe
         self._held_forces = HeldForces(setup.settings.sampling_period_s)
         self.expected: Expected | None = None
+        self._has_landed = False
+        self._forces_in_flight = self.estimator.forces
         self._motors_off = _NO_UAVS  # UAVs, 0-based
         self._released = _NO_UAVS  # those of them that are released
 
@@ -152,8 +154,12 @@ class TeamEstimate:
 
     @property
     def forces(self) -> Array | None:
-        """Estimated external forces, inertial frame, N; None where they are not estimated."""
-        return self.estimator.forces
+        """External forces to reckon with, inertial frame, N; None where they are not estimated.
+
+        They are the estimated ones; once the load is on the ground those before, as what the ground
+        carries is no force that lasts.
+        """
+        return self._forces_in_flight if self._has_landed else self.estimator.forces
 
     def update(self, received: Received) -> Array:
         """Take in the messages of a tick; return the estimate, (n,), with motor lag (n + m,)."""
@@ -167,6 +173,12 @@ class TeamEstimate:
             self.estimator.measure(measurement)
 
         x = self.estimator.estimate(k, self.announced)
+        targets = self._setup.maneuver.targets
+        landing = targets[-1] if targets and targets[-1].lands else None
+        time_s = k * self._setup.settings.sampling_period_s
+        self._has_landed = landing is not None and time_s >= landing.ends_s
+        if not self._has_landed:
+            self._forces_in_flight = self.estimator.forces
         self._hold_forces(k)
         if self._setup.scenario.controller.received_states == "as_received":
             return self._as_received(x, k)

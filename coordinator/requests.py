@@ -66,4 +66,5 @@ def _reply(change: Message, status: RunStatus) -> Mapping[str, Any]:
     if isinstance(change, Target):
         reply["reached_s"] = since_s + change.approach_s
         reply["ends_s"] = reply["reached_s"] + change.way_s
+        reply["point_m"] = change.points[-1].tolist()
     return reply

@@ -13,6 +13,9 @@ from transport.model.parameters import ParameterError
 from transport.model.phase import Phase, Profile
 from transport.model.target import Target
 
+# Names of the way to a target and of the rest after it: in flight, and of one that lands.
+_STAGES = ("target", "at target"), ("landing", "landed")
+
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Maneuver:
@@ -86,9 +89,10 @@ class Maneuver:
                 for name, begin_s, end_s in stages
                 if begin_s < since_s
             ]
-            stages.append(("target", since_s, target.ends_s))
+            on_the_way, there = _STAGES[target.lands]
+            stages.append((on_the_way, since_s, target.ends_s))
             if target.ends_s < ends_s[-1]:
-                stages.append(("at target", target.ends_s, ends_s[-1]))
+                stages.append((there, target.ends_s, ends_s[-1]))
         return stages
 
     def phase_at(self, t_s: float) -> Phase:
@@ -99,7 +103,7 @@ class Maneuver:
         for target in reversed(self.targets):
             if t_s >= target.since_s:
                 return Phase(
-                    name="target" if t_s < target.ends_s else "at target",
+                    name=_STAGES[target.lands][t_s >= target.ends_s],
                     duration_s=target.ends_s - target.since_s,
                     displacement_I=np.zeros(3),
                 )
@@ -170,10 +174,15 @@ class Maneuver:
         """
         level = np.full(len(t_s), float(self.phases[0].kind == "take_off"))
         rate = np.zeros(len(t_s))
+        t_s = self._by_clock(t_s)
+        for target in self.targets:
+            level_change, rate_change = target.ground_load(t_s)
+            level = level + level_change
+            rate = rate + rate_change
+
         # Landings after the first target do not take place: the level of then stays.
         until_s = self.targets[0].since_s if self.targets else math.inf
-        t_s = np.minimum(self._by_clock(t_s), until_s)
-
+        t_s = np.minimum(t_s, until_s)
         for phase, begin_s in self._timed_phases():
             level_change, rate_change = phase.ground_load(t_s - begin_s)
             level = level + level_change

@@ -8,6 +8,8 @@ from transport.model import jets
 from transport.model.arrays import Array
 from transport.model.curves import Curve
 
+LOAD_S = 2.0  # time in which the weight of a load that has landed is handed over to the ground, s
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Target:
@@ -20,6 +22,7 @@ class Target:
     point_I: Array  # position of the target, (3,), inertial frame, m
     approach: Curve  # straight, of length 1, whose share is that of the target in the path
     way: Curve | None = None  # from the target on; None: the target is the end
+    lands: bool = False  # whether the end is on the ground, which then carries the payload
 
     @property
     def reached_s(self) -> float:
@@ -31,6 +34,22 @@ class Target:
         """Time from which on the reference is at rest, s."""
         way_s = 0.0 if self.way is None else self.way.duration_s
         return self.reached_s + way_s
+
+    @property
+    def rests_s(self) -> float:
+        """Time from which on the controllers' reference is at rest, s: the ground has a load that landed."""
+        return self.ends_s + (LOAD_S if self.lands else 0.0)
+
+    def ground_load(self, t_s: Array) -> tuple[Array, Array]:
+        """Return the change of the level of (59) by a landing, and its rate, 1/s.
+
+        At times of the maneuver, (k,), s.
+        """
+        if not self.lands:
+            return np.zeros(len(t_s)), np.zeros(len(t_s))
+        handover = Curve(kind=None, duration_s=LOAD_S, ramp_s=LOAD_S / 2.0, size_I=(1.0, 0.0, 0.0))
+        share, rate = handover.covered(t_s - self.ends_s, 2)
+        return share, rate
 
     @property
     def end_I(self) -> Array:

@@ -149,7 +149,7 @@ class Reference:
         target = self.maneuver.targets[-1]
         first = round(target.since_s / self._period_s)
         # The last row is held: at rest, with an instant to spare for a division that is rounded down.
-        last = math.ceil(target.ends_s / self._period_s) + 1
+        last = math.ceil(target.rests_s / self._period_s) + 1
         end = min(last + 1, self._instants)
         Y_part, X_part = self._path.followed(self.times_s[first:end])
         frozen(X_part)

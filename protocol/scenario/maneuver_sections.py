@@ -131,13 +131,21 @@ class TargetSection(Section):
 
     points_m: Annotated[
         list[Vector],
-        Field(min_length=1, max_length=MAX_POINTS),
-        Key(type=f"1 to {MAX_POINTS} lists of 3 numbers"),
-    ]
+        Field(max_length=MAX_POINTS - 2),
+        Key(type=f"at most {MAX_POINTS - 2} lists of 3 numbers"),
+    ] = []
     """the target, inertial frame (z down), or way points of a spline that is run through from the
-    first one on"""
+    first one on; required, but for a landing"""
+    land: bool = False
+    """true: the team comes down after the last point, or where it is, and rests: on `plant.ground_m`,
+    or without a ground at the height at which the payload would stand on z = 0"""
+    land_at_m: Annotated[
+        Annotated[list[float], Field(min_length=2, max_length=2)] | None, Key(type="2 numbers")
+    ] = None
+    """with land: x and y of the place, to which the payload first goes at its height"""
     speed_mps: Annotated[Positive | None, Key(label="largest speed")] = None
-    """largest speed on the way; if omitted, that which the team can fly, at most 1 m/s"""
+    """largest speed on the way; if omitted, that which the team can fly, at most 1 m/s, and down to the
+    ground 0.5 m/s"""
     times_s: Annotated[list[NotNegative] | None, Key(type="list of rising numbers", unit="s")] = (
         None
     )
@@ -146,6 +154,12 @@ class TargetSection(Section):
     @model_validator(mode="after")
     def _points_differ_and_times_rise(self) -> Self:
         times_s = self.times_s
+        if not self.points_m and not self.land:
+            raise ValueError("points_m: expected at least one point, or land = true, got none")
+        if self.land_at_m is not None and not self.land:
+            raise ValueError("land_at_m: expected none without land = true, got a place")
+        if times_s is not None and self.land:
+            raise ValueError("times_s: expected speed_mps with land = true, got times")
         if times_s is not None:
             if self.speed_mps is not None:
                 expected = "speed_mps: expected none next to times_s, which define the speed"

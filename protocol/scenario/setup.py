@@ -245,7 +245,9 @@ class Setup:
         for message in targets:
             if message.number == len(setup.maneuver.targets) + 1:
                 period_s = setup.settings.sampling_period_s
-                setup = setup.with_target(target_of(message, period_s))
+                has_ground = setup.scenario.plant.ground_m is not None
+                target = target_of(message, period_s, has_ground=has_ground)
+                setup = setup.with_target(target)
         return setup
 
     def whole_team(self) -> WholeTeam:

@@ -8,7 +8,7 @@ import numpy as np
 from transport.model.arrays import Array
 from transport.model.curves import ORDERS, Curve
 from transport.model.parameters import ParameterError, resting_height
-from transport.model.target import Target
+from transport.model.target import LOAD_S, Target
 from transport.protocol.scenario.clearance import first_blocked
 from transport.protocol.scenario.errors import RequestError
 from transport.protocol.scenario.feasibility import (
@@ -26,7 +26,8 @@ from transport.protocol.scenario.path_instants import (
 )
 from transport.protocol.scenario.planned_run import PlannedRun
 
-SPEED_MPS = 1.0  # largest speed where none is given
+# Largest speed where none is given: in flight, and on a way that ends on the ground.
+SPEED_MPS, DESCENT_MPS = 1.0, 0.5
 
 # Time of speeding up of an approach that is tried first, the factor from one to the next, and the
 # longest one.
@@ -65,19 +66,24 @@ def target_fields(setup: PlannedRun, section: TargetSection, tick: int) -> dict[
 
     Raises: RequestError: it cannot be flown.
     """
-    points_I = np.array(section.points_m)
     period_s = setup.settings.sampling_period_s
     window = Window(since_s=tick * period_s, last_s=(setup.ticks - 1) * period_s)
+    if section.land:
+        section = _with_landing(setup, section, window.since_s)
+    points_I = np.array(section.points_m)
+    handover_s = LOAD_S if section.land else 0.0
 
     # What needs no sampling of the path.
     _check_above_ground(setup, points_I, window.since_s)
     _check_in_flight(setup, window.since_s)
-    window.check(_least_approach_s(setup, section, window) + _least_way_s(section))
+    least_s = _least_approach_s(setup, section, window) + _least_way_s(section)
+    window.check(least_s + handover_s)
 
     # The fastest motion that keeps the limits of the team, within the time left.
     approach = _approach(setup, section, window)
     way = _way(setup, section, window) if len(points_I) > 1 else None
-    window.check(approach.duration_s + (0.0 if way is None else way.duration_s))
+    way_s = 0.0 if way is None else way.duration_s
+    window.check(approach.duration_s + way_s + handover_s)
 
     # Between its points a curve may be deeper than they are.
     if way is not None:
@@ -87,7 +93,27 @@ def target_fields(setup: PlannedRun, section: TargetSection, tick: int) -> dict[
     target = Target(since_s=window.since_s, point_I=points_I[0], approach=approach, way=way)
     _check_formation(setup, target, window)
     _check_obstacles(setup, target)
-    return _message_fields(tick, points_I, approach, way)
+    return {**_message_fields(tick, points_I, approach, way), "lands": section.land}
+
+
+def _with_landing(setup: PlannedRun, section: TargetSection, since_s: float) -> TargetSection:
+    """Return a target with the points of its landing: above the place, if one is given, and there.
+
+    Raises: RequestError: the payload is not above it.
+    """
+    here_I = setup.maneuver.path(np.array([since_s]))[0][0]
+    points = [*section.points_m]
+    x, y, z = points[-1] if points else here_I.tolist()
+    if section.land_at_m is not None:
+        x, y = section.land_at_m
+        points.append((x, y, z))
+
+    ground_m = setup.scenario.plant.ground_m
+    resting_m = resting_height(setup.system, 0.0 if ground_m is None else ground_m)
+    if z > resting_m - ON_GROUND_M:
+        expected = f"expected a payload above z = {resting_m:g} m, where it would rest"
+        raise RequestError(f"land: {expected}, got {z:g} m")
+    return section.model_copy(update={"points_m": [*points, (x, y, resting_m)]})
 
 
 def _check_formation(setup: PlannedRun, target: Target, window: Window) -> None:
@@ -146,14 +172,22 @@ def _ramped_s(length_m: float, speed_mps: float, ramp_s: float) -> float:
     return max(length_m / speed_mps + ramp_s, 2.0 * ramp_s)
 
 
-def _speed_of(section: TargetSection) -> float:
-    return SPEED_MPS if section.speed_mps is None else section.speed_mps
+def _approach_mps(section: TargetSection) -> float:
+    """Return the largest speed to the first point, m/s."""
+    usual_mps = DESCENT_MPS if section.land and len(section.points_m) == 1 else SPEED_MPS
+    return usual_mps if section.speed_mps is None else section.speed_mps
+
+
+def _way_mps(section: TargetSection) -> float:
+    """Return the largest speed through the further points, m/s."""
+    usual_mps = DESCENT_MPS if section.land else SPEED_MPS
+    return usual_mps if section.speed_mps is None else section.speed_mps
 
 
 def _least_approach_s(setup: PlannedRun, section: TargetSection, window: Window) -> float:
     """Return the duration of the approach with the shortest ramps that are tried, s."""
     distance_m = _approach_m(setup, np.array(section.points_m[0]), window)
-    return _ramped_s(distance_m, _speed_of(section), _SHORTEST_RAMP_S)
+    return _ramped_s(distance_m, _approach_mps(section), _SHORTEST_RAMP_S)
 
 
 def _least_way_s(section: TargetSection) -> float:
@@ -168,7 +202,7 @@ def _least_way_s(section: TargetSection) -> float:
 
     steps_I = np.diff(np.array(section.points_m), axis=0)
     length_m = float(np.linalg.norm(steps_I, axis=1).sum())
-    return _ramped_s(length_m, _speed_of(section), _WAY_RAMP_S)
+    return _ramped_s(length_m, _way_mps(section), _WAY_RAMP_S)
 
 
 def _approach_m(setup: PlannedRun, point_I: Array, window: Window) -> float:
@@ -190,7 +224,7 @@ def _approach(setup: PlannedRun, section: TargetSection, window: Window) -> Curv
     ramp_s = _SHORTEST_RAMP_S
     problem: str | None = None
     while ramp_s <= _LONGEST_RAMP_S:
-        approach = straight(_ramped_s(distance_m, _speed_of(section), ramp_s), ramp_s)
+        approach = straight(_ramped_s(distance_m, _approach_mps(section), ramp_s), ramp_s)
         # The first one has been checked in `target_fields`; each later one is longer.
         if problem is not None:
             window.check(approach.duration_s)
@@ -274,7 +308,7 @@ def _way_as_given(section: TargetSection) -> Curve:
         # Largest speed = max |p'| s', with s' = 1 / (T - t_r) in cruise: T = max |p'| / v + t_r, (65).
         shape = spline(further_I, 2.0 * _WAY_RAMP_S, _WAY_RAMP_S, None)  # with any timing
         check_way_points(shape)
-        duration_s = _ramped_s(shape.fastest(), _speed_of(section), _WAY_RAMP_S)
+        duration_s = _ramped_s(shape.fastest(), _way_mps(section), _WAY_RAMP_S)
         return replace(shape, duration_s=duration_s)
     except WayPointError as error:
         raise RequestError(str(error)) from error

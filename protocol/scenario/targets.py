@@ -16,8 +16,8 @@ from transport.protocol.wire.node import Outbox
 MOST = 1000  # targets of one run: a process that joins receives all of them
 
 
-def target_of(message: messages.Target, period_s: float) -> Target:
-    """Return the target in a message, at a sampling period, s."""
+def target_of(message: messages.Target, period_s: float, *, has_ground: bool) -> Target:
+    """Return the target in a message, at a sampling period, s; without a ground none lands."""
     point_I = message.points[0]
     further_I = message.points[1:] - point_I
 
@@ -31,6 +31,7 @@ def target_of(message: messages.Target, period_s: float) -> Target:
         point_I=point_I,
         approach=straight(message.approach_s, message.approach_ramp_s),
         way=way,
+        lands=message.lands and has_ground,
     )
 
 
@@ -43,8 +44,8 @@ def check_target(setup: PlannedRun, message: messages.Target) -> None:
 
 def target_in_words(message: messages.Target) -> str:
     """Return a target in words."""
-    x, y, z = message.points[0].tolist()
-    return f"target ({x:g}, {y:g}, {z:g}) m"
+    x, y, z = message.points[-1 if message.lands else 0].tolist()
+    return f"{'landing' if message.lands else 'target'} ({x:g}, {y:g}, {z:g}) m"
 
 
 def scripted(setup: PlannedRun) -> list[tuple[int, TargetSection]]:

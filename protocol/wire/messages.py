@@ -272,6 +272,7 @@ class Target(Message, tag="target", frozen=True, kw_only=True):
         "points": lambda _: (None, 3),
         "times": lambda one: (len(one.points),),
     }
+    optional: ClassVar[tuple[str, ...]] = ("lands",)
 
     # Of the target in its run; sent again to processes that join late.
     number: Annotated[int, Meta(ge=1)]
@@ -282,6 +283,7 @@ class Target(Message, tag="target", frozen=True, kw_only=True):
     approach_ramp_s: Finite  # time of speeding up, and of slowing down; at most half of it
     way_s: Finite  # time from the target to the last point; 0 without further points
     way_ramp_s: Finite
+    lands: bool = False  # whether the last point is on the ground
 
     def check(self) -> None:
         """Check the number of points."""

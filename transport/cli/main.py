@@ -76,6 +76,7 @@ app = lazy_group(
                 "Show the progress of a run, or the health of one process.",
             ),
             "target": ("operate:target", "Send the payload of an active run to a target."),
+            "land": ("operate:land", "Let the team of an active run come down, and rest."),
             "link": lazy_group(
                 {"Commands": _LINK},
                 help="Change the links of an active run.",

@@ -366,5 +366,42 @@ def target(
     show(output, answer, f"{begin}, {reached}, {end}")
 
 
+@with_options(ActiveRun)
+def land(
+    run: ActiveRun,
+    x: float | None = Argument(
+        None, metavar="X", help="Place in the inertial frame, m: forwards; else where it is."
+    ),
+    y: float | None = Argument(None, metavar="Y", help="To the right."),
+    speed: float | None = Option(
+        None, metavar="MPS", min=1e-3, help="Largest speed; else up to 0.5 m/s downwards."
+    ),
+    output: FormatOption = Format.text,
+) -> None:
+    """Let the team of an active run come down, and rest.
+
+    From the next tick on the reference leaves its path and leads down to the ground, where the payload
+    is or at a place to which it goes first. A landing that cannot be flown before the end of the run is
+    refused with the reason.
+
+    Exit codes: 0 accepted; 2 refused; 4 no answer.
+
+    Example: transport land 3 0
+    """
+    if (x is None) != (y is None):
+        fail("expected X Y, or none of them, got 1 number")
+    given: dict[str, Any] = {"land": True}
+    if x is not None:
+        given["land_at_m"] = [x, y]
+    if speed is not None:
+        given["speed_mps"] = speed
+    answer = run.ask(COORDINATOR, "target", given)
+    begin = f"landing from tick {answer['tick']} on (t = {answer['t_s']:.2f} s)"
+    x_m, y_m, z_m = answer["point_m"]
+    end = f"at ({x_m:g}, {y_m:g}, {z_m:g}) m at t = {answer['ends_s']:.2f} s"
+    show(output, answer, f"{begin}, {end}")
+
+
 # A negative coordinate such as -2 is no option.
+land.context_settings = {"ignore_unknown_options": True}  # type: ignore[attr-defined]
 target.context_settings = {"ignore_unknown_options": True}  # type: ignore[attr-defined]

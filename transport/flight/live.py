@@ -159,6 +159,10 @@ class Commands:
         """Send the payload to a position, (3,), inertial frame, m."""
         self._requests.put((COORDINATOR, "target", {"points_m": [place.tolist()]}))
 
+    def land(self) -> None:
+        """Let the team come down where it is."""
+        self._requests.put((COORDINATOR, "target", {"land": True}))
+
     def fault(self, action: str, target: str) -> None:
         """Kill or restart a process."""
         self._requests.put((RECORDER, "fault", {"do": action, "target": target}))
@@ -178,7 +182,8 @@ class Commands:
 def _result_in_words(kind: str, content: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
     """Return a sentence about a request that was accepted."""
     if kind == "target":
-        place = "target ({:g}, {:g}, {:g}) m".format(*content["points_m"][-1])
+        what = "landing" if content.get("land") else "target"
+        place = f"{what} " + "({:g}, {:g}, {:g}) m".format(*answer["point_m"])
         duration_s = answer["ends_s"] - answer["t_s"]
         return f"{place}: arrives at t = {answer['ends_s']:.1f} s, in {duration_s:.1f} s"
     if kind == "link":

@@ -148,6 +148,23 @@ class ActiveRun:
         """
         return self.path([[x, y, z]], speed=speed)
 
+    def land(
+        self, x: float | None = None, y: float | None = None, *, speed: float | None = None
+    ) -> dict[str, Any]:
+        """Let the team come down where it is, or at a place to which it goes first, and rest.
+
+        The place is x, y, inertial frame, m. The largest speed, m/s, is 0.5 m/s downwards by default.
+        Returns and raises as `target`.
+        """
+        if (x is None) != (y is None):
+            raise ArgumentError(f"x, y: expected both or none, got {x}, {y}")
+        given: dict[str, Any] = {"land": True}
+        if x is not None:
+            given["land_at_m"] = [plain(x), plain(y)]
+        if speed is not None:
+            given["speed_mps"] = plain(speed)
+        return self._live.ask(COORDINATOR, "target", given)
+
     def path(
         self,
         points: "Sequence[Sequence[float]] | str | PathLike[str]",

@@ -48,6 +48,7 @@ class TargetControls:
             there = gui.add_button(
                 "Go there", hint="as transport target X Y Z; or drag the arrows in the scene"
             )
+            down = gui.add_button("Land here", hint="as transport land: down where it is, and rest")
         self.handle = server.scene.add_transform_controls(
             "/world/target",
             scale=0.6,
@@ -56,6 +57,7 @@ class TargetControls:
             position=tuple(start_I),
         )
         there.on_click(self._typed_target)
+        down.on_click(lambda _: commands.land())
         self.handle.on_update(self._dragged)
         self._dragged_from_I = start_I
 
