@@ -556,7 +556,7 @@ def test_wrong_setting(setting: str, problem: str) -> None:
     ("key", "problem"),
     [
         ("plant.motors.1.lag_s", "plant.motors.1: unknown key; known: lag_s, "),
-        ("plant.foo.1.bar", "plant.foo: unknown key; known: engine, "),
+        ("plant.foo.1.bar", "plant.foo: unknown key; known: kind, "),
         ("foo.1.bar", "foo: unknown key; known: schema, "),
         ("system.uav.1.foo.2.bar", "system.uav.1.foo: unknown key; known: id, "),
     ],
