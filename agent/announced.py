@@ -231,9 +231,10 @@ class AnnouncedInputs:
     def _aligned(self, sequence: Array, plan: Plan, start: int, steps: int) -> Array:
         """Return a plan's inputs or corrections aligned with the horizon, as far as they reach."""
         passed = max(start - plan.start_tick, 0)  # steps of the plan before the horizon
-        is_known_age = plan.agent == self._own or plan.agent in self.heard.off_roster
-        if is_known_age or self._alignment == "by_age":
-            return sequence[passed:][:steps]
+        if self._alignment == "by_age":
+            return sequence[passed : passed + steps]
+        if plan.agent == self._own or plan.agent in self.heard.off_roster:  # its age is known
+            return sequence[passed : passed + steps]
         if self._alignment == "held":
             present = sequence[passed:][:1]
             return np.repeat(present, steps, axis=0)

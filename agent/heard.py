@@ -50,8 +50,8 @@ class HeardOthers:
         self._after_failures = after_failures
 
         self.plans = ReceivedPlans(self._agents)
-        peers = [agent for agent in self._agents if agent != own]
-        self._news = News(peers, silence)
+        self._peers = tuple(agent for agent in self._agents if agent != own)
+        self._news = News(self._peers, silence)
         self.oldest_news = NO_WAIT
 
         # The first tick at which news were observed, and that at which an agent returned: from these
@@ -86,9 +86,9 @@ class HeardOthers:
             self._began = k
         mean = 0.0
         overdue = 0.0
-        for agent in self._agents:
+        for agent in self._peers:
             plan = self.plans.newest(agent, before=k)
-            if plan is not None and agent != self._own:
+            if plan is not None:
                 self._news.observe(agent, k - plan.solved_tick)
             age = self.age(agent, plan, k)
             mean = max(mean, age.mean)
@@ -113,7 +113,7 @@ class HeardOthers:
         silence = self.silence
         if silence is None:
             return True
-        for agent in self._agents:
+        for agent in self._peers:
             plan = self.plans.newest(agent, before, started=tick)
             if self.age(agent, plan, tick).overdue > silence.uninformed:
                 return False
@@ -151,9 +151,9 @@ class HeardOthers:
         flew on without it, and is on its way back: it does not count.
         """
         most = 0.0
-        for agent in self._agents:
+        for agent in self._peers:
             plan = self.plans.newest(agent, before)
-            if plan is None or agent == self._own or agent in self.off_roster:
+            if plan is None or agent in self.off_roster:
                 continue
             if not self._is_returning(agent, plan):
                 most = max(most, plan.alone)

@@ -4,6 +4,7 @@
 last lap counts nowhere.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,7 +20,7 @@ from transport.agent.sharing import Corrections, Sharing
 from transport.agent.stage_times import StageTimes
 from transport.agent.team_estimate import Expected, TeamEstimate
 from transport.model import motors
-from transport.model.arrays import Array, ShapeError
+from transport.model.arrays import Array, ShapeError, frozen
 from transport.model.discretisation import Discrete
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller, Horizon, StepResult
@@ -39,6 +40,8 @@ _ALONE = "alone"
 # In reports: no number, and no age as nothing has arrived.
 _NO_NUMBER = -1.0
 _NO_AGE = -1
+_NO_FORCE = np.zeros(3)
+frozen(_NO_FORCE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,6 +85,7 @@ class Planner:
         self._agent = agent
         self._stopwatch = stopwatch
         self._owned = setup.owned[agent - 1]
+        self._numbers = tuple(uav + 1 for uav in self._owned)
         self._controller = Controller(
             setup.model,
             setup.hover,
@@ -257,7 +261,7 @@ class Planner:
             tick=received.tick,
             agent=self._agent,
             start_tick=step.start_tick,
-            uavs=tuple(uav + 1 for uav in self._owned),
+            uavs=self._numbers,
             uav_states=step.uav_states,
             inputs=result.U,
             corrections=result.c,
@@ -387,7 +391,7 @@ class Planner:
         worst = solution.residuals.worst
         measured = team.estimator.news.measured
         newest = [team.announced.plans.newest(agent, before=k) for agent in team.peers]
-        force = np.zeros(3)
+        force = _NO_FORCE
         if team.forces is not None:
             force = self._controller.model.with_weight_of_mass_error(team.forces)[:3]
         return step_report(
@@ -398,7 +402,7 @@ class Planner:
             solver=solution.solver,
             fallback=solution.fallback,
             iterations=solution.iterations,
-            residual=worst if np.isfinite(worst) else _NO_NUMBER,
+            residual=worst if math.isfinite(worst) else _NO_NUMBER,
             peers=team.peers,
             plan_ages=tuple(_NO_AGE if plan is None else k - plan.solved_tick for plan in newest),
             state_ages=tuple(team.estimator.news.age(agent, k) for agent in team.peers),

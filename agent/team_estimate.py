@@ -55,6 +55,7 @@ class TeamEstimate:
         self._agent = agent
         self._controller = controller
         self.peers = tuple(other for other in setup.agents if other != agent)
+        self._all_agents = set(setup.agents)
         self._agents_off_roster: set[int] = set()  # the controller leaves them out
         self.restart()
 
@@ -219,7 +220,7 @@ class TeamEstimate:
         """Take in the roster of a tick; all agents do that at the same tick."""
         tick = received.tick
         announced = self.announced
-        off_roster = set(self._setup.agents) - received.agents
+        off_roster = self._all_agents - received.agents
         leaving = off_roster - self._agents_off_roster
         returning = self._agents_off_roster - off_roster
         # Asked before they are off the roster: an agent that is off counts as informed.

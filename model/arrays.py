@@ -1,5 +1,6 @@
 """Arrays of the project: float64, checked at construction, read-only from then on."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar
@@ -50,6 +51,11 @@ def frozen(*arrays: npt.NDArray[Any]) -> None:
     """Make arrays read-only."""
     for array in arrays:
         array.setflags(write=False)
+
+
+def all_finite(array: Array) -> bool:
+    """Return whether all numbers are finite; the first test takes one pass, but large numbers overflow."""
+    return math.isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
 
 
 def assign(instance: object, **values: Any) -> None:

@@ -86,6 +86,11 @@ def tilt_indices(N: int) -> npt.NDArray[np.intp]:
     return np.array([roll + axis for roll in bodies for axis in (0, 1)], dtype=np.intp)
 
 
+def uav_blocks(x: Array) -> Array:
+    """Return the blocks of all UAVs in state(s) x, (..., 12 + 12 N), without a copy: (..., N, 12)."""
+    return x[..., PAYLOAD:].reshape(*x.shape[:-1], -1, PER_UAV)
+
+
 class StateView:
     """Named views, without copies, into state(s) x, (..., 12 + 12 N)."""
 
@@ -99,7 +104,7 @@ class StateView:
         # UAV blocks, (..., N, 12): rod directions, unit, and angular velocities, rad/s, in the
         # payload frame; UAV roll, pitch, yaw, rad, and angular velocities in the body frame, rad/s;
         # (..., N, 3) each.
-        self.uavs = x[..., PAYLOAD:].reshape(*x.shape[:-1], -1, PER_UAV)
+        self.uavs = uav_blocks(x)
         self.e_P = self.uavs[..., E]
         self.Omega_P = self.uavs[..., ROD_RATE]
         self.Theta = self.uavs[..., THETA]

@@ -177,7 +177,7 @@ class CompiledProgram:
         before = self._kept.array(name)
         if before is array:
             return array
-        if before is not None and np.array_equal(before, array):
+        if before is not None and before.tobytes() == array.tobytes():
             return before
         frozen(array)
         return array

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transport.model import state
-from transport.model.arrays import Array, frozen
+from transport.model.arrays import Array, all_finite, frozen
 from transport.model.discretisation import Discrete, euler, zero_order_hold
 from transport.model.hover import Hover
 from transport.model.linearisation import Jacobians, Linearisation, Model
@@ -245,7 +245,7 @@ class Controller:
         """Return the trajectory of the nonlinear model under the law, unless it tilts too far."""
         trajectory = rollout(self.model, self._actuation, linear.z0, law, linear.forces)
         tilt = np.abs(trajectory.Z[:, self._tilts]).max()
-        if tilt < _STEEPEST and np.isfinite(trajectory.Z).all():
+        if tilt < _STEEPEST and all_finite(trajectory.Z):
             return trajectory
         return None
 
@@ -303,9 +303,8 @@ class Controller:
         if ticks_since_start is not None:
             w = max(w, 1.0 / (ticks_since_start + 1))
         w = w if is_solved else 0.0
-        z = np.zeros(self._decision.size)
-        if is_solved:
-            z = solution.z[: self._decision.size]
+        size = self._decision.size
+        z = solution.z[:size] if is_solved else np.zeros(size)
 
         if isinstance(prediction, Course):
             announced = prediction.law if law is None else law
@@ -320,7 +319,7 @@ class Controller:
                 # exactly.
                 best = self._decision.clip(prediction.U_free + self._decision.inputs(z))
                 inputs = self._decision.clip(w * best + (1.0 - w) * inputs)
-        if np.isfinite(inputs).all() and np.abs(c).max(initial=0.0) <= LARGEST:
+        if all_finite(inputs) and np.abs(c).max(initial=0.0) <= LARGEST:
             return StepResult(U=inputs, c=c, solution=solution)
         return self.give_up(U, law, None if is_solved else solution)
 

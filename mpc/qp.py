@@ -62,6 +62,12 @@ class QP:
         data = self.H, self.g, self.lower, self.upper, self.A, self.row_lower, self.row_upper
         return [native.address(array) for array in data]
 
+    @cached_property
+    def work(self) -> int:
+        """Address of a work space for `within_bounds`, for the compiled kernels."""
+        rows, n = self.A.shape
+        return native.work("within_bounds", native.KERNELS.within_bounds_work(n, rows))
+
     def __getstate__(self) -> dict[str, Array]:
         """Return the data for copies, which have addresses of their own."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
@@ -238,9 +244,8 @@ def within_bounds(qp: QP) -> Solution | None:
     answer = np.empty(2 * n + _RESIDUALS)
     begin = native.address(answer)
     places = begin, begin + n * answer.itemsize, begin + 2 * n * answer.itemsize
-    work = native.work("within_bounds", native.KERNELS.within_bounds_work(n, rows))
     guesses = native.KERNELS.solve_within_bounds(
-        n, rows, *qp.addresses, MOST_GUESSES, *places, work
+        n, rows, *qp.addresses, MOST_GUESSES, *places, qp.work
     )
     if guesses <= 0:  # 0: no such solution, or equalities; -1: H or g is not finite
         return None

@@ -188,7 +188,7 @@ class PlantNode(Participant):
         else:
             x = self.environment.measured(tick.tick, agent, self._x)
             payload = x[: state.PAYLOAD]
-            uav_states = state.StateView(x).uavs[owned]
+            uav_states = state.uav_blocks(x)[owned]
         return self._out.stamp(
             Measurement,
             tick=tick.tick,

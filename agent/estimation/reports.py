@@ -34,6 +34,7 @@ class Reports:
 
     def __init__(self) -> None:
         self._ticks: dict[int, _Tick] = {}
+        self._first = 0  # nothing is kept of ticks before
 
     def has(self, tick: int, uav: int) -> bool:
         """Return whether a UAV has been told of at a tick."""
@@ -89,8 +90,9 @@ class Reports:
 
     def forget_before(self, tick: int) -> None:
         """Forget all reports of earlier ticks."""
-        for earlier in [k for k in self._ticks if k < tick]:
-            del self._ticks[earlier]
+        for earlier in range(self._first, tick):
+            self._ticks.pop(earlier, None)
+        self._first = max(self._first, tick)
 
 
 class News:

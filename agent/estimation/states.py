@@ -130,7 +130,7 @@ class StateEstimator:
     def reported(self, k: int, x: Array) -> Array:  # noqa: ARG002  # the estimate is of this tick
         """Return the estimated states of the own UAVs for the plan of tick k, (owned, 12)."""
         n = self._motion.model.system.n
-        return state.StateView(x[:n]).uavs[self._owned]
+        return state.uav_blocks(x[:n])[self._owned]
 
     def log_numbers(self) -> Mapping[str, float]:
         """Return numbers for the log by name: none."""

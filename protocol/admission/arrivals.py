@@ -86,7 +86,8 @@ class Arrivals(Generic[M]):
                 waiting.append(message)
                 continue
             ticks = self._usable_ticks(message)
-            self._held += [(usable, message) for usable in ticks]
+            for usable in ticks:
+                self._held.append((usable, message))
             self._lost += not ticks
         self._sent = waiting
 

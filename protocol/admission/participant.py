@@ -185,7 +185,10 @@ class Participant(ABC):
         return self._work(now_ns) if self.finished is None else self._end()
 
     def _handle(self, message: Message, now_ns: int) -> None:
-        match message:
+        match message:  # what comes most is first
+            case Plan():
+                if self._membership.admit_or_keep(message):
+                    self._take_plan(message, now_ns)
             case Control():
                 self.finished = message
             case Roster():
@@ -197,9 +200,6 @@ class Participant(ABC):
                 if message.number == len(self._setup.maneuver.targets) + 1:
                     self._setup = self._setup.after([message])
                     self._follow_target(message)
-            case Plan():
-                if self._membership.admit_or_keep(message):
-                    self._take_plan(message, now_ns)
             case _:
                 self._take(message, now_ns)
 

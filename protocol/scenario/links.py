@@ -146,7 +146,10 @@ class Link:
 
     def _in_force(self, tick: int) -> Epoch:
         """Return the epoch that a tick belongs to."""
-        return next(epoch for epoch in reversed(self._epochs) if epoch.first_tick <= tick)
+        for epoch in reversed(self._epochs):
+            if epoch.first_tick <= tick:
+                return epoch
+        return self._epochs[0]
 
     def _is_cut(self, tick: int) -> bool:
         """Return whether a partition separates the ends when the message of a tick is sent."""

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from transport.model.arrays import Array, frozen
+from transport.model.arrays import Array, all_finite, frozen
 from transport.model.state import (
     ALL_SENSORS,
     INPUTS,
@@ -136,10 +136,7 @@ class Message(
                 shown = ", ".join("any" if length is None else str(length) for length in expected)
                 text = f"{field}: expected shape ({shown}), got {value.shape}"
                 raise MessageError("wrong_shape", text)
-            if not value.size:
-                continue
-            # The first test takes one pass, but overflows for large numbers.
-            if not math.isfinite(np.vdot(value, value)) and not np.isfinite(value).all():
+            if value.size and not all_finite(value):
                 text = f"{field}: expected finite numbers, got nan or infinity"
                 raise MessageError("not_finite", text)
 
