@@ -19,11 +19,12 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from benchmarks import solvers
+from benchmarks import shares, solvers
 from benchmarks.runs import (
     CLIMB,
     BenchmarkError,
     digits,
+    kernels,
     messages,
     origin,
     setup,
@@ -32,6 +33,7 @@ from benchmarks.runs import (
     times_ms,
 )
 from docs.tables import ROOT, place, put, table
+from transport.model import native
 from transport.model.arrays import Array
 from transport.plant.node import PlantNode
 from transport.protocol.scenario.setup import Setup
@@ -53,6 +55,12 @@ STEP_TEXT = (
     "Processor time of a step and its stages, ms, medians, and the 99th percentile of the step. `resilient` resized to "
     "N UAVs, one per agent; `paper` and `centralized` unchanged. Runs in memory, in turns, until each case has "
     f"{STEPS} steps."
+)
+WIDTHS = (8, 4, 2)
+WIDTH_CASES = (("paper", 4), ("resilient", 4), ("resilient", 16), ("centralized", 4))
+WIDTH_TEXT = (
+    "The same with vectors of 8 doubles (AVX-512), of 4 (AVX2) and of 2 in the kernels, as far as this processor has "
+    "them, and with Python functions in place of the kernels: medians, ms. The compiled model is the same."
 )
 PARTS_TEXT = (
     "Processor time, ms, median (99th percentile). The plant integrates one sampling period of 50 ms in steps of "
@@ -79,6 +87,27 @@ def step() -> str:
         numbers = [*np.median(ms, axis=0), np.percentile(ms[:, -1], 99)]
         rows.append([f"`{name}`", str(uavs), str(horizon), *map(digits, numbers)])
     return f"{STEP_TEXT}\n\n{table(['scenario', 'UAVs', 'N_p', *SHOWN[:-1], 'step', 'p99'], rows)}"
+
+
+def widths() -> str:
+    """Return the table of a step with vectors of each width that this processor has, and without kernels."""
+    own = native.KERNELS.vector_width() if native.AVAILABLE else 0
+    kinds = [str(width) for width in WIDTHS if width <= own]
+    taken: dict[tuple[str, int, str], list[Array]] = {
+        (name, uavs, kind): [] for name, uavs in WIDTH_CASES for kind in [*kinds, "0"]
+    }
+    while waiting := [case for case, runs in taken.items() if sum(map(len, runs)) < STEPS]:
+        for name, uavs, kind in waiting:
+            with kernels(kind):
+                setup.cache_clear()  # a model keeps whether there are kernels
+                run = setup(name, CLIMB, uavs=uavs if name == "resilient" else None)
+                taken[name, uavs, kind].append(step_times(run))
+    rows = []
+    for (name, uavs, kind), runs in taken.items():
+        ms = np.concatenate(runs)[:, [STAGES.index(stage) for stage in SHOWN]]
+        vectors = "none: Python" if kind == "0" else kind
+        rows.append([f"`{name}`", str(uavs), vectors, *map(digits, np.median(ms, axis=0))])
+    return f"{WIDTH_TEXT}\n\n{table(['scenario', 'UAVs', 'vectors', *SHOWN[:-1], 'step'], rows)}"
 
 
 def parts() -> str:
@@ -159,6 +188,8 @@ def recorded(run: Setup) -> dict[str, Any]:
 
 SECTIONS: Mapping[str, Callable[[], str]] = {
     "step": step,
+    "widths": widths,
+    "shares": shares.measure,
     "solvers": solvers.measure,
     "parts": parts,
     "loop": loop,

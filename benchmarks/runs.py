@@ -1,6 +1,7 @@
 """Runs in memory, and processor times of steps, programs and calls."""
 
 import gc
+import os
 import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -17,6 +18,7 @@ from rich.console import Console
 from transport.flight import memory
 from transport.flight.progress import compile_models
 from transport.flight.run_files import machine
+from transport.model import native
 from transport.model.arrays import Array
 from transport.mpc.controller import Controller
 from transport.mpc.qp import QP
@@ -80,6 +82,18 @@ def programs(run: Setup, most: int) -> list[QP]:
     with patch.object(Controller, "solve", observed):
         messages(run)
     return [found[i] for i in np.unique(np.linspace(0, len(found) - 1, most).astype(int))]
+
+
+@contextmanager
+def kernels(width: str) -> Iterator[None]:
+    """Use kernels with vectors of a width in doubles, or none for "0"."""
+    with patch.dict(os.environ, {"PAYLOAD_TRANSPORT_NATIVE": width}):
+        library = native.load()
+    with (
+        patch.object(native, "KERNELS", library),
+        patch.object(native, "AVAILABLE", library is not None),
+    ):
+        yield
 
 
 @contextmanager

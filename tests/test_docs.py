@@ -48,7 +48,11 @@ OTHER_PARTS: list[tuple[str, str, tuple[str, ...]]] = [
     ("docs/guarantees.md", "benchmarks/teams.py", ("bench: teams alone",)),
     ("docs/flight.md", "benchmarks/autopilots.py", ("bench: autopilots",)),
     ("docs/guarantees.md", "benchmarks/worst.py", ("together", "ready")),
-    ("docs/performance.md", "benchmarks/__main__.py", ("step", "solvers", "parts", "loop")),
+    (
+        "docs/performance.md",
+        "benchmarks/__main__.py",
+        ("step", "widths", "shares", "solvers", "parts", "loop"),
+    ),
     ("docs/performance.md", "benchmarks/peers/__main__.py", ("bench: peers",)),
     ("docs/python.md", "tests/test_getting_started.py", ("series",)),
     ("docs/radio.md", "benchmarks/radio/__main__.py", ("deferral", "validation")),

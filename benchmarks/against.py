@@ -1,0 +1,190 @@
+"""Two versions of the project on one machine, in turns: the folder of another one against this one.
+
+Each has to be installed in its own .venv. AVX2 is what a compiler makes that knows no AVX-512: `CC` is a
+script that switches it off for both, which is a processor of another kind for all that follows.
+
+    git worktree add ../before COMMIT; make -C ../before .venv/.installed
+    python -m benchmarks.against ../before --turns 3
+"""
+
+import argparse
+import json
+import os
+import platform
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from benchmarks.runs import digits, origin
+from docs.tables import ROOT, table
+
+# Processor time of a run in memory, s: the least of some, after one that fills the caches.
+IN_MEMORY = """
+import gc, sys, time
+from transport.flight.memory import simulate
+from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.team import Team, resized
+
+name, uavs, runs = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+path = find_scenario(name)
+scenario = read_scenario(path)
+setup = Setup.of(resized(scenario, Team(uavs=uavs, group=1), path.name) if uavs else scenario, path.name)
+simulate(setup)
+times = []
+for _ in range(runs):
+    gc.collect()
+    gc.disable()
+    begun_s = time.process_time()
+    simulate(setup)
+    times.append(time.process_time() - begun_s)
+print(min(times))
+"""
+BUDGET = 24  # cases of a search
+REAL_TIME = (
+    "clock.mode=realtime", "clock.speed=1", "controller.sampling_period_s=0.01",
+    "maneuver.phase=[{name='climb',duration_s=5.0,displacement_m=[0.5,0,-1.0]}]",
+)  # fmt: skip
+
+
+def command(tree: Path, *arguments: str) -> list[str]:
+    """Return the command that runs `transport` of a version."""
+    return [str(tree / ".venv" / "bin" / "python"), "-P", "-m", "transport", *arguments]
+
+
+def in_memory(
+    name: str, uavs: int = 0, runs: int = 4
+) -> Callable[[Path, Mapping[str, str]], dict[str, float]]:
+    """Return the measurement of runs in memory, with `uavs` of a team of another size."""
+
+    def measured(tree: Path, environment: Mapping[str, str]) -> dict[str, float]:
+        python = str(tree / ".venv" / "bin" / "python")
+        arguments = [python, "-c", IN_MEMORY, name, str(uavs), str(runs)]
+        done = subprocess.run(
+            arguments, check=True, capture_output=True, env=environment, cwd=tree, text=True
+        )
+        size = f", N = {uavs}" if uavs else ""
+        return {f"`{name}`{size} in memory, s of processor time": float(done.stdout.split()[-1])}
+
+    return measured
+
+
+def with_processes(tree: Path, environment: Mapping[str, str]) -> dict[str, float]:
+    """Return processor time of `transport run paper`, and its times before and after the ticks."""
+    with tempfile.TemporaryDirectory(prefix="against-") as parent:
+        folder = Path(parent) / "run"
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        begun_s = time.monotonic()
+        subprocess.run(
+            command(tree, "run", "paper", "--out", str(folder)),
+            check=True, capture_output=True, env=environment,
+        )  # fmt: skip
+        whole_s = time.monotonic() - begun_s
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        summary = json.loads((folder / "summary.json").read_bytes())
+    used_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    started_s, flown_s = summary["startup_s"], summary["wall_time_s"]
+    return {
+        "`transport run paper`, s of processor time": used_s,
+        "command to first tick, s": started_s,
+        "last tick to prompt, s": whole_s - started_s - flown_s,
+    }
+
+
+def search(tree: Path, environment: Mapping[str, str]) -> dict[str, float]:
+    """Return the time of a search, the inverse of its runs per minute."""
+    with tempfile.TemporaryDirectory(prefix="against-") as parent:
+        begun_s = time.monotonic()
+        subprocess.run(
+            command(tree, "worst", "resilient", "--budget", str(BUDGET), "--out", f"{parent}/found"),
+            check=True, capture_output=True, env=environment,
+        )  # fmt: skip
+        return {f"`transport worst resilient`, s for {BUDGET} cases": time.monotonic() - begun_s}
+
+
+def real_time(tree: Path, environment: Mapping[str, str]) -> dict[str, float]:
+    """Return the share of deadlines missed at 100 Hz in real time, and the median step."""
+    with tempfile.TemporaryDirectory(prefix="against-") as parent:
+        folder = Path(parent) / "run"
+        settings = [word for setting in REAL_TIME for word in ("--set", setting)]
+        subprocess.run(
+            command(tree, "run", "resilient", "--out", str(folder), "--no-figures", *settings),
+            check=False, capture_output=True, env=environment,
+        )  # fmt: skip
+        summary = json.loads((folder / "summary.json").read_bytes())
+    share = summary["deadline"]["missed"] / max(
+        1, summary["ticks"] * len(summary["controller"]["owned"])
+    )
+    return {
+        "deadlines missed at 100 Hz, %": 100.0 * share,
+        "step at 100 Hz, ms": summary["agent_step_ms"]["p50"],
+    }
+
+
+PARTS: Mapping[str, Callable[[Path, Mapping[str, str]], dict[str, float]]] = {
+    "paper": in_memory("paper"),
+    "resilient": in_memory("resilient"),
+    "sixteen": in_memory("resilient", uavs=16, runs=1),
+    "processes": with_processes,
+    "search": search,
+    "realtime": real_time,
+}
+
+
+def environments(folder: Path) -> dict[str, dict[str, str]]:
+    """Return the environment for each kind of processor that this one can be, by its name."""
+    own = {**os.environ}
+    for name in ("PAYLOAD_TRANSPORT_NATIVE", "PYTHONDONTWRITEBYTECODE"):
+        own.pop(name, None)
+    try:
+        has_avx512 = "avx512f" in Path("/proc/cpuinfo").read_text(encoding="utf-8")
+    except OSError:
+        has_avx512 = False
+    if not has_avx512:
+        return {platform.machine(): own}
+
+    compiler = folder / "cc"
+    compiler.write_text('#!/bin/sh\nexec cc "$@" -mno-avx512f\n', encoding="utf-8")
+    compiler.chmod(0o700)
+    return {"AVX-512": own, "AVX2": {**own, "CC": str(compiler)}}
+
+
+def main() -> int:
+    """Measure both versions in turns, and print medians and ratios; return the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.against", description=__doc__)
+    parser.add_argument("before", type=Path, help="folder of the other version, with its .venv")
+    parser.add_argument("--turns", type=int, default=3)
+    parser.add_argument("--only", action="append", choices=list(PARTS))
+    options = parser.parse_args()
+    trees = {"before": options.before.resolve(), "now": ROOT}
+
+    rows = []
+    with tempfile.TemporaryDirectory(prefix="against-") as parent:
+        for processor, environment in environments(Path(parent)).items():
+            for part in options.only or PARTS:
+                found: dict[str, dict[str, list[float]]] = {}
+                for turn in range(options.turns + 1):  # the first compiles
+                    for version, tree in trees.items():
+                        cache = Path(parent) / f"{version}-{processor}"
+                        own = {**environment, "PAYLOAD_TRANSPORT_CACHE": str(cache)}
+                        for quantity, value in PARTS[part](tree, own).items():
+                            if turn:
+                                values = found.setdefault(quantity, {"before": [], "now": []})
+                                values[version].append(value)
+                for quantity, values in found.items():
+                    before, now = (statistics.median(values[version]) for version in trees)
+                    ratio = digits(now / before) if before else ""
+                    rows.append([processor, quantity, digits(before), digits(now), ratio])
+                    sys.stderr.write(f"{' | '.join(rows[-1])}\n")
+    headings = ["processor", f"median of {options.turns} turns", "before", "now", "now / before"]
+    sys.stdout.write(f"{table(headings, rows)}\n\n*{origin()}.*\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
