@@ -13,6 +13,7 @@ import struct
 import subprocess
 import sys
 import tempfile
+import time
 import weakref
 from collections.abc import Sequence
 from pathlib import Path
@@ -32,7 +33,6 @@ from transport.protocol.scenario.setup import Setup
 PROGRAM = "ARDUCOPTER"  # environment variable
 # Folder for the files of the autopilots, one folder each; a temporary one without the variable.
 FOLDER = "TRANSPORT_AUTOPILOTS"
-DEFAULT_PORT = 14550
 # Steps of the physics a second: ArduCopter refuses to arm below 1.8 times the rate of its loop.
 STEPS_HZ = {"ardupilot": 800.0, "stand_in": 400.0}
 _STAND_IN = (sys.executable, "-m", "transport.plant.autopilot.stand_in")
@@ -43,6 +43,7 @@ _DISCARD = 9  # port of serial lines that are not used
 _LARGEST_PACKET = 512
 # Real time without an answer after which an autopilot counts as gone, s.
 _PATIENCE_S = 20.0
+_LOOK_S = 0.5  # after which it is looked at
 _PULSE_LOW_US = 1000.0
 _PULSE_RANGE_US = 1000.0
 _DIES_WITH_PARENT = 1  # PR_SET_PDEATHSIG
@@ -84,6 +85,7 @@ class Autopilots:
         self._sockets: list[socket.socket] = []
         self._processes: list[subprocess.Popen[bytes]] = []
         self._addresses: list[tuple[str, int]] = []
+        self._folders: list[Path] = []
         folder = os.environ.get(FOLDER) or tempfile.mkdtemp(prefix="transport-autopilots-")
         is_temporary = FOLDER not in os.environ
         weakref.finalize(self, _end, self._processes, folder if is_temporary else None)
@@ -109,7 +111,8 @@ class Autopilots:
         """Start the autopilot of a UAV, 0-based."""
         physics = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         physics.bind((_LOCAL, 0))
-        physics.settimeout(_PATIENCE_S)
+        physics.settimeout(_LOOK_S)
+        self._folders.append(folder)
         self._sockets.append(physics)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind((_LOCAL, 0))
@@ -153,10 +156,8 @@ class Autopilots:
         for i, physics in enumerate(self._sockets):
             if self.failure:
                 break
-            try:
-                packet = physics.recv(_LARGEST_PACKET)
-            except TimeoutError:
-                self.failure = f"the autopilot of UAV{i + 1} has not answered for {_PATIENCE_S:g} s"
+            packet = self._received(i, physics)
+            if packet is None:
                 break
             _, _, _, *pulses = _SERVO.unpack_from(packet)
             pulses_us[i] = pulses[:INPUTS]
@@ -165,6 +166,23 @@ class Autopilots:
         thrusts = self._rotor_most_N[:, None] * outputs**2
         inputs: Array = np.einsum("nij,nj->ni", self._mixing, thrusts).reshape(-1)
         return inputs
+
+    def _received(self, i: int, physics: socket.socket) -> bytes | None:
+        """Return the next packet of an autopilot, 0-based; None after a failure, which is noted."""
+        until_s = time.monotonic() + _PATIENCE_S
+        while time.monotonic() < until_s:
+            try:
+                return physics.recv(_LARGEST_PACKET)
+            except TimeoutError:
+                code = self._processes[i].poll()
+                if code is not None:
+                    output = self._folders[i] / "output.txt"
+                    text = output.read_text(encoding="utf-8", errors="replace").strip()
+                    last = text.rpartition("\n")[2]
+                    self.failure = f"the autopilot of UAV{i + 1} ended with code {code}: {last}"
+                    return None
+        self.failure = f"the autopilot of UAV{i + 1} has not answered for {_PATIENCE_S:g} s"
+        return None
 
     def sense(self, time_s: float, sensed: Array) -> None:
         """Let all go on for a step by their sensors at a time, (15 N,)."""

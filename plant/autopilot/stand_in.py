@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from transport.plant.autopilot.copter_control import (
+    GUIDED,
     CopterControl,
     Estimate,
     Quaternion,
@@ -70,7 +71,9 @@ _DEFAULTS = {
     "ATC_ACCEL_P_MAX": 110_000.0,
     "ATC_ACCEL_Y_MAX": 27_000.0,
     "SIM_RATE_HZ": 400.0,
-    # Of the stand-in alone: charge, %, and a shift of the estimate to the north, m.
+    # Of the stand-in alone: whether a pilot arms it in GUIDED once it is ready, charge, %, and a
+    # shift of the estimate to the north, m.
+    "STAND_PILOT": 0.0,
     "STAND_BATTERY": 90.0,
     "STAND_JUMP": 0.0,
 }
@@ -140,6 +143,9 @@ class StandIn:
             step_s = self._step_s
         self._errors.advance(step_s)
         self._sense(told)
+        if self._is_ready and self.parameters["STAND_PILOT"] and not self.control.is_armed:
+            self.control.change_mode(GUIDED)
+            self.control.arm("")
         self._outputs = self.control.outputs(self.time_s, step_s, self._estimate)
 
     def _sense(self, told: dict[str, Any]) -> None:

@@ -6,6 +6,9 @@ from annotated_types import Interval
 
 from transport.mpc.settings import Key, Positive, Section, Vector
 
+# UDP port of the link to the autopilot of UAV 1, then UAV 2, ..., where none is given.
+DEFAULT_VEHICLE_PORT = 14550
+
 
 class VehiclesSection(Section):
     """Processes of the UAVs, with `plant.kind` vehicles or `plant.autopilot`."""

@@ -3,6 +3,8 @@
 import json
 import os
 import socket
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -12,9 +14,11 @@ import pytest
 
 from tests.support.bench import Bench
 from tests.support.commands import processes_of, settings, transport
+from tests.support.runs import SCENARIOS
+from transport.flight.harness import free_udp_ports
 from transport.log.run_log import read_log
 from transport.protocol.network.mavlink import Endpoint, MavlinkLink, messages
-from transport.protocol.wire.messages import VehicleStatus
+from transport.protocol.wire.messages import PlantState, VehicleStatus
 
 SHORT = (
     "maneuver.phase=[{name='hover',duration_s=2.0,displacement_m=[0,0,0]},"
@@ -101,6 +105,46 @@ def test_the_whole_maneuver(program: str, tmp_path: Path, monkeypatch: pytest.Mo
         errors.append(summary["payload_tracking"]["rms_m"])
     assert max(errors) < WHOLE_M
     assert errors[1] < 1.1 * errors[0]
+
+
+@pytest.mark.slow
+def test_a_run_without_a_plant(tmp_path: Path) -> None:
+    """Autopilots that hover by themselves outside of the run: its vehicles engage them without a jump.
+
+    No process of the run simulates: measurements, ticks and the end are those of vehicles and coordinator.
+    """
+    scenario = tmp_path / "outside.toml"
+    text = (SCENARIOS / "flight.toml").read_text(encoding="utf-8")
+    scenario.write_text(text.replace('autopilot = "stand_in"', 'kind = "vehicles"'))
+    port = free_udp_ports(4)
+    world = subprocess.Popen(
+        [sys.executable, "-m", "tests.support.outside", str(scenario), str(port), "0.5"],
+        env={**os.environ, "TRANSPORT_AUTOPILOTS": str(tmp_path / "autopilots")},
+    )
+    try:
+        result = transport(
+            "run",
+            str(scenario),
+            *settings(SPEED, SHORT, f"network.vehicle_port={port}"),
+            *("--out", "without", "--no-figures"),
+            cwd=tmp_path,
+        )
+    finally:
+        world.kill()
+        world.wait()
+    assert result.returncode == 0, result.stderr
+    log = read_log(tmp_path / "without" / "run.mcap")
+    assert not list(log.of(PlantState))
+    statuses = list(log.of(VehicleStatus))
+    assert {status.phase for status in statuses} >= {"ready", "flying"}
+    # Jumps of 5 cm between two ticks would be 1 m/s: the maneuver takes 0.5.
+    for uav in range(1, 5):
+        places = np.array([s.position for s in statuses if s.uav == uav and s.phase == "flying"])
+        ticks = [s.tick for s in statuses if s.uav == uav and s.phase == "flying"]
+        assert ticks[0] == 0
+        moved_m = np.linalg.norm(places - places[0], axis=1)
+        assert moved_m[: len(moved_m) // 4].max() < 0.5
+        assert places[-1, 2] - places[0, 2] == pytest.approx(-1.0, abs=0.4)
 
 
 def checked(bench: Bench, *options: str) -> Any:

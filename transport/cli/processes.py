@@ -228,9 +228,10 @@ def plant(options: ProcessOptions) -> None:
         node = PlantNode(setup, place.incarnation)
     else:
         from transport.plant.autopilot.node import PlayedPlant
-        from transport.plant.autopilot.processes import DEFAULT_PORT, Autopilots
+        from transport.plant.autopilot.processes import Autopilots
+        from transport.protocol.scenario.vehicles_section import DEFAULT_VEHICLE_PORT
 
-        port = setup.scenario.network.vehicle_port or DEFAULT_PORT
+        port = setup.scenario.network.vehicle_port or DEFAULT_VEHICLE_PORT
         autopilots = Autopilots(setup, port)
         node = PlayedPlant(setup, autopilots, place.incarnation, wall_offset_ns())
     node.warm_up()

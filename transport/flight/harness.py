@@ -169,6 +169,7 @@ class Harness:
     logs: Path  # folder for their output
     keys: Path | None = None  # folder of keys in place of the scenario's
     vehicle_port: int = 0  # UDP port of the link to the autopilot of UAV 1; 0 without vehicles
+    stands: bool = False  # whether UAVs stand until tick 0, and vehicles arm them
     children: list[Child] = field(default_factory=list)  # processes in the order of their starts
 
     def ended(self) -> list[Child]:
@@ -221,7 +222,9 @@ class Harness:
         if role == VEHICLE:
             uav = int(name.removeprefix(VEHICLE))
             link = f"udp:127.0.0.1:{self.vehicle_port + uav - 1}"
-            arguments = [VEHICLE, "--uav", str(uav), "--link", link, "--stands"]
+            arguments = [VEHICLE, "--uav", str(uav), "--link", link]
+            if self.stands:
+                arguments.append("--stands")
         arguments.append("--allow-large")  # the parent has checked the scenario's size
 
         options = [

@@ -39,6 +39,7 @@ from transport.protocol.network.endpoints import Endpoints, mesh, process_names
 from transport.protocol.network.security import Security
 from transport.protocol.network.session import check_usable
 from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.vehicles_section import DEFAULT_VEHICLE_PORT
 from transport.protocol.wire import exit_codes as codes
 from transport.protocol.wire.keys import RECORDER, Keys
 from transport.protocol.wire.names import COORDINATOR
@@ -201,6 +202,9 @@ def _harness(
     if scenario.plant.autopilot is not None:
         given = scenario.network.vehicle_port
         harness.vehicle_port = given or free_udp_ports(progress.setup.system.N)
+        harness.stands = True
+    elif scenario.has_vehicles:
+        harness.vehicle_port = scenario.network.vehicle_port or DEFAULT_VEHICLE_PORT
     try:
         for name in own:
             harness.start(name)

@@ -324,7 +324,8 @@ def missing(log: RunLog, setup: Setup | None) -> str:
     ticks = _ticks_around_gaps(messages)
 
     last_recorded = max((state.tick for state in log.of(wire.PlantState)), default=-1)
-    last_simulated = _last_simulated(log, messages)
+    has_plant = setup is None or setup.scenario.has_plant
+    last_simulated = _last_simulated(log, messages) if has_plant else -1
     if last_simulated > last_recorded:
         ticks += [last_recorded + 1, last_simulated]
     ticks += _ticks_of_unrecorded_plans(log)
