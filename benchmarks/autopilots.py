@@ -1,6 +1,6 @@
 """The team above autopilots, by the same processes as outside: errors, latency of setpoints, processor time.
 
-    python -m benchmarks.autopilots --speed 0.2 --write
+    python -m benchmarks.autopilots --speed 0.25 --write
 
 flies the ready scenario `flight` once for each row, at a speed that the machine bears, and renews the table of
 docs/flight.md in a few minutes. Latency is from the arrival of a plan at its vehicle, or from the plan's first instant
@@ -50,7 +50,7 @@ HEADINGS = (
     "UAVs apart",
     "latency of setpoints: median, p99",
     "jitter: median, p99",
-    "processor of a vehicle process",
+    "processor of a vehicle process at this pace",
 )
 
 
