@@ -23,6 +23,7 @@ from transport.cli.output import Format, fail
 from transport.flight.harness import Child, start_child
 from transport.flight.run import simulate
 from transport.flight.run_files import new_folder
+from transport.mpc.settings import AloneGains
 from transport.protocol.network.endpoints import process_names
 from transport.protocol.scenario.acting_alone import lacks
 from transport.protocol.scenario.relations import after_the_end
@@ -66,6 +67,8 @@ def run(
     _check_external(setup, started_by_user)
     for problem in chain(after_the_end(setup.scenario), lacks(setup.alone)):
         typer.echo(f"warning: {problem}", err=True)
+    if setup.alone is not None and setup.alone.gains != AloneGains():
+        typer.echo(f"UAVs alone: {setup.alone.in_words()}", err=True)
     folder = out if out is not None else new_folder(options.RUNS, setup.scenario.name)
 
     viewer: ViewerBeside | nullcontext[None] = nullcontext()
