@@ -26,7 +26,10 @@ class Host(Section):
     address: Address
     """address at which the other hosts reach it"""
     runs: Annotated[list[Name], Field(min_length=1)]
-    """its processes: coordinator, plant, agent1, ..., recorder, router"""
+    """its processes: coordinator, plant, agent1, ..., vehicle1, ..., recorder, router"""
+    autopilot: Annotated[str, Field(pattern=r"^udp(client)?:\S+:\d+$")] | None = None
+    """MAVLink of its vehicle's autopilot, as of `transport vehicle --link`; if omitted port 14549 plus
+    the number of the UAV, at 127.0.0.1"""
     listen: Address | None = None
     """address to listen on, if it is not `address` (in a container 0.0.0.0)"""
     router: Name | None = None

@@ -9,15 +9,16 @@ from string import Template
 from transport.deploy.inventory import Inventory
 from transport.deploy.placements import Placement
 from transport.protocol.network.parent import ENVIRONMENT
+from transport.protocol.scenario.vehicles_section import DEFAULT_VEHICLE_PORT
 from transport.protocol.wire.keys import RECORDER, ROUTER
-from transport.protocol.wire.names import AGENT, COORDINATOR, role_of
+from transport.protocol.wire.names import AGENT, COORDINATOR, VEHICLE, role_of
 
 # Paths on a host, as install.sh makes them.
 ETC = Path("/etc/transport")
 PROGRAM = Path("/opt/transport/bin/transport")
 TEMPLATES = importlib.resources.files("transport.deploy") / "templates"
 # Roles of the processes that are restarted, as they can rejoin the run.
-_RESTARTED = (AGENT, ROUTER)
+_RESTARTED = (AGENT, VEHICLE, ROUTER)
 
 
 def unit(placement: Placement, inventory: Inventory, after: Sequence[str], etc: Path = ETC) -> str:
@@ -56,7 +57,13 @@ def command(
     `program` is `transport` on its host, `etc` the folder of its scenario.
     """
     name = placement.process
-    role = ["agent", "--id", name.removeprefix(AGENT)] if role_of(name) == AGENT else [name]
+    role = [name]
+    if role_of(name) == AGENT:
+        role = [AGENT, "--id", name.removeprefix(AGENT)]
+    if role_of(name) == VEHICLE:
+        uav = name.removeprefix(VEHICLE)
+        usual = f"udp:127.0.0.1:{DEFAULT_VEHICLE_PORT + int(uav) - 1}"
+        role = [VEHICLE, "--uav", uav, "--link", placement.host.autopilot or usual]
     if name == RECORDER:
         role = ["record", "--no-figures"]
     line = [str(program), *role, "--scenario", str(etc / "scenario.toml")]

@@ -22,8 +22,9 @@ class VehiclesSection(Section):
     origin: Annotated[Vector, Key(unit="deg, deg, m")] = (47.0, 8.0, 0.0)
     """latitude, longitude and height of the common frame, told to the autopilots before their
     estimators choose one"""
-    setpoint_hz: Annotated[float, Interval(ge=20.0, le=400.0)] = 50.0
-    """setpoints of thrust and body rates a second"""
+    setpoint_hz: Annotated[float, Interval(ge=20.0, le=400.0)] = 60.0
+    """setpoints of thrust and body rates a second; a multiple of the ticks' rate has one at the first
+    instant of each plan"""
     setpoint_timeout_s: Annotated[float, Interval(ge=0.1, le=3.0)] = 0.5
     """time without a setpoint after which the autopilot levels its UAV by itself"""
     stale_s: Annotated[float, Interval(gt=0.0, le=1.0)] = 0.25

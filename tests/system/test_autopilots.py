@@ -87,7 +87,7 @@ def test_a_team_flies_through_the_loss_of_a_vehicle_and_of_the_coordinator(
         rows = setpoints(tmp_path, uav)
         age_s = rows[:, 0] - rows[:, 1]
         assert np.ptp(age_s) < TIMEOUT_S + 0.25
-        assert len(rows) > 0.7 * 50 * 6.0
+        assert len(rows) > 0.7 * 60 * 6.0
 
 
 @pytest.mark.slow
