@@ -214,7 +214,7 @@ def _kept(case: Case, seed: int, folder: Path | None, *, is_flying: bool) -> Flo
     return Flown(**json.loads(path.read_bytes()))
 
 
-HEADINGS = ("60 drawn teams", "complete", "within 15 deg", "median attitude", "largest", "refused")
+HEADINGS = ("drawn teams", "complete", "within 15 deg", "median attitude", "largest", "refused")
 
 
 def cells(case: Case, runs: Sequence[Flown]) -> list[str]:

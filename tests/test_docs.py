@@ -45,7 +45,7 @@ OTHER_PARTS: list[tuple[str, str, tuple[str, ...]]] = [
     ("docs/bring-your-own.md", "docs/algorithm_figures.py", ("ready algorithms",)),
     ("docs/guarantees.md", "benchmarks/silence.py", ("bench: silence",)),
     ("docs/guarantees.md", "benchmarks/timing.py", ("bench: spread", "bench: clocks")),
-    ("docs/guarantees.md", "benchmarks/teams.py", ("bench: teams alone",)),
+    ("docs/guarantees.md", "benchmarks/teams.py", ("bench: teams alone", "bench: teams")),
     ("docs/flight.md", "benchmarks/autopilots.py", ("bench: autopilots",)),
     ("docs/guarantees.md", "benchmarks/worst.py", ("together", "ready")),
     (
