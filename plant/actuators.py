@@ -29,8 +29,9 @@ from transport.protocol.wire.messages import Plan
 BEFORE_ANY_PLAN = -1
 FAIL_SAFE = -2
 MOTOR_OFF = -3
-# Starts processes, so it is imported by runs with a firmware only.
+# These start processes, so they are imported by runs with a firmware or autopilots only.
 _FIRMWARE = "transport.plant.firmware.betaflight"
+_AUTOPILOTS = "transport.plant.autopilot.processes"
 # Longest time between two evaluations of an inner loop, s.
 INNER_STEP_S = 1e-3
 
@@ -194,10 +195,12 @@ def inner_loop(setup: Setup, step_s: float) -> InnerLoop | None:
 
 
 def checked_firmware(setup: Setup) -> str:
-    """Return name and version of the firmware of a run, if any.
+    """Return name and version of the firmware of a run, or of its autopilots, if any.
 
     Raises: ScenarioError: it is not usable.
     """
+    if setup.scenario.plant.autopilot is not None:
+        return str(importlib.import_module(_AUTOPILOTS).version(setup))
     if setup.scenario.plant.inner_loop != "betaflight":
         return ""
     return str(importlib.import_module(_FIRMWARE).version(setup))

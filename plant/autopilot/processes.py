@@ -16,6 +16,7 @@ import tempfile
 import time
 import weakref
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,15 @@ def program(setup: Setup) -> list[str]:
         text = f"expected {expected}, got {got}"
         raise ScenarioError(setup.scenario.name, "plant.autopilot", text)
     return [str(Path(found).resolve())]
+
+
+def version(setup: Setup) -> str:
+    """Return the name of the autopilots that a run will start. Raises: ScenarioError: they cannot be."""
+    if find_spec("pymavlink") is None:
+        text = "expected the package pymavlink, got none; pip install 'payload-transport[flight]'"
+        raise ScenarioError(setup.scenario.name, "plant.autopilot", text)
+    name = setup.scenario.plant.autopilot
+    return f"autopilots {name}, {Path(program(setup)[0]).name}"
 
 
 class Autopilots:

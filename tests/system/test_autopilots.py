@@ -216,3 +216,16 @@ def test_a_port_in_use_is_told(tmp_path: Path) -> None:
     assert result.returncode == 2
     assert "Address already in use" in result.stderr
     assert len(result.stderr.splitlines()) == 1
+
+
+def test_a_missing_program_is_told_before_any_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without ArduCopter the run is refused, with the variable that names it; nothing is left behind."""
+    monkeypatch.delenv("ARDUCOPTER", raising=False)
+    result = transport(
+        "run", "flight", *settings("plant.autopilot=ardupilot"), "--out", "none", cwd=tmp_path
+    )
+    assert result.returncode == 3
+    assert "environment variable ARDUCOPTER" in result.stderr
+    assert not (tmp_path / "none").exists()
