@@ -28,7 +28,7 @@ _WAIT_S = 0.2  # of the thread, for a packet
 # Degrees of latitude to metres, on the sphere of WGS 84's equator; origins are a few metres apart.
 _METRES_PER_DEGREE = 111_319.49
 _SAME_ORIGIN_M = 0.05  # resolution of an origin in messages is 1 cm
-_FORCED_DISARM_OFF = 0.0
+_NOT_FORCED = 0.0  # arm with the autopilot's own checks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -245,7 +245,7 @@ class MavlinkAutopilot:
         if state is not None and not state.takes_setpoints:
             self._mode(self._dialect.guided)
         elif state is not None and not state.armed:
-            self._do(messages().MAV_CMD_COMPONENT_ARM_DISARM, 1.0, _FORCED_DISARM_OFF)
+            self._do(messages().MAV_CMD_COMPONENT_ARM_DISARM, 1.0, _NOT_FORCED)
 
     def hold(self) -> None:
         """Ask for the mode that holds the place."""
