@@ -1,6 +1,6 @@
 """The team above autopilots, by the same processes as outside: errors, latency of setpoints, processor time.
 
-    python -m benchmarks.autopilots --speed 0.25 --write
+    python -m benchmarks.autopilots --speed 0.35 --write
 
 flies the ready scenario `flight` once for each row, at a speed that the machine bears, and renews the table of
 docs/flight.md in a few minutes. Latency is from the arrival of a plan at its vehicle, or from the plan's first instant

@@ -18,7 +18,8 @@ from transport.protocol.wire.messages import Message, Schedule
 _MOST_STEPS = 40
 # Time between two turns, s of wall time.
 _TURN_S = 0.005
-# Time by which the physics may be behind the clock of the run, s of wall time.
+# Time by which the physics may be behind the ticks of the run, s of scenario time: what a host that
+# was busy for a moment makes up for.
 _BEHIND_S = 1.0
 
 
@@ -84,12 +85,12 @@ class PlayedPlant(PlantNode):
         if self._begun_ns is None:
             self._begun_ns = now_ns
         due = int((now_ns - self._begun_ns) * self._speed_of_run / self._step_ns)
-        behind_s = (due - self._played) * self._autopilots.step_s / self._speed_of_run
+        behind_s = (due - self._played) * self._autopilots.step_s
         out: list[Message] = []
         if self._first is None:
             # Before tick 0 is told nothing depends on the pace: a host that is slow falls back.
             if behind_s > _BEHIND_S:
-                self._begun_ns += round((behind_s - _BEHIND_S) * 1e9)
+                self._begun_ns += round((behind_s - _BEHIND_S) / self._speed_of_run * 1e9)
         elif behind_s > _BEHIND_S and not self._diverged:
             remedy = "lower clock.speed"
             self._autopilots.failure = f"the physics are {behind_s:.1f} s behind: {remedy}"
