@@ -1,0 +1,119 @@
+"""The plant that plays physics to autopilots: standing, release at tick 0, record, and a host that is too slow."""
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from transport.model.arrays import Array
+from transport.plant.autopilot.node import PlayedPlant
+from transport.protocol.scenario.file import read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Message, PlantState, Schedule
+
+SCENARIO = Path(__file__).resolve().parents[2] / "scenarios" / "flight.toml"
+MS, S = 10**6, 10**9
+WALL_NS = 1_700_000_000 * S
+
+
+@lru_cache(maxsize=1)
+def flight() -> Setup:
+    """The ready scenario."""
+    return Setup.of(read_scenario(SCENARIO), str(SCENARIO))
+
+
+class Constant:
+    """Autopilots that give the same thrusts whatever they sense."""
+
+    step_s = 1 / 400
+
+    def __init__(self, inputs: Array) -> None:
+        self.failure = ""
+        self.given = inputs
+        self.times_s: list[float] = []
+        self.sensed: list[Array] = []
+
+    def inputs(self) -> Array:
+        """Thrust and moments of the motors."""
+        return self.given
+
+    def sense(self, time_s: float, sensed: Array) -> None:
+        """Keep what is sensed."""
+        self.times_s.append(time_s)
+        self.sensed.append(sensed.reshape(-1, 15).copy())
+
+
+def played(share: float) -> tuple[PlayedPlant, Constant]:
+    """A plant above autopilots that give a share of the thrust of hover."""
+    run = flight()
+    bank = Constant(share * run.hover.u)
+    return PlayedPlant(run, bank, wall_offset_ns=WALL_NS), bank
+
+
+def schedule(start_ns: int) -> Schedule:
+    """Tell tick 0."""
+    return Schedule(
+        sender="coordinator",
+        incarnation=0,
+        sequence=0,
+        tick=0,
+        sent_ns=WALL_NS,
+        start_ns=start_ns + WALL_NS,
+    )
+
+
+def go(plant: PlayedPlant, begin_ns: int, end_ns: int) -> list[Message]:
+    """Poll every 5 ms."""
+    said: list[Message] = []
+    for now_ns in range(begin_ns, end_ns + 1, 5 * MS):
+        said += plant.poll(now_ns)
+    return said
+
+
+def test_the_team_stands_until_tick_0() -> None:
+    """Before it, whatever the motors give, autopilots sense a team at rest; their time goes on in equal steps."""
+    plant, bank = played(0.0)
+    assert go(plant, 0, 1 * S) == []
+    assert np.ptp(np.array(bank.sensed), axis=0).max() == 0.0
+    np.testing.assert_allclose(np.diff(bank.times_s), 1 / 400, atol=1e-9)
+    assert len(bank.times_s) == 400
+    # At rest an accelerometer feels what carries the body: its weight, upwards.
+    assert bank.sensed[-1][:, 14] == pytest.approx([-9.81] * 4)
+
+
+def test_from_tick_0_on_it_flies_and_is_recorded() -> None:
+    """At the instant of tick 0 the team is let go: at hover thrust it stays, one state for each tick."""
+    plant, bank = played(1.0)
+    go(plant, 0, 1 * S)
+    assert list(plant.receive(schedule(1 * S + 250 * MS), 1 * S)) == []
+    said = go(plant, 1 * S, 2 * S + 250 * MS)
+    states = [message for message in said if isinstance(message, PlantState)]
+    assert [state.tick for state in states] == list(range(20))
+    np.testing.assert_allclose(states[-1].x, states[0].x, atol=1e-4)
+    assert states[-1].diverged == ""
+    assert np.abs(bank.sensed[-1][:, :3] - bank.sensed[0][:, :3]).max() < 1e-3
+
+
+def test_without_thrust_it_falls() -> None:
+    """Let go without thrust the team falls: the release is real, and not before tick 0."""
+    plant, bank = played(0.0)
+    go(plant, 0, 1 * S)
+    plant.receive(schedule(1 * S + 100 * MS), 1 * S)
+    go(plant, 1 * S, 1 * S + 600 * MS)
+    fallen_m = bank.sensed[-1][:, 2] - bank.sensed[0][:, 2]
+    # g t^2 / 2 over 0.5 s, less the lag of the motors.
+    assert fallen_m.min() > 0.8
+    assert fallen_m.max() < 1.23
+
+
+def test_a_host_that_is_too_slow_ends_the_run() -> None:
+    """Physics more than a second behind the ticks end the run, with the remedy; before tick 0 they wait."""
+    plant, _ = played(1.0)
+    go(plant, 0, 100 * MS)
+    assert list(plant.poll(5 * S)) == []  # nothing depends on the pace yet
+    plant.receive(schedule(6 * S), 5 * S)
+    said = go(plant, 5 * S, 7 * S)
+    said += go(plant, 9 * S, 10 * S)
+    states = [message for message in said if isinstance(message, PlantState)]
+    assert "lower clock.speed" in states[-1].diverged
