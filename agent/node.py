@@ -8,7 +8,10 @@ wait: when it is free it uses the messages that are here, and of several measure
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from operator import itemgetter
 from typing import Any
+
+from msgspec.structs import replace
 
 from transport.agent.air import AirNews
 from transport.agent.alone import ALONE, AlonePlanner
@@ -17,8 +20,10 @@ from transport.agent.estimation.belief import Belief
 from transport.agent.own import PROJECT, OwnPlanner
 from transport.agent.planner import AgentPlanner, OpenStep
 from transport.agent.received import Received
-from transport.agent.step import Planner
+from transport.agent.step import Planner, numbers_note
 from transport.protocol.admission.arrivals import Arrivals
+from transport.protocol.admission.carried import Place, carried_by, place_of
+from transport.protocol.admission.known_targets import KnownTargets
 from transport.protocol.admission.participant import Participant
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.errors import MessageError
@@ -66,8 +71,10 @@ class AgentNode(Participant):
         self._agent = agent
         self._stopwatch = stopwatch
         self._planner = planner_of(setup, agent, stopwatch)
-        # Targets still to come: the tick, and the run with the target.
-        self._targets: deque[tuple[int, Setup]] = deque()
+        self._targets = KnownTargets(setup)
+        self._told: deque[Target] = deque()  # to this agent, still to come
+        self._own_targets: set[Place] = set()  # those of them that have begun
+        self._refused: set[tuple[int, Place]] = set()  # by the agent whose plan carried it
         radio = setup.scenario.radio
         self._air = None if radio is None else AirNews(agent, radio)
         self._hears_by_radio = self._air is not None
@@ -119,8 +126,9 @@ class AgentNode(Participant):
     # Messages that arrive.
 
     def _follow_target(self, target: Target) -> None:
-        """Keep a target until its tick, with the run that has it (`self._setup` by now)."""
-        self._targets.append((target.tick, self._setup))
+        """Keep a target that this agent is told until its tick."""
+        if not target.to or self._agent in target.to:
+            self._told.append(target)
 
     def _take(self, message: Message, now_ns: int) -> None:
         if isinstance(message, Measurement):
@@ -170,29 +178,71 @@ class AgentNode(Participant):
             and self._has_plans_for(measurement)
         ):
             self._measurement = None
-            self._open(measurement, now_ns)
+            out += self._open(measurement, now_ns)
             out += self._plan()
         while self._step is not None and self._has_proposals_for(self._step):
             self._planner.adopt(self._step, self._take_proposals(self._step))
             out += self._plan()
         return out
 
-    def _open(self, measurement: Measurement, now_ns: int) -> None:
+    def _open(self, measurement: Measurement, now_ns: int) -> list[Message]:
         """Begin the step of a measurement's tick, towards the newest target that has begun.
 
         Targets are followed in turn: the motion of the team to the newest one began on the way to
-        those before.
+        those before. One that is heard late is followed where its motion is by now.
         """
         self._tick = measurement.tick
-        while self._targets and self._targets[0][0] <= self._tick:
-            _, setup = self._targets.popleft()
-            self._planner.follow(setup)
-        self._step = self._planner.begin(self._received(measurement, now_ns))
+        while self._told and self._told[0].tick <= self._tick:
+            target = self._told.popleft()
+            self._own_targets.add(place_of(target))
+            self._follow(target)
+        received = self._received(measurement, now_ns)
+        notes = self._hear_targets(received.plans)
+        self._step = self._planner.begin(received)
+        return notes
+
+    def _follow(self, target: Target) -> None:
+        """Follow a target unless it is known."""
+        if self._targets.add(target):
+            self._planner.follow(self._targets.setup)
+
+    def _hear_targets(self, plans: Sequence[Plan]) -> list[Message]:
+        """Follow the targets that plans carry; return a note for each that is refused."""
+        notes: list[Message] = []
+        carried = [
+            (place_of(target), plan.agent, target) for plan in plans for target in carried_by(plan)
+        ]
+        for place, sender, target in sorted(carried, key=itemgetter(0, 1)):
+            if self._targets.knows(target) or (sender, place) in self._refused:
+                continue
+            try:
+                self._check_heard(target)
+            except MessageError as error:
+                self._refused.add((sender, place))
+                problem = f"target of tick {target.tick} in a plan of {agent_name(sender)}: {error}"
+                notes.append(numbers_note(self._tick, self._agent, {}, self._out, problem))
+                continue
+            self._follow(target)
+        return notes
+
+    def _check_heard(self, target: Target) -> None:
+        """Refuse a target that this agent would have been told itself, or that is out of reach.
+
+        Raises: MessageError: with the reason.
+        """
+        was_here = target.tick >= self._membership.since.get(self._agent, self._tick)
+        if self._agent in target.to and was_here and place_of(target) not in self._own_targets:
+            text = f"expected one told to {self.name}, which has not been told"
+            raise MessageError("wrong_sender", text)
+        self._targets.check(target)
 
     def _plan(self) -> list[Message]:
         """Return the next proposal of the open step, or its plan and report, which conclude it."""
         step = self._step
         messages = self._planner.plan(step, self._out, self.publish_ns)
+        carried = self._targets.carried(self._tick)
+        if carried:
+            messages = [_carrying(message, carried) for message in messages]
         if step is not None and step.negotiation == 0:
             self._step = None
         return messages
@@ -275,3 +325,9 @@ class AgentNode(Participant):
     def _is_immediate(self, plan: Plan, k: int, negotiation: int) -> bool:
         """Return whether a proposal's link passes a copy of it without delay."""
         return 0.0 in self._plans.links[plan.sender].delays(k, negotiation)
+
+
+def _carrying(message: Message, targets: tuple[bytes, ...]) -> Message:
+    """Return a message, with targets if it is the plan of a tick."""
+    is_plan = isinstance(message, Plan) and message.negotiation == 0
+    return replace(message, targets=targets) if is_plan else message

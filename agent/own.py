@@ -215,6 +215,7 @@ class OwnPlanner:
     def follow(self, setup: Setup) -> None:
         """Let the class have the reference with a further target, from that target's tick on."""
         self._setup = setup
+        self._told_roster = -1  # the next plan is sent: it carries the target
         self._run.follow(setup)
 
     def warm_up(self) -> None:

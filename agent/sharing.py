@@ -55,6 +55,10 @@ class Sharing:
         self._range = upper - lower
         self._shared: Corrections | None = None  # of the last plan that was shared
 
+    def renew(self) -> None:
+        """Share the next plan, whatever it is."""
+        self._shared = None
+
     def decide(self, plan: Corrections) -> bool:
         """Decide whether to share a plan; the others assume a shared plan from then on.
 

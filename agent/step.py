@@ -116,8 +116,10 @@ class Planner:
     def follow(self, setup: Setup) -> None:
         """Follow the reference of the run with a further target, from that target's tick on.
 
-        The parts that `_reset` makes read nothing that a target changes.
+        Its plan is shared, as it carries the target. The other parts that `_reset` makes read nothing
+        that a target changes.
         """
+        self._sharing.renew()
         self._setup = setup
         self._team.follow(setup)
 

@@ -12,8 +12,9 @@ from transport.protocol.scenario.link_changes import changed_in_words, link_chan
 from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.target_planning import target_fields
-from transport.protocol.scenario.targets import MOST, scripted, target_in_words
+from transport.protocol.scenario.targets import scripted, target_in_words
 from transport.protocol.wire.messages import (
+    MAX_TARGETS,
     MAX_TEXT,
     LinkChange,
     Message,
@@ -237,8 +238,8 @@ class TeamRoster:
 
         Raises: RequestError: it cannot be flown.
         """
-        if len(self._targets) == MOST:
-            raise RequestError(f"expected at most {MOST} targets in a run")
+        if len(self._targets) == MAX_TARGETS:
+            raise RequestError(f"expected at most {MAX_TARGETS} targets in a run")
         number = len(self._targets) + 1
         target = self._out.stamp(Target, number=number, **target_fields(self._setup, section, tick))
         self._setup = self._setup.after([target])

@@ -19,6 +19,8 @@ from transport.model.parameters import Payload
 from transport.plant.actuators import INNER_STEP_S, MOTOR_OFF, ActuatorSchedule, Motors, inner_loop
 from transport.plant.engines import UNKNOWN_ERROR, Engine
 from transport.plant.environment import Environment, Sensors
+from transport.protocol.admission.carried import Place, carried_by, place_of
+from transport.protocol.admission.known_targets import KnownTargets
 from transport.protocol.admission.participant import Participant
 from transport.protocol.scenario.faults import OF_PLANT, Fault
 from transport.protocol.scenario.setup import Setup
@@ -26,6 +28,7 @@ from transport.protocol.wire.messages import (
     ActualInputs,
     Measurement,
     Message,
+    Plan,
     PlantState,
     Target,
     Tick,
@@ -92,6 +95,9 @@ class PlantNode(Participant):
         self._path_I, _ = setup.maneuver.path(instants_s)
         self._tilts = state.tilt_indices(setup.system.N)
         self._whole_team = setup.whole_team()
+        # Targets that the team knows, and by target the agents whose plans have carried it.
+        self._targets = KnownTargets(setup)
+        self._informed: dict[Place, set[int]] = {}
         fail_safe = self._whole_team.law.fail_safe
         self._schedule = ActuatorSchedule(setup.hover.u, fail_safe, setup.settings)
         own = [fault for fault in setup.faults if fault.do in OF_PLANT]
@@ -131,13 +137,35 @@ class PlantNode(Participant):
             self._pending.append(message)
 
     def _follow_target(self, target: Target) -> None:
-        """Take in a target; path and fail-safe before its tick stay the same, bit for bit."""
+        """Take in a target; path and fail-safe before its tick stay the same, bit for bit.
+
+        UAVs without an agent follow one that is told to some once all on the roster know it.
+        """
+        self._setup = self._setup.led_to(target)
         instants = np.arange(target.tick, len(self._path_I), dtype=np.float64)
         self._path_I[target.tick :], _ = self._setup.maneuver.path(self._period_s * instants)
-        reference = self._setup.reference.sampled
+        if not target.to:
+            self._lead_team(target)
+
+    def _lead_team(self, target: Target) -> None:
+        """Let the fail-safe follow a target that the team knows."""
+        if not self._targets.add(target):
+            return
+        reference = self._targets.setup.reference.sampled
         if reference.change is not None:
             self._whole_team.follow(reference, reference.change)
         self._renew_fail_safe()
+
+    def _hear_targets(self, plans: Sequence[Plan]) -> None:
+        """Let the fail-safe follow the targets that plans of all agents on the roster have carried."""
+        for plan in plans:
+            for target in carried_by(plan):
+                if self._targets.knows(target):
+                    continue
+                informed = self._informed.setdefault(place_of(target), set())
+                informed.add(plan.agent)
+                if informed >= self._membership.since.keys():
+                    self._lead_team(target)
 
     def _work(self, now_ns: int) -> list[Message]:
         """Measure and integrate in turn as far as the messages received allow."""
@@ -312,6 +340,7 @@ class PlantNode(Participant):
         usable, lost = self._plans.take(self._k, now_ns)
         for plan in usable:
             self._schedule.add(plan)
+        self._hear_targets(usable)
         return lost
 
     def _commands(self) -> tuple[Array, tuple[int, ...]]:

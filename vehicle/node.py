@@ -120,7 +120,8 @@ class VehicleNode(Participant):
 
     # What comes
 
-    def _follow_target(self, target: Target) -> None:  # noqa: ARG002
+    def _follow_target(self, target: Target) -> None:
+        self._setup = self._setup.led_to(target)
         self._own.follow(self._setup)
 
     def _take(self, message: Message, now_ns: int) -> None:

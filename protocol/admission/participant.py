@@ -151,6 +151,7 @@ class Participant(ABC):
         self._waits = setup.scenario.clock.mode == "lockstep"
         # Scenario seconds per second; None in lockstep, where plans arrive by ticks.
         self._speed = None if self._waits else setup.scenario.clock.speed
+        self._targets_told = 0
         self._begin(incarnation)
 
     def _begin(self, incarnation: int) -> None:
@@ -197,8 +198,8 @@ class Participant(ABC):
             case LinkChange():
                 self._link_changes.apply(message)
             case Target():
-                if message.number == len(self._setup.maneuver.targets) + 1:
-                    self._setup = self._setup.after([message])
+                if message.number == self._targets_told + 1:
+                    self._targets_told += 1
                     self._follow_target(message)
             case _:
                 self._take(message, now_ns)
@@ -209,7 +210,7 @@ class Participant(ABC):
             case LinkChange():
                 self._link_changes.check(message)
             case Target():
-                check_target(self._setup, message)
+                check_target(self._targets_told, message)
             case Plan():
                 self._membership.check(message)
 
@@ -225,7 +226,7 @@ class Participant(ABC):
 
     @abstractmethod
     def _follow_target(self, target: Target) -> None:
-        """Follow a target that the run has from now on."""
+        """Take in the next target of the coordinator, also one that this process is not told."""
 
     @abstractmethod
     def _take(self, message: Message, now_ns: int) -> None:

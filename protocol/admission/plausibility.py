@@ -6,6 +6,7 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
+from transport.protocol.admission.carried import check_carried
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import (
     ActualInputs,
@@ -16,6 +17,7 @@ from transport.protocol.wire.messages import (
     PlantState,
     Roster,
     StepReport,
+    Target,
     Tick,
 )
 from transport.protocol.wire.node import RunShape
@@ -25,6 +27,7 @@ _OFF_UNIT = 0.2  # deviation of a rod direction's length from 1 that sensor nois
 _IDS: dict[type[Message], tuple[str, ...]] = {
     Tick: ("members", "answered", "shared"),
     Measurement: ("answered", "shared"),
+    Target: ("to",),
     Roster: ("agents", "off", "released"),
     StepReport: ("peers",),
     ActualInputs: ("uavs", "cables"),
@@ -52,6 +55,7 @@ def check_plausible(message: Message, run: RunShape) -> None:
         case Plan():
             _check_states(message, run, state.REPORTS * state.REPORTED, "corrections")
             _check_plan(message, run)
+            check_carried(message, run)
         case Measurement():
             _check_states(message, run, state.SENSED, "payload", "inputs")
             if message.missing and not run.vehicle_sensors:

@@ -239,16 +239,19 @@ class Setup:
     def after(self, targets: Iterable[TargetMessage]) -> "Setup":
         """Return the run with those targets that follow its own, each once, by their numbers.
 
-        This is the only place where a process takes in targets of the coordinator.
+        That is the path as the coordinator tells it; agents may know a part (`KnownTargets`).
         """
         setup = self
         for message in targets:
             if message.number == len(setup.maneuver.targets) + 1:
-                period_s = setup.settings.sampling_period_s
-                has_ground = setup.scenario.plant.ground_m is not None
-                target = target_of(message, period_s, has_ground=has_ground)
-                setup = setup.with_target(target)
+                setup = setup.led_to(message)
         return setup
+
+    def led_to(self, message: TargetMessage) -> "Setup":
+        """Return the run with the target of a message."""
+        period_s = self.settings.sampling_period_s
+        has_ground = self.scenario.plant.ground_m is not None
+        return self.with_target(target_of(message, period_s, has_ground=has_ground))
 
     def whole_team(self) -> WholeTeam:
         """Return the law of the whole team, with the fail-safe of UAVs whose plans have run out."""
@@ -298,6 +301,7 @@ class Setup:
             limits=limits,
             uavs=self.system.N,
             ticks=self.ticks,
+            period_s=self.settings.sampling_period_s,
             delay=1 if clock.next_tick else 0,
             negotiation_iterations=self.scenario.controller.negotiation_iterations,
             vehicle_sensors=self.sensors.vehicle,

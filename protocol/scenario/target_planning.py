@@ -93,7 +93,20 @@ def target_fields(setup: PlannedRun, section: TargetSection, tick: int) -> dict[
     target = Target(since_s=window.since_s, point_I=points_I[0], approach=approach, way=way)
     _check_formation(setup, target, window)
     _check_obstacles(setup, target)
-    return {**_message_fields(tick, points_I, approach, way), "lands": section.land}
+    fields = _message_fields(tick, points_I, approach, way)
+    return {**fields, "lands": section.land, "to": _told(setup, section)}
+
+
+def _told(setup: PlannedRun, section: TargetSection) -> tuple[int, ...]:
+    """Return the agents that are told a target, ascending; none for all."""
+    agents = range(1, len(setup.scenario.owned) + 1)
+    strangers = [agent for agent in section.to if agent not in agents]
+    if strangers:
+        raise RequestError(f"to: expected agents 1 to {agents[-1]}, got {strangers[0]}")
+    if section.to and setup.scenario.has_vehicles:
+        raise RequestError("to: expected none with [vehicles]: their UAVs are told with all agents")
+    told = sorted(set(section.to))
+    return () if len(told) == len(agents) else tuple(told)
 
 
 def _with_landing(setup: PlannedRun, section: TargetSection, since_s: float) -> TargetSection:

@@ -10,10 +10,8 @@ from transport.protocol.scenario.planned_run import PlannedRun
 from transport.protocol.scenario.target_planning import spline, straight, target_fields
 from transport.protocol.wire import messages
 from transport.protocol.wire.errors import MessageError
-from transport.protocol.wire.names import COORDINATOR
+from transport.protocol.wire.names import COORDINATOR, agent_name
 from transport.protocol.wire.node import Outbox
-
-MOST = 1000  # targets of one run: a process that joins receives all of them
 
 
 def target_of(message: messages.Target, period_s: float, *, has_ground: bool) -> Target:
@@ -35,9 +33,8 @@ def target_of(message: messages.Target, period_s: float, *, has_ground: bool) ->
     )
 
 
-def check_target(setup: PlannedRun, message: messages.Target) -> None:
-    """Raise MessageError for a target that is neither the next one of a run nor a repeated one."""
-    count = len(setup.maneuver.targets)
+def check_target(count: int, message: messages.Target) -> None:
+    """Raise MessageError for a target that is neither the next one after a count nor a repeated one."""
     if message.number > count + 1:
         raise MessageError("future", f"target {message.number} after {count}")
 
@@ -45,7 +42,8 @@ def check_target(setup: PlannedRun, message: messages.Target) -> None:
 def target_in_words(message: messages.Target) -> str:
     """Return a target in words."""
     x, y, z = message.points[-1 if message.lands else 0].tolist()
-    return f"{'landing' if message.lands else 'target'} ({x:g}, {y:g}, {z:g}) m"
+    told = f", told to {', '.join(map(agent_name, message.to))}" if message.to else ""
+    return f"{'landing' if message.lands else 'target'} ({x:g}, {y:g}, {z:g}) m{told}"
 
 
 def scripted(setup: PlannedRun) -> list[tuple[int, TargetSection]]:
@@ -62,8 +60,10 @@ def check_scripted(setup: PlannedRun) -> None:
     Raises: RequestError: one cannot.
     """
     timed = scripted(setup)
-    if len(timed) > MOST:
-        raise RequestError(f"expected at most {MOST} targets in a run, got {len(timed)}")
+    if len(timed) > messages.MAX_TARGETS:
+        raise RequestError(
+            f"expected at most {messages.MAX_TARGETS} targets in a run, got {len(timed)}"
+        )
 
     out = Outbox(COORDINATOR, 0)
     for number, (tick, section) in enumerate(timed, start=1):

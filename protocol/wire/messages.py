@@ -45,6 +45,9 @@ MAX_NAME = 80  # characters of the name of a number
 MAX_POINTS = 256  # of a target
 MAX_DATA = 512  # numbers of a controller of the user in a plan: 4 KB
 MAX_ROWS = 65_536  # plans with news of the radio
+MAX_TARGETS = 1_000  # of one run: a process that joins receives all of them
+MAX_CARRIED = 4  # targets that a plan carries
+MAX_TARGET = 16_384  # bytes of one of them: more than one of `MAX_POINTS` has
 
 _LARGEST = sys.float_info.max
 Count = Annotated[int, Meta(ge=0, le=MAX_TICK)]
@@ -70,6 +73,9 @@ KeyEnds = Annotated[
 ]
 Names = Annotated[tuple[Annotated[str, Meta(max_length=MAX_NAME)], ...], Meta(max_length=MAX_NAMES)]
 Parts = Annotated[tuple[bytes, ...], Meta(max_length=MAX_PARTS)]
+Carried = Annotated[
+    tuple[Annotated[bytes, Meta(max_length=MAX_TARGET)], ...], Meta(max_length=MAX_CARRIED)
+]
 
 # Shape of an array from the other fields of its message; None for a first axis of any length.
 ShapeOf = Callable[[Any], tuple[int | None, ...]]
@@ -259,7 +265,7 @@ class LinkChange(Message, tag="link", frozen=True, kw_only=True):
 
 
 class Target(Message, tag="target", frozen=True, kw_only=True):
-    """Coordinator to all: from this tick on the payload leaves its path for a target.
+    """Coordinator to all, or to some agents: from this tick on the payload leaves its path for a target.
 
     Further points make a curve that begins at the target.
     """
@@ -269,7 +275,7 @@ class Target(Message, tag="target", frozen=True, kw_only=True):
         "points": lambda _: (None, 3),
         "times": lambda one: (len(one.points),),
     }
-    optional: ClassVar[tuple[str, ...]] = ("lands",)
+    optional: ClassVar[tuple[str, ...]] = ("lands", "to")
 
     # Of the target in its run; sent again to processes that join late.
     number: Annotated[int, Meta(ge=1)]
@@ -281,6 +287,8 @@ class Target(Message, tag="target", frozen=True, kw_only=True):
     way_s: Finite  # time from the target to the last point; 0 without further points
     way_ramp_s: Finite
     lands: bool = False  # whether the last point is on the ground
+    # Agents that are told, ascending; the others learn it from plans. Empty: all are told.
+    to: Ids = ()
 
     def check(self) -> None:
         """Check the number of points."""
@@ -448,7 +456,7 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
         "corrections": _steps,
         "data": lambda _: (None,),
     }
-    optional: ClassVar[tuple[str, ...]] = ("data", "stale")
+    optional: ClassVar[tuple[str, ...]] = ("data", "stale", "targets")
 
     agent: Agent  # the agent that planned
     start_tick: Count  # first sampling instant the inputs are for
@@ -475,6 +483,9 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
     # Ticks since the last solved step, 0 if it is this one: so long ago the inputs were fresh, and
     # actuators and other agents count from there.
     stale: Count = 0
+    # Targets told to some agents only, as `target` messages (`protocol.admission.carried`), oldest first:
+    # the newest that the sender follows, and those before on which its path still depends.
+    targets: Carried = ()
 
     @property
     def solved_tick(self) -> int:

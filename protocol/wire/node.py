@@ -23,6 +23,7 @@ class RunShape:
     limits: Mapping[int, tuple[Array, Array]]
     uavs: int
     ticks: int
+    period_s: float
     delay: int  # ticks from a plan to its first input
     negotiation_iterations: int
     # Whether UAVs are described by the measurements of their own sensors, not by states.

@@ -17,8 +17,7 @@ from transport.protocol.scenario.file import find_scenario, read_scenario
 from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.target_planning import straight, target_fields
-from transport.protocol.scenario.targets import MOST
-from transport.protocol.wire.messages import Request
+from transport.protocol.wire.messages import MAX_TARGETS, Request
 
 # Memory that the refusal of a target may take. Two million sampling instants of the path took 500 MB.
 MOST_BYTES = 20e6
@@ -89,8 +88,10 @@ def test_the_work_of_a_target_does_not_grow_with_its_duration() -> None:
 def test_the_number_of_scripted_targets_is_limited() -> None:
     """A scenario has as many targets as a coordinator announces, so a list of any length is refused at once."""
     one = "{at_s=1.0,points_m=[[0,0,-10]]}"
-    with pytest.raises(ScenarioError, match=rf"at most {MOST} targets in a run, got {MOST + 1}"):
-        runs.ready("resilient", f"maneuver.target=[{','.join([one] * (MOST + 1))}]")
+    with pytest.raises(
+        ScenarioError, match=rf"at most {MAX_TARGETS} targets in a run, got {MAX_TARGETS + 1}"
+    ):
+        runs.ready("resilient", f"maneuver.target=[{','.join([one] * (MAX_TARGETS + 1))}]")
 
 
 @pytest.mark.parametrize("duration_s", [1e-6, 0.01, 0.04, 0.05, 0.1, 0.11, 0.5])

@@ -22,6 +22,7 @@ from transport.protocol.wire.messages import (
     Control,
     FaultNote,
     LinkChange,
+    Measurement,
     Message,
     Plan,
     PlantState,
@@ -180,6 +181,8 @@ def _message(draw: DrawFn, kind: type[Message]) -> Message:
     values |= {field: values[field][:shortest] for field in kind.as_long}
     if kind is Roster:
         values["released"] = values["off"][1:]
+    if kind is Measurement:
+        values["missing"] = draw(st.just(()) | st.just((1,) * len(values["uavs"])))
     if kind is Plan:
         values["stale"] = draw(st.just(0) | st.integers(0, values["tick"]))
     rows = draw(st.integers(1, FEW))

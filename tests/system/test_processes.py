@@ -46,6 +46,11 @@ DEATHS = (
     "{at_s=0.9,do='kill',target='agent4'}]",
     "links.change=[{at_s=0.6,delay_s=0.07,jitter_s=0.05,loss=0.2}]",
 )
+# Of a longer run: the motion to a target takes 4 s.
+TOLD = (
+    "maneuver.phase=[{name='hover',duration_s=5.5,displacement_m=[0,0,0]}]",
+    "maneuver.target=[{at_s=0.5,points_m=[[0.2,0,-10]],to=[2]}]",
+)
 # Many plans come later than the next tick, and many are lost.
 RADIO = "radio={offsets='random',computation_mean_s=0.02,background=0.3}"
 
@@ -124,6 +129,9 @@ def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]
         ),
         pytest.param(
             (RADIO, *CLOSED_LOOP, ITERATIONS, "controller.relaxation=0.25"), id="radio, negotiation"
+        ),
+        pytest.param(
+            (RADIO, *CLOSED_LOOP, *TOLD), id="radio, a target told to one", marks=pytest.mark.slow
         ),
         pytest.param(
             (RADIO, *CLOSED_LOOP, *DEATHS), id="radio, deaths, links", marks=pytest.mark.slow

@@ -331,17 +331,26 @@ def target(
     file: Path | None = Option(
         None, metavar="CSV", help="Way points instead: columns x,y,z, or t,x,y,z without --speed."
     ),
+    to: list[int] = Option(
+        [],
+        metavar="AGENT",
+        min=1,
+        help="Agent that is told, repeatable; the others learn it from plans.",
+    ),
     output: FormatOption = Format.text,
 ) -> None:
     """Send the payload of an active run to a target.
 
     From the next tick on the reference leaves its path smoothly, also that to an earlier target,
     and comes to rest there. A target that cannot be flown is refused with the reason. Way points
-    are run through on a smooth curve after the first one.
+    are run through on a smooth curve after the first one. With --to the target travels with plans,
+    over the links of the run, from the agents that are told to the others.
 
     Exit codes: 0 accepted; 2 refused; 4 no answer.
 
     Example: transport target 3 0 -12 --speed 1.5
+
+    Example: transport target 3 0 -12 --to 2
     """
     coordinates = [value for value in (x, y, z) if value is not None]
     expected = 3 if file is None else 0
@@ -357,6 +366,8 @@ def target(
             given["times_s"] = times_s
     if speed is not None:
         given["speed_mps"] = speed
+    if to:
+        given["to"] = to
     requested(TargetSection, given)  # refused here already, as in `set_links`
 
     answer = run.ask(COORDINATOR, "target", given)

@@ -275,7 +275,7 @@ class Recorder:
     def _check_moment(self, message: wire.Message) -> None:
         """Raise MessageError for an invalid target."""
         if isinstance(message, wire.Target):
-            check_target(self.setup, message)
+            check_target(len(self.setup.maneuver.targets), message)
 
     def _take(self, message: wire.Message, at_ns: int | None = None) -> None:
         """Log a message and act on it."""

@@ -138,15 +138,24 @@ class ActiveRun:
     def __repr__(self) -> str:
         return f"ActiveRun({str(self.folder)!r})"
 
-    def target(self, x: float, y: float, z: float, *, speed: float | None = None) -> dict[str, Any]:
+    def target(
+        self,
+        x: float,
+        y: float,
+        z: float,
+        *,
+        speed: float | None = None,
+        to: Sequence[int] = (),
+    ) -> dict[str, Any]:
         """Send the payload to a position, inertial frame (z down), m, from the next tick on.
 
-        The largest speed, m/s, is up to 1 m/s, if feasible, by default.
+        The largest speed, m/s, is up to 1 m/s, if feasible, by default. The agents in `to`, 1-based,
+        are told, and the others learn it from their plans; by default all are told.
 
         Returns: `tick`, its time `t_s`, and when the reference is there, `reached_s` and `ends_s`.
         Raises: TransportError: it cannot be flown, or the run does not answer.
         """
-        return self.path([[x, y, z]], speed=speed)
+        return self.path([[x, y, z]], speed=speed, to=to)
 
     def land(
         self, x: float | None = None, y: float | None = None, *, speed: float | None = None
@@ -171,19 +180,22 @@ class ActiveRun:
         *,
         times: Sequence[float] | None = None,
         speed: float | None = None,
+        to: Sequence[int] = (),
     ) -> dict[str, Any]:
         """Send the payload through way points on a smooth curve.
 
         The curve begins once it has reached the first of them. Points are positions, (k, 3),
         inertial frame, m, or a CSV file with columns x,y,z or t,x,y,z; times, s, count from that of
         the first one and replace a largest speed, m/s.
-        Returns and raises as `target`.
+        `to`, returned and raised: as `target`.
         """
         if isinstance(points, str | PathLike):
             points, times = points_of(Path(points))
 
         every = {"points_m": plain(points), "times_s": plain(times), "speed_mps": plain(speed)}
         given = {key: value for key, value in every.items() if value is not None}
+        if to:
+            given["to"] = [int(agent) for agent in to]
         if live.read(self.folder) != self._live:
             raise TransportError(f"the run in {self.folder} has ended")
         return self._live.ask(COORDINATOR, "target", given)

@@ -121,11 +121,14 @@ def _beside(row: Row, spread: Row) -> Row:
 
 
 def _cell(value: Any) -> Any:
-    """Return a field as a cell; ids and arrays, row by row, are text with blanks in between."""
+    """Return a field as a cell; ids and arrays, row by row, are text with blanks in between.
+
+    Bytes are hexadecimal.
+    """
     if isinstance(value, np.ndarray):
         return " ".join(map(repr, value.ravel().tolist()))  # reads back as the same bits
     if isinstance(value, tuple):
-        return " ".join(map(str, value))
+        return " ".join(one.hex() if isinstance(one, bytes) else str(one) for one in value)
     return value
 
 

@@ -220,6 +220,8 @@ def to_json(message: Message) -> bytes:
         if name in _MATRICES:
             content[name] = value.reshape(-1)
             content[f"{name}_shape"] = value.shape
+        elif name == "targets":  # bytes of messages
+            content[name] = [one.hex() for one in value]
         else:
             content[name] = value
     return orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)

@@ -1,0 +1,95 @@
+"""Targets that travel with plans: those told to some agents only, as the bytes of `target` messages.
+
+An agent that knows such a target puts it into its plans, and whoever hears it does the same, so that it
+goes round a cut link. `incarnation` and `sequence` of a carried message are 0: it belongs to no stream.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+
+from transport.model.state import LARGEST
+from transport.protocol.wire.codec import decode
+from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.messages import MAX_TARGETS, Plan, Target
+from transport.protocol.wire.names import COORDINATOR
+from transport.protocol.wire.node import RunShape
+
+# Tick and number of a target: the newest of a run is the one with the largest, for all agents.
+Place = tuple[int, int]
+
+_ROUNDING_S = 1e-6
+
+
+def place_of(target: Target) -> Place:
+    """Return the place of a target in the order in which all agents follow targets."""
+    return target.tick, target.number
+
+
+@lru_cache(maxsize=256)
+def _target_in(data: bytes) -> Target:
+    """Return the target in some bytes. Raises: MessageError: there is none."""
+    message = decode(data)
+    if not isinstance(message, Target) or message.sender != COORDINATOR:
+        text = (
+            f"targets: expected targets of the coordinator, got {message.kind} of {message.sender}"
+        )
+        raise MessageError("wrong_sender", text)
+    return message
+
+
+def carried_by(plan: Plan) -> list[Target]:
+    """Return the targets that a plan carries, oldest first. Raises: MessageError: one is none."""
+    return [_target_in(data) for data in plan.targets]
+
+
+def check_carried(plan: Plan, run: RunShape) -> None:
+    """Refuse a plan with a target that no agent of a run can have been told by its tick.
+
+    Raises: MessageError: with what was expected and what came.
+    """
+    before = (-1, 0)
+    for target in carried_by(plan):
+        if target.tick > plan.tick:
+            text = f"targets: expected those told until tick {plan.tick}, got tick {target.tick}"
+            raise MessageError("future", text)
+        if place_of(target) <= before:
+            raise MessageError("out_of_range", "targets: expected each once, oldest first")
+        before = place_of(target)
+        strangers = [agent for agent in target.to if agent not in run.owned]
+        if strangers or not target.to:
+            text = f"targets: expected one told to agents of this run, got {list(target.to)}"
+            raise MessageError("unknown_agent", text)
+        if target.number > MAX_TARGETS:
+            text = f"targets: expected numbers of at most {MAX_TARGETS}, got {target.number}"
+            raise MessageError("out_of_range", text)
+        _check_motion(target, run)
+
+
+def _check_motion(target: Target, run: RunShape) -> None:
+    """Refuse points beyond any position, and times that are none within the run."""
+    if np.abs(target.points).max() > LARGEST:
+        largest = np.abs(target.points).max()
+        text = f"targets: expected points of at most {LARGEST:g} m, got {largest:g}"
+        raise MessageError("out_of_range", text)
+
+    stages_s = [(target.approach_s, target.approach_ramp_s)]
+    if len(target.points) > 1:
+        stages_s.append((target.way_s, target.way_ramp_s))
+        if not np.diff(target.points, axis=0).any(axis=1).all():
+            raise MessageError("out_of_range", "targets: expected points that differ")
+    for duration_s, ramp_s in stages_s:
+        if not 0.0 < ramp_s <= duration_s / 2.0 + _ROUNDING_S:
+            text = f"targets: expected a ramp of at most half of {duration_s:g} s, got {ramp_s:g} s"
+            raise MessageError("out_of_range", text)
+
+    times_s = target.times
+    rises = len(times_s) > 1 and (np.diff(times_s) > 0.0).all() and times_s[0] == 0.0
+    if times_s.any() and not (rises and abs(times_s[-1] - target.way_s) <= _ROUNDING_S):
+        raise MessageError("out_of_range", "targets: expected times that rise from 0 to way_s")
+
+    left_s = (run.ticks - target.tick) * run.period_s
+    ends_s = target.approach_s + (target.way_s if len(target.points) > 1 else 0.0)
+    if ends_s > left_s + _ROUNDING_S:
+        text = f"targets: expected an end within the {left_s:g} s that are left, got {ends_s:g} s"
+        raise MessageError("future", text)

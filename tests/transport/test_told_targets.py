@@ -1,0 +1,270 @@
+"""Targets told to some agents travel with plans (docs/protocol.md, "Targets told to some")."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from tests.support import logs, runs
+from tests.support.nodes import AgentNode, refused
+from transport.analysis.analysed_run import AnalysedRun
+from transport.analysis.comparison import Comparison
+from transport.analysis.metrics import summarise
+from transport.analysis.replay import Replay
+from transport.log.run_log import RunLog
+from transport.model.arrays import Array
+from transport.model.state import R0
+from transport.protocol.admission.carried import carried_by, check_carried, place_of
+from transport.protocol.admission.known_targets import KnownTargets
+from transport.protocol.scenario.errors import RequestError, ScenarioError, requested
+from transport.protocol.scenario.maneuver_sections import TargetSection
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.target_planning import target_fields
+from transport.protocol.wire.codec import decode, encode
+from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.messages import Note, Plan, PlantState, Target
+from transport.protocol.wire.node import Outbox
+
+HOVER = "maneuver.phase=[{name='hover',duration_s=%g,displacement_m=[0,0,0]}]"
+TOLD_S, TOLD_TICK = 1.0, 20
+AWAY_M = 1e-3  # less is no difference between two motions
+REACHED_M = 0.05
+
+
+def to(*agents: int, at_s: float = TOLD_S, x: float = 0.4) -> str:
+    """Return a target that some agents are told, as an entry of a list."""
+    return f"{{at_s={at_s},points_m=[[{x},0,-10]],to={list(agents)}}}"
+
+
+def targets(*entries: str) -> str:
+    """Return the setting of targets."""
+    return f"maneuver.target=[{','.join(entries)}]"
+
+
+def cut(*links: tuple[int, int], delay_s: float) -> str:
+    """Return the setting of links between four agents of which only some pass messages, late."""
+    passing = {*links, *((b, a) for a, b in links)}
+    every = [(a, b) for a in range(1, 5) for b in range(1, 5) if a != b]
+    overrides = [
+        f"{{from='agent{a}',to='agent{b}',{f'delay_s={delay_s}' if (a, b) in passing else 'loss=1.0'}}}"
+        for a, b in every
+    ]
+    return f"links.override=[{','.join(overrides)}]"
+
+
+@lru_cache
+def flown(name: str, *settings: str) -> RunLog:
+    """Return the log of a run in memory."""
+    return logs.log_of(runs.recorded(runs.ready(name, *settings)))
+
+
+def first_carried(log: RunLog) -> dict[int, int]:
+    """Return the tick of the first plan of each agent that carries a target."""
+    first: dict[int, int] = {}
+    for plan in log.of(Plan):
+        if plan.targets:
+            first.setdefault(plan.agent, plan.tick)
+    return first
+
+
+def last_carried(log: RunLog) -> dict[int, list[tuple[int, int]]]:
+    """Return tick and number of the targets in the last plan of each agent."""
+    return {plan.agent: [place_of(one) for one in carried_by(plan)] for plan in log.of(Plan)}
+
+
+def positions(log: RunLog) -> Array:
+    """Return the positions of the payload, (K, 3), m."""
+    return np.array([one.x[R0] for one in log.of(PlantState)])
+
+
+CHAIN = (1, 2), (2, 3), (3, 4)
+STAR = (1, 2), (2, 3), (2, 4)
+
+
+@pytest.mark.parametrize("ticks", [1, 3, 10])
+@pytest.mark.parametrize(
+    ("links", "hops"),
+    [(CHAIN, (0, 1, 2, 3)), (STAR, (0, 1, 2, 2))],
+    ids=["chain", "star"],
+)
+def test_the_time_until_all_know_is_hops_times_delay(
+    links: Sequence[tuple[int, int]], hops: Sequence[int], ticks: int
+) -> None:
+    """To a tick, also on links of which most are cut: a plan is used a delay after it was sent."""
+    cuts = cut(*links, delay_s=0.05 * ticks)
+    log = flown("resilient", HOVER % 7, targets(to(1)), cuts)
+    expected = {agent: TOLD_TICK + ticks * hop for agent, hop in enumerate(hops, start=1)}
+    assert first_carried(log) == expected
+
+
+def test_two_told_at_the_same_tick_end_at_the_same_target() -> None:
+    """The one with the larger number is the newest for all."""
+    log = flown("resilient", HOVER % 8, targets(to(2, x=0.4), to(4, x=-0.4)), "links.delay_s=0.1")
+    last = last_carried(log)
+    assert {tuple(places)[-1] for places in last.values()} == {(TOLD_TICK, 2)}
+    assert len(last) == 4
+    assert abs(positions(log)[-1][0] + 0.4) < REACHED_M
+
+
+def test_a_target_survives_the_agent_that_was_told() -> None:
+    """Another one has heard of it by one plan; the agent comes back and learns it, as a late one does."""
+    events = (
+        f"faults.event=[{{at_s={TOLD_S + 0.1},do='kill',target='agent2'}},"
+        "{at_s=4.0,do='restart',target='agent2'}]"
+    )
+    settings = (targets(to(2)), events, "clock.on_agent_loss='continue'", "links.delay_s=0.1")
+    log = flown("resilient", HOVER % 13, *settings)
+    assert last_carried(log) == {agent: [(TOLD_TICK, 1)] for agent in range(1, 5)}
+    assert abs(positions(log)[-1][0] - 0.4) < REACHED_M
+
+
+def test_an_agent_that_hears_two_at_once_has_the_path_of_one_that_heard_both_in_turn() -> None:
+    """Whatever was heard first: the path follows from the targets alone."""
+    run = runs.ready("resilient", HOVER % 20)
+    first = message(run, 20, points_m=[[1.0, 0.0, -10.0]], to=[1])
+    second = message(run.led_to(first), 40, number=2, points_m=[[0.0, 1.0, -10.0]], to=[1])
+    paths = []
+    for order in ((first, second), (second, first)):
+        known = KnownTargets(run)
+        assert all(known.add(target) for target in order)
+        assert not known.add(first)
+        paths.append(known.setup.X_ref)
+        # Until the second is reached its path depends on the first, and plans carry both.
+        assert len(known.carried(50)) == 2
+        assert len(known.carried(300)) == 1
+    assert (paths[0] == paths[1]).all()
+
+
+def test_a_run_without_targets_for_some_has_plans_as_before() -> None:
+    """Plans carry nothing, also where all agents are named."""
+    for told in ((), (1, 2, 3, 4)):
+        log = flown("resilient", HOVER % 7, targets(to(*told)))
+        assert first_carried(log) == {}
+        last = log.of(Plan)
+        assert all(decode(encode(plan)) is not None and not plan.targets for plan in last)
+
+
+def test_the_radio_carries_the_targets() -> None:
+    """A plan is longer by the bytes of its targets."""
+    log = flown("resilient", HOVER % 7, targets(to(1)))
+    plan = next(plan for plan in log.of(Plan) if plan.targets)
+    without = msgspec.structs.replace(plan, targets=())
+    assert len(encode(plan)) - len(encode(without)) > len(plan.targets[0])
+
+
+def message(run: Setup, tick: int, number: int = 1, **given: Any) -> Target:
+    """Return the coordinator's message for a target."""
+    fields = target_fields(run, requested(TargetSection, given), tick)
+    return Outbox("coordinator", 0).stamp(Target, number=number, **fields)
+
+
+RUN = runs.ready("resilient", HOVER % 20)
+GOOD = message(RUN, 2, points_m=[[1.0, 0.0, -10.0], [1.0, 1.0, -10.0]], to=[3])
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"points": np.array([[np.nan, 0.0, 0.0], [1.0, 1.0, 0.0]])}, "not_finite"),
+        ({"points": np.array([[1e9, 0.0, 0.0], [1.0, 1.0, 0.0]])}, "out_of_range"),
+        ({"points": np.zeros((2, 3))}, "out_of_range"),
+        ({"points": np.zeros((300, 3)), "times": np.zeros(300)}, "wrong_shape"),
+        ({"tick": 4}, "future"),
+        ({"to": (7,)}, "unknown_agent"),
+        ({"to": ()}, "unknown_agent"),
+        ({"number": 10**6}, "out_of_range"),
+        ({"approach_s": 1e9, "approach_ramp_s": 1.0}, "future"),
+        ({"approach_s": -1.0}, "out_of_range"),
+        ({"way_ramp_s": 0.0}, "out_of_range"),
+        ({"times": np.array([0.0, 1e9])}, "out_of_range"),
+        ({"sender": "agent3"}, "wrong_sender"),
+    ],
+)
+def test_a_plan_with_an_impossible_target_is_refused(changes: dict[str, Any], reason: str) -> None:
+    """By every process, with the reason; a genuine one is admitted."""
+    plan = runs.plan(RUN, 2, 3)
+    carried = msgspec.structs.replace(GOOD, **changes)
+    check_carried(msgspec.structs.replace(plan, targets=(encode(GOOD),)), RUN.shape)
+    with pytest.raises(MessageError) as refused:
+        check_carried(msgspec.structs.replace(plan, targets=(encode(carried),)), RUN.shape)
+    assert refused.value.reason == reason
+
+
+def test_what_a_plan_carries_is_bounded() -> None:
+    """Neither many targets nor long ones nor the same twice, nor bytes that are none."""
+    plan = runs.plan(RUN, 2, 3)
+    one = encode(GOOD)
+    too_many: list[tuple[bytes, ...]] = [(one,) * 5, (b"\x07" * 20_000,)]
+    for carried in too_many:
+        with pytest.raises(MessageError) as refused:
+            decode(encode(msgspec.structs.replace(plan, targets=carried)))
+        assert refused.value.reason == "out_of_range"
+    for carried in ((one, one), (b"no target",), (encode(plan),)):
+        with pytest.raises(MessageError):
+            check_carried(msgspec.structs.replace(plan, targets=carried), RUN.shape)
+
+
+def test_who_is_told_is_checked() -> None:
+    """Agents of the run, of UAVs without processes of their own."""
+    with pytest.raises(ScenarioError, match="expected agents 1 to 4, got 7"):
+        runs.ready("resilient", HOVER % 7, targets(to(7)))
+    with pytest.raises(RequestError, match="to"):
+        requested(TargetSection, {"points_m": [[0, 0, -9]], "to": [0]})
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [({}, "has not been told"), ({"to": (1,), "points": GOOD.points + 1e5}, "within reach")],
+)
+def test_what_only_the_receiver_can_judge_is_noted_and_not_followed(
+    changes: dict[str, Any], reason: str
+) -> None:
+    """A target in its own name, and one out of reach; the plan counts, and the note names the sender."""
+    told = runs.setup("controller.horizon=5")
+    node = AgentNode(told, 3)
+    node.receive(runs.roster(), 0)
+    carried = (encode(msgspec.structs.replace(GOOD, **changes)),)
+    problems: list[str] = []
+    for k in range(5):
+        for agent in (1, 2, 4) if k else ():
+            plan = runs.plan(told, agent, k - 1)
+            carries = agent == 1 and k > 2
+            node.receive(msgspec.structs.replace(plan, targets=carried if carries else ()), 0)
+        made = node.receive(runs.measurement(told, 3, k), 0)
+        problems += [note.problem for note in made if isinstance(note, Note)]
+        assert [plan.targets for plan in made if isinstance(plan, Plan)] == [()]
+    assert len(problems) == 1
+    assert "in a plan of agent1" in problems[0]
+    assert reason in problems[0]
+    assert refused(node) == []
+
+
+FOUR = targets(
+    *(
+        f"{{at_s={at_s},points_m=[[{place}]]%s}}"
+        for at_s, place in ((1, "2,0,-10"), (4, "2,3,-10"), (7, "-1,2,-11"), (10, "0,0,-10"))
+    )
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "rms_m"), [("resilient", 0.02), ("precise", 0.1)])
+def test_four_targets_on_a_late_and_lossy_network(name: str, rms_m: float) -> None:
+    """With 200 ms and 30 % loss the payload is where it is if all are told at once; and it replays."""
+    late = (HOVER % 20, "links.delay_s=0.2", "links.loss=0.3")
+    some = (FOUR.replace("%s", ",to=[1]"), *late)
+    log = flown(name, *some)
+    away_m = positions(log) - positions(flown(name, FOUR.replace("%s", ""), *late))
+    assert np.sqrt((away_m**2).sum(axis=1).mean()) < rms_m
+    assert np.abs(away_m).max() > AWAY_M
+
+    run = runs.ready(name, *some)
+    assert len(summarise(AnalysedRun.of(run, log))["targets"]) == 4
+    again, comparison = Replay(run, log, 3), Comparison()
+    for step in again.steps():
+        comparison.add(step)
+    assert comparison.identical == comparison.plans > 300
+    assert not [note.problem for note in log.of(Note) if "target" in note.problem]
