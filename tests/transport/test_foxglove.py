@@ -192,5 +192,7 @@ def test_json_keeps_every_bit(message: Message) -> None:
         value = content[field]
         if isinstance(getattr(message, field), np.ndarray):
             value = np.array(value, dtype=np.float64).reshape(content.get(f"{field}_shape", -1))
+        if field == "targets":
+            value = tuple(map(bytes.fromhex, value))
         values[field] = value
     assert encode(type(message)(**values)) == encode(message)
