@@ -89,6 +89,9 @@ class AlonePlanner:
         self._regulation.follow(setup.reference.sampled)
         self._team.follow(setup.reference.sampled)
 
+    def announce(self) -> None:
+        """Do nothing: all plans are sent."""
+
     def warm_up(self) -> None:
         """Compute the motion that the UAVs follow: an agent that returns is late otherwise."""
         self._regulation.whole.fail_safe.warm_up()

@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from transport.agent.air import AirNews
 from transport.agent.alone import ALONE, AlonePlanner
 from transport.agent.clocks import Clocks
+from transport.agent.confirmation import Unconfirmed
 from transport.agent.estimation.belief import Belief
 from transport.agent.own import PROJECT, OwnPlanner
 from transport.agent.planner import AgentPlanner, OpenStep
@@ -74,6 +75,8 @@ class AgentNode(Participant):
         self._targets = KnownTargets(setup)
         self._told: deque[Target] = deque()  # to this agent, still to come
         self._own_targets: set[Place] = set()  # those of them that have begun
+        self._confirms = setup.scenario.controller.targets == "confirmed"
+        self._unconfirmed = Unconfirmed(agent)
         self._refused: set[tuple[int, Place]] = set()  # by the agent whose plan carried it
         radio = setup.scenario.radio
         self._air = None if radio is None else AirNews(agent, radio)
@@ -156,6 +159,7 @@ class AgentNode(Participant):
         if was_on_it and not is_on_it:
             # Its information may be outdated, so it comes back as a new process.
             self._planner.restart()
+            self._unconfirmed.returned(roster.tick)
             self._begin(self.incarnation + 1)
         return waiting
 
@@ -195,16 +199,26 @@ class AgentNode(Participant):
         while self._told and self._told[0].tick <= self._tick:
             target = self._told.popleft()
             self._own_targets.add(place_of(target))
-            self._follow(target)
+            self._learn(target)
         received = self._received(measurement, now_ns)
         notes = self._hear_targets(received.plans)
+        for target in self._unconfirmed.confirmed(received.agents, self._membership.since):
+            self._learn(target)
         self._step = self._planner.begin(received)
         return notes
 
-    def _follow(self, target: Target) -> None:
-        """Follow a target unless it is known."""
+    def _learn(self, target: Target) -> None:
+        """Follow a target unless it is known, or keep it until all on the roster have it."""
+        if self._confirms and target.to and not target.begins:
+            if place_of(target) > self._targets.newest and self._unconfirmed.take(
+                target, self._tick
+            ):
+                self._planner.announce()
+            return
         if self._targets.add(target):
             self._planner.follow(self._targets.setup)
+        self._unconfirmed.forget(place_of(target))
+        self._unconfirmed.forget_before(self._targets.newest)
 
     def _hear_targets(self, plans: Sequence[Plan]) -> list[Message]:
         """Follow the targets that plans carry; return a note for each that is refused."""
@@ -222,7 +236,7 @@ class AgentNode(Participant):
                 problem = f"target of tick {target.tick} in a plan of {agent_name(sender)}: {error}"
                 notes.append(numbers_note(self._tick, self._agent, {}, self._out, problem))
                 continue
-            self._follow(target)
+            self._learn(target)
         return notes
 
     def _check_heard(self, target: Target) -> None:
@@ -240,7 +254,7 @@ class AgentNode(Participant):
         """Return the next proposal of the open step, or its plan and report, which conclude it."""
         step = self._step
         messages = self._planner.plan(step, self._out, self.publish_ns)
-        carried = self._targets.carried(self._tick)
+        carried = self._targets.carried(self._tick, self._unconfirmed.carried())
         if carried:
             messages = [_carrying(message, carried) for message in messages]
         if step is not None and step.negotiation == 0:

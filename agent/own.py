@@ -215,8 +215,12 @@ class OwnPlanner:
     def follow(self, setup: Setup) -> None:
         """Let the class have the reference with a further target, from that target's tick on."""
         self._setup = setup
-        self._told_roster = -1  # the next plan is sent: it carries the target
+        self.announce()
         self._run.follow(setup)
+
+    def announce(self) -> None:
+        """Send the next plan to the others."""
+        self._told_roster = -1
 
     def warm_up(self) -> None:
         """Do nothing: the class prepares itself when it starts."""

@@ -36,6 +36,9 @@ class AgentPlanner(Protocol[S]):
     def follow(self, setup: Setup) -> None:
         """Follow the reference of the run with a further target, from that target's tick on."""
 
+    def announce(self) -> None:
+        """Send the next plan to the others, whatever it is: it carries news of a target."""
+
     def begin(self, received: Received) -> S:
         """Take in what has been received for a tick."""
 

@@ -123,6 +123,10 @@ class Planner:
         self._setup = setup
         self._team.follow(setup)
 
+    def announce(self) -> None:
+        """Share the next plan."""
+        self._sharing.renew()
+
     @property
     def belief(self) -> Belief | None:
         """Newest estimate with its covariance; None without one."""

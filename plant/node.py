@@ -160,7 +160,8 @@ class PlantNode(Participant):
         """Let the fail-safe follow the targets that plans of all agents on the roster have carried."""
         for plan in plans:
             for target in carried_by(plan):
-                if self._targets.knows(target):
+                is_waiting = target.informed and not target.begins
+                if is_waiting or self._targets.knows(target):
                     continue
                 informed = self._informed.setdefault(place_of(target), set())
                 informed.add(plan.agent)

@@ -63,7 +63,26 @@ def check_carried(plan: Plan, run: RunShape) -> None:
         if target.number > MAX_TARGETS:
             text = f"targets: expected numbers of at most {MAX_TARGETS}, got {target.number}"
             raise MessageError("out_of_range", text)
+        _check_confirmation(target, plan, run)
         _check_motion(target, run)
+
+
+def _check_confirmation(target: Target, plan: Plan, run: RunShape) -> None:
+    """Refuse agents and ticks of a confirmation that cannot be, and any where the run has none."""
+    if not run.confirms and (target.informed or target.begins):
+        text = "targets: expected no confirmations with controller.targets = eager"
+        raise MessageError("wrong_shape", text)
+    strangers = [agent for agent in target.informed if agent not in run.owned]
+    if strangers:
+        text = f"targets: expected agents of this run that have it, got {strangers}"
+        raise MessageError("unknown_agent", text)
+    if len(set(target.informed)) < len(target.informed):
+        raise MessageError("out_of_range", "targets: expected each agent that has it once")
+
+    ticks = [*target.got, *([target.begins] if target.begins else [])]
+    if ticks and not target.tick <= min(ticks) <= max(ticks) <= plan.tick:
+        text = f"targets: expected ticks from {target.tick} to {plan.tick}, got {ticks}"
+        raise MessageError("future" if max(ticks) > plan.tick else "past", text)
 
 
 def _check_motion(target: Target, run: RunShape) -> None:

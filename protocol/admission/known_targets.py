@@ -1,6 +1,6 @@
 """Targets that a process knows, in the order of all agents, and the run with them."""
 
-from bisect import bisect_left
+from collections.abc import Iterable
 
 import numpy as np
 from msgspec.structs import replace
@@ -16,45 +16,67 @@ _FASTEST_MPS = 100.0
 
 
 class KnownTargets:
-    """Targets that a process knows, and the run with them: `setup`.
+    """Targets that a process knows and follows, and the run with them: `setup`.
 
-    Each leads away from the path with those before it, whenever it was heard: two processes that
-    know the same targets have the same path.
+    Each leads away from the path with those before it, from its first tick on, whenever it was heard:
+    two processes that know the same targets have the same path.
     """
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
         self._without = setup
-        self._known: list[Target] = []  # by place
-        self._carried: dict[Place, bytes] = {}
+        self._known: dict[Place, Target] = {}
+        self._followed: list[Target] = []  # those of them that the path follows from, by place
 
     def add(self, target: Target) -> bool:
-        """Take in a target; return whether it is a new one."""
-        places = [place_of(one) for one in self._known]
-        at = bisect_left(places, place_of(target))
-        is_known = at < len(places) and places[at] == place_of(target)
-        if is_known or len(places) == MAX_TARGETS:
+        """Take in a target; return whether the path is a new one.
+
+        Of two first ticks, as agents may find where the roster changes meanwhile, the earlier one counts.
+        """
+        place = place_of(target)
+        known = self._known.get(place)
+        if known is not None and target.first_tick >= known.first_tick:
             return False
-        self._known.insert(at, target)
-        if at == len(places):
+        if known is None and len(self._known) == MAX_TARGETS:
+            return False
+        self._known[place] = target
+
+        before = self._followed
+        self._followed = self._not_replaced()
+        if self._followed == before:
+            return False
+        if self._followed == [*before, target]:
             self.setup = self.setup.led_to(target)
             return True
-
         self.setup = self._without
-        for one in self._known:
+        for one in self._followed:
             self.setup = self.setup.led_to(one)
         return True
 
+    def _not_replaced(self) -> list[Target]:
+        """Return the targets that began before all newer ones, by place."""
+        targets: list[Target] = []
+        for _, target in sorted(self._known.items(), reverse=True):
+            if not targets or target.first_tick <= targets[-1].first_tick:
+                targets.append(target)
+        return targets[::-1]
+
+    @property
+    def newest(self) -> Place:
+        """Place of the newest target; before all where there is none."""
+        return max(self._known, default=(-1, 0))
+
     def knows(self, target: Target) -> bool:
-        """Return whether a target is known."""
-        return place_of(target) in map(place_of, self._known)
+        """Return whether a target is known, with this first tick or an earlier one."""
+        known = self._known.get(place_of(target))
+        return known is not None and known.first_tick <= target.first_tick
 
     def check(self, target: Target) -> None:
         """Refuse a target that is too far from the known path for any motion to it.
 
         Raises: MessageError: with distance and time.
         """
-        since_s = target.tick * self.setup.settings.sampling_period_s
+        since_s = target.first_tick * self.setup.settings.sampling_period_s
         path_I, _ = self.setup.maneuver.path(np.array([since_s]))
         distance_m = float(np.linalg.norm(target.points[0] - path_I[0]))
         in_s = target.approach_s - target.approach_ramp_s
@@ -62,22 +84,17 @@ class KnownTargets:
             text = f"expected a target within reach, got one {distance_m:g} m away in {in_s:g} s"
             raise MessageError("out_of_range", text)
 
-    def carried(self, tick: int) -> tuple[bytes, ...]:
-        """Return what a plan of a tick carries: `Plan.targets`.
+    def carried(self, tick: int, unconfirmed: Iterable[Target] = ()) -> tuple[bytes, ...]:
+        """Return what a plan of a tick carries, `Plan.targets`, with those that are not followed yet.
 
         A target takes the place of the path before it once it is reached.
         """
         period_s = self.setup.settings.sampling_period_s
         depends: list[Target] = []
-        for target in reversed(self._known):
+        for target in reversed(self._followed):
             depends.append(target)
-            if target.tick * period_s + target.approach_s <= tick * period_s:
+            if target.first_tick * period_s + target.approach_s <= tick * period_s:
                 break
-        told = [target for target in depends if target.to][:MAX_CARRIED]
-        return tuple(self._bytes(target) for target in reversed(told))
-
-    def _bytes(self, target: Target) -> bytes:
-        place = place_of(target)
-        if place not in self._carried:
-            self._carried[place] = encode(replace(target, incarnation=0, sequence=0))
-        return self._carried[place]
+        told = [*(target for target in depends if target.to), *unconfirmed]
+        newest = sorted(told, key=place_of)[-MAX_CARRIED:]
+        return tuple(encode(replace(target, incarnation=0, sequence=0)) for target in newest)

@@ -157,6 +157,10 @@ class ControllerSection(ControllerSettings):
     with a filter. alone: each of its UAVs gradually follows its part of the motion of the team alone,
     by its own sensors ([equations.md](equations.md#silence)); law: they follow the shared control law
     by the agent's estimate"""
+    targets: Literal["eager", "confirmed"] = "eager"
+    """when an agent follows a target that it has heard of in a plan, or that only some are told: eager: at
+    once; confirmed: once all agents on the roster are known to have it, and the path before goes on
+    until then ([equations.md](equations.md#targets-told-to-some))"""
     disturbance: DisturbanceSection = DisturbanceSection()
 
 

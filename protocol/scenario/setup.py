@@ -308,6 +308,7 @@ class Setup:
             # The coordinator, which waits for all plans, hands them on.
             relayed=clock.mode == "lockstep",
             by_vehicles=self.scenario.has_vehicles,
+            confirms=self.scenario.controller.targets == "confirmed",
         )
 
     def link(self, sender: str, receiver: str) -> Link:

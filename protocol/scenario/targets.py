@@ -25,7 +25,7 @@ def target_of(message: messages.Target, period_s: float, *, has_ground: bool) ->
         way = spline(further_I, message.way_s, message.way_ramp_s, times_s)
 
     return Target(
-        since_s=message.tick * period_s,
+        since_s=message.first_tick * period_s,
         point_I=point_I,
         approach=straight(message.approach_s, message.approach_ramp_s),
         way=way,

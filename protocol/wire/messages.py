@@ -275,7 +275,8 @@ class Target(Message, tag="target", frozen=True, kw_only=True):
         "points": lambda _: (None, 3),
         "times": lambda one: (len(one.points),),
     }
-    optional: ClassVar[tuple[str, ...]] = ("lands", "to")
+    as_long: ClassVar[tuple[str, ...]] = "informed", "got"
+    optional: ClassVar[tuple[str, ...]] = ("lands", "to", "informed", "got", "begins")
 
     # Of the target in its run; sent again to processes that join late.
     number: Annotated[int, Meta(ge=1)]
@@ -289,6 +290,16 @@ class Target(Message, tag="target", frozen=True, kw_only=True):
     lands: bool = False  # whether the last point is on the ground
     # Agents that are told, ascending; the others learn it from plans. Empty: all are told.
     to: Ids = ()
+    # In plans of runs that confirm targets: agents that are known to have it, the tick at which each
+    # got it, and once it is followed, the tick from which on; else empty, and 0.
+    informed: Ids = ()
+    got: Counts = ()
+    begins: Count = 0
+
+    @property
+    def first_tick(self) -> int:
+        """Tick from which on the path leads to it: when it was told, or when all had it."""
+        return self.begins or self.tick
 
     def check(self) -> None:
         """Check the number of points."""

@@ -31,6 +31,8 @@ class RunShape:
     relayed: bool  # whether plans come in bundles
     # Whether measurements come from the process of each UAV, not from the plant.
     by_vehicles: bool = False
+    # Whether targets told to some are followed once all agents have them.
+    confirms: bool = False
 
 
 class Node(Protocol):

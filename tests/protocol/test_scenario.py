@@ -31,6 +31,7 @@ OTHER_WORDS = {
     "solver": "clarabel",
     "share": "on_change",
     "silence": "law",
+    "targets": "confirmed",
     "received_plans": "held",
     "received_states": "as_received",
     "discretisation": "euler",

@@ -100,6 +100,48 @@ def test_the_time_until_all_know_is_hops_times_delay(
     assert first_carried(log) == expected
 
 
+CONFIRMED = "controller.targets=confirmed"
+
+
+def first_followed(log: RunLog) -> dict[int, tuple[int, int]]:
+    """Return by agent the tick of the first plan that says it follows a target, and the target's first tick."""
+    first: dict[int, tuple[int, int]] = {}
+    for plan in log.of(Plan):
+        for target in carried_by(plan):
+            if target.begins:
+                first.setdefault(plan.agent, (plan.tick, target.begins))
+    return first
+
+
+def test_confirmed_targets_begin_together_on_a_chain() -> None:
+    """From the tick at which the last one has it, as soon as that is known; the payload arrives."""
+    log = flown("resilient", HOVER % 8, targets(to(1)), cut(*CHAIN, delay_s=0.1), CONFIRMED)
+    begins = TOLD_TICK + 3 * 2
+    expected = {agent: (begins + 2 * (4 - agent), begins) for agent in range(1, 5)}
+    assert first_followed(log) == expected
+    assert abs(positions(log)[-1][0] - 0.4) < REACHED_M
+
+
+def test_confirmed_targets_wait_for_an_agent_that_cannot_hear_or_is_off_the_roster() -> None:
+    """Cut off, the path before goes on for all; the target begins once the agent is back, or gone."""
+    alone = "links.partition=[{between=['agent4'],start_s=0.5,end_s=%g}]"
+    log = flown("resilient", HOVER % 9, targets(to(1)), alone % 20, CONFIRMED)
+    assert first_followed(log) == {}
+    assert first_carried(log).keys() == {1, 2, 3}
+    assert np.abs(positions(log)[:, 0]).max() < 0.1
+
+    log = flown("resilient", HOVER % 9, targets(to(1)), alone % 3, CONFIRMED)
+    assert {begins for _, begins in first_followed(log).values()} == {61}
+    assert len(first_followed(log)) == 4
+
+    death = "faults.event=[{at_s=3.0,do='kill',target='agent4'}]"
+    settings = (alone % 20, death, "clock.on_agent_loss='continue'", CONFIRMED)
+    log = flown("resilient", HOVER % 9, targets(to(1)), *settings)
+    assert first_followed(log).keys() == {1, 2, 3}
+    # The agents on the roster had it long before.
+    assert {begins for _, begins in first_followed(log).values()} == {TOLD_TICK + 1}
+
+
 def test_two_told_at_the_same_tick_end_at_the_same_target() -> None:
     """The one with the larger number is the newest for all."""
     log = flown("resilient", HOVER % 8, targets(to(2, x=0.4), to(4, x=-0.4)), "links.delay_s=0.1")
@@ -181,6 +223,9 @@ GOOD = message(RUN, 2, points_m=[[1.0, 0.0, -10.0], [1.0, 1.0, -10.0]], to=[3])
         ({"way_ramp_s": 0.0}, "out_of_range"),
         ({"times": np.array([0.0, 1e9])}, "out_of_range"),
         ({"sender": "agent3"}, "wrong_sender"),
+        ({"begins": 2}, "wrong_shape"),
+        ({"informed": (3,), "got": (2,)}, "wrong_shape"),
+        ({"informed": (3,), "got": ()}, "wrong_shape"),
     ],
 )
 def test_a_plan_with_an_impossible_target_is_refused(changes: dict[str, Any], reason: str) -> None:
@@ -190,6 +235,26 @@ def test_a_plan_with_an_impossible_target_is_refused(changes: dict[str, Any], re
     check_carried(msgspec.structs.replace(plan, targets=(encode(GOOD),)), RUN.shape)
     with pytest.raises(MessageError) as refused:
         check_carried(msgspec.structs.replace(plan, targets=(encode(carried),)), RUN.shape)
+    assert refused.value.reason == reason
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"informed": (7,), "got": (2,)}, "unknown_agent"),
+        ({"informed": (3, 3), "got": (2, 2)}, "out_of_range"),
+        ({"informed": (3,), "got": (4,)}, "future"),
+        ({"informed": (3,), "got": (1,)}, "past"),
+        ({"begins": 4}, "future"),
+    ],
+)
+def test_a_confirmation_that_cannot_be_is_refused(changes: dict[str, Any], reason: str) -> None:
+    """Of unknown agents, twice of one, or of ticks to come or before the target."""
+    run = runs.ready("resilient", HOVER % 20, CONFIRMED)
+    plan = runs.plan(run, 2, 3)
+    carried = msgspec.structs.replace(GOOD, **changes)
+    with pytest.raises(MessageError) as refused:
+        check_carried(msgspec.structs.replace(plan, targets=(encode(carried),)), run.shape)
     assert refused.value.reason == reason
 
 
