@@ -31,7 +31,15 @@ from transport.protocol.wire.messages import (
     Target,
     Tick,
 )
-from transport.protocol.wire.names import AGENT, COORDINATOR, PLANT, RECORDER, agent_name
+from transport.protocol.wire.names import (
+    AGENT,
+    COORDINATOR,
+    PLANT,
+    RECORDER,
+    VEHICLE,
+    agent_name,
+    vehicle_name,
+)
 
 M = TypeVar("M", bound=Message)
 
@@ -69,7 +77,11 @@ STATES = {"uav_states": np.zeros((1, 12))}
 def fields(kind: type[Message]) -> dict[str, Any]:
     """Return valid fields of a message class, new objects on every call."""
     sender = kind.route.sender
-    values: dict[str, Any] = {"sender": "agent2" if sender in (AGENT, None) else sender}
+    values: dict[str, Any] = {"sender": sender}
+    if sender in (AGENT, None):
+        values["sender"] = agent_name(2)
+    if sender == VEHICLE:
+        values |= {"sender": vehicle_name(2), "uav": 2}
     values |= {"incarnation": 1, "sequence": 7, "tick": 3} | OWN.get(kind, {})
     for field in _types(kind):
         if field not in values and field not in kind.shapes:

@@ -20,7 +20,8 @@ from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.security import Security, access_control
 from transport.protocol.wire.codec import VERSION, encode
 from transport.protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
-from transport.protocol.wire.messages import BUNDLES, KINDS, Message, Plan, agent_name
+from transport.protocol.wire.messages import BUNDLES, KINDS, Message, Plan
+from transport.protocol.wire.names import agent_name, vehicle_name
 
 KEYS = Keys("guarded")
 DIGEST = "0123456789ab"
@@ -191,7 +192,8 @@ def test_rights_to_request() -> None:
 
 def test_rights_to_put() -> None:
     """By the access rules only the owner of a key may put a message on it."""
-    rules = access_control(TEAM, KEYS.prefix)
+    vehicles = [vehicle_name(uav) for uav in range(1, 5)]
+    rules = access_control([*TEAM, *vehicles], KEYS.prefix)
     assert (rules["enabled"], rules["default_permission"]) == (True, "deny")
     assert all(rule["permission"] == "allow" for rule in rules["rules"])
     by_id = {rule["id"]: rule for rule in rules["rules"]}
@@ -217,7 +219,12 @@ def test_rights_to_put() -> None:
             for name, keys in may_put.items()
             if key in keys or f"{key.rpartition('/')[0]}/*" in keys
         ]
-        assert owners == [message.sender], kind
+        expected = [message.sender]
+        if (
+            kind.route.by_vehicles
+        ):  # above autopilots the vehicle of the UAV takes the plant's place
+            expected.append(vehicle_name(message.agent))
+        assert owners == expected, kind
     assert f"{KEYS.prefix}/plan/2" in may_put[agent_name(2)]
     unshared = KEYS.of(sample(Plan, shared=False))
     assert [name for name, keys in may_put.items() if unshared in keys] == [agent_name(2)]

@@ -150,7 +150,7 @@ def test_mujoco_across_processes(tmp_path: Path) -> None:
         (
             "broken:Slow",
             EXIT_UNREACHABLE,
-            "transport: no agent answered tick 4 in time: is the plant alive?",
+            "transport: no agent answered tick 4 in time: is the plant alive?; logs in out/logs",
         ),
     ],
 )

@@ -288,6 +288,8 @@ def _result(case: Case) -> Result:
     numbers = {"lost_s": end_s, **_numbers(summary), **_radio_numbers(summary["radio"])}
     if case.more is not None:
         numbers |= case.more(setup, summary, log)
+    # A kept result is read as floating-point numbers, and tables do not tell whether a run was resumed.
+    numbers = {name: None if one is None else float(one) for name, one in numbers.items()}
     return Result(key=case.key, outcome=control.outcome, reason=control.reason, numbers=numbers)
 
 

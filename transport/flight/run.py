@@ -307,9 +307,10 @@ def _finished(folder: Path, recorder: Recorder, harness: Harness | None = None) 
         raise RunError(text, control.exit_code or codes.EXIT_UNRECORDED)
 
     reason = control.reason
-    if control.exit_code == codes.EXIT_UNREACHABLE:
+    is_unreachable = control.exit_code == codes.EXIT_UNREACHABLE
+    if is_unreachable:
         reason = f"{_cause(reason, harness)}{logs}"
-    if control.exit_code != 0 and recorder.started_s is None:  # there is nothing to report
+    if is_unreachable and recorder.started_s is None:  # there is nothing to report
         raise RunError(f"{reason}; the run ended before its first tick", control.exit_code)
     return Finished(folder, control.exit_code, reason)
 
