@@ -160,12 +160,15 @@ def main() -> int:
     parser.add_argument("before", type=Path, help="folder of the other version, with its .venv")
     parser.add_argument("--turns", type=int, default=3)
     parser.add_argument("--only", action="append", choices=list(PARTS))
+    parser.add_argument("--processor", help="of AVX-512, AVX2; default: both")
     options = parser.parse_args()
     trees = {"before": options.before.resolve(), "now": ROOT}
 
     rows = []
     with tempfile.TemporaryDirectory(prefix="against-") as parent:
         for processor, environment in environments(Path(parent)).items():
+            if options.processor not in (None, processor):
+                continue
             for part in options.only or PARTS:
                 found: dict[str, dict[str, list[float]]] = {}
                 for turn in range(options.turns + 1):  # the first compiles
