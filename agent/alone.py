@@ -89,6 +89,11 @@ class AlonePlanner:
         self._regulation.follow(setup.reference.sampled)
         self._team.follow(setup.reference.sampled)
 
+    @property
+    def share_alone(self) -> float:
+        """0: silence does not change what it does."""
+        return 0.0
+
     def announce(self) -> None:
         """Do nothing: all plans are sent."""
 

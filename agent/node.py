@@ -22,6 +22,7 @@ from transport.agent.own import PROJECT, OwnPlanner
 from transport.agent.planner import AgentPlanner, OpenStep
 from transport.agent.received import Received
 from transport.agent.step import Planner, numbers_note
+from transport.agent.stopping import Stopping
 from transport.protocol.admission.arrivals import Arrivals
 from transport.protocol.admission.carried import Place, carried_by, place_of
 from transport.protocol.admission.known_targets import KnownTargets
@@ -77,6 +78,9 @@ class AgentNode(Participant):
         self._own_targets: set[Place] = set()  # those of them that have begun
         self._confirms = setup.scenario.controller.targets == "confirmed"
         self._unconfirmed = Unconfirmed(agent)
+        self._stopping: Stopping | None = None
+        if setup.scenario.controller.silence == "stop":
+            self._stopping = Stopping(setup.settings.sampling_period_s, setup.ticks)
         self._refused: set[tuple[int, Place]] = set()  # by the agent whose plan carried it
         radio = setup.scenario.radio
         self._air = None if radio is None else AirNews(agent, radio)
@@ -160,6 +164,8 @@ class AgentNode(Participant):
             # Its information may be outdated, so it comes back as a new process.
             self._planner.restart()
             self._unconfirmed.returned(roster.tick)
+            if self._stopping is not None:
+                self._stopping.begin_anew()
             self._begin(self.incarnation + 1)
         return waiting
 
@@ -204,8 +210,20 @@ class AgentNode(Participant):
         notes = self._hear_targets(received.plans)
         for target in self._unconfirmed.confirmed(received.agents, self._membership.since):
             self._learn(target)
+        self._keep_pace(received)
         self._step = self._planner.begin(received)
         return notes
+
+    def _keep_pace(self, received: Received) -> None:
+        """Stop the path in silence, and go on with the others after it."""
+        if self._stopping is None:
+            return
+        self._stopping.hear(received.plans)
+        is_alone = self._planner.share_alone == 1.0  # until now
+        loss = self._stopping.advance(self._tick, is_alone=is_alone, roster=received.agents)
+        if loss is not None:
+            self._targets.slow(loss)
+            self._planner.follow(self._targets.setup)
 
     def _learn(self, target: Target) -> None:
         """Follow a target unless it is known, or keep it until all on the roster have it."""
@@ -254,9 +272,12 @@ class AgentNode(Participant):
         """Return the next proposal of the open step, or its plan and report, which conclude it."""
         step = self._step
         messages = self._planner.plan(step, self._out, self.publish_ns)
-        carried = self._targets.carried(self._tick, self._unconfirmed.carried())
-        if carried:
-            messages = [_carrying(message, carried) for message in messages]
+        stopping = self._stopping
+        lag = 0 if stopping is None else stopping.lag
+        behind = 0 if stopping is None else stopping.behind(self._tick)
+        carried = self._targets.carried(self._tick - behind, self._unconfirmed.carried())
+        if carried or lag:
+            messages = [_carrying(message, carried, lag) for message in messages]
         if step is not None and step.negotiation == 0:
             self._step = None
         return messages
@@ -341,7 +362,7 @@ class AgentNode(Participant):
         return 0.0 in self._plans.links[plan.sender].delays(k, negotiation)
 
 
-def _carrying(message: Message, targets: tuple[bytes, ...]) -> Message:
-    """Return a message, with targets if it is the plan of a tick."""
+def _carrying(message: Message, targets: tuple[bytes, ...], lag: int) -> Message:
+    """Return a message, with targets and lag if it is the plan of a tick."""
     is_plan = isinstance(message, Plan) and message.negotiation == 0
-    return replace(message, targets=targets) if is_plan else message
+    return replace(message, targets=targets, lag=lag) if is_plan else message

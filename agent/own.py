@@ -218,6 +218,11 @@ class OwnPlanner:
         self.announce()
         self._run.follow(setup)
 
+    @property
+    def share_alone(self) -> float:
+        """0: silence does not change what it does."""
+        return 0.0
+
     def announce(self) -> None:
         """Send the next plan to the others."""
         self._told_roster = -1

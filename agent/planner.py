@@ -27,6 +27,10 @@ class AgentPlanner(Protocol[S]):
     def belief(self) -> Belief | None:
         """Newest estimate with its covariance; None without one."""
 
+    @property
+    def share_alone(self) -> float:
+        """Share, 0 to 1, with which the agent acts alone as its news are old."""
+
     def warm_up(self) -> None:
         """Prepare for the first step."""
 

@@ -123,6 +123,11 @@ class Planner:
         self._setup = setup
         self._team.follow(setup)
 
+    @property
+    def share_alone(self) -> float:
+        """Share, 0 to 1, of the law alone in the newest inputs."""
+        return self._handover.share
+
     def announce(self) -> None:
         """Share the next plan."""
         self._sharing.renew()

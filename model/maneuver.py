@@ -7,10 +7,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from transport.model import jets
 from transport.model.arrays import Array, ArrayLike, assign, checked
 from transport.model.curves import ORDERS
 from transport.model.parameters import ParameterError
 from transport.model.phase import Phase, Profile
+from transport.model.slowing import Slowing
 from transport.model.target import Target
 
 # Names of the way to a target and of the rest after it: in flight, and of one that lands.
@@ -30,10 +32,12 @@ class Maneuver:
     press_m: float
     # Given during the flight, in this order: each leads away from the path before it.
     targets: tuple[Target, ...]
+    # Losses of time along the path with all targets, in this order.
+    slowings: tuple[Slowing, ...]
     # By how much the clock by which the path is followed is ahead, s: at t it is where it is to be then.
     ahead_s: float
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  # a value object
         self,
         *,
         start_I: ArrayLike,
@@ -41,6 +45,7 @@ class Maneuver:
         profile: Profile = "ramp",
         press_m: float = 0.0,
         targets: Sequence[Target] = (),
+        slowings: Sequence[Slowing] = (),
         ahead_s: float = 0.0,
     ) -> None:
         if not phases:
@@ -53,12 +58,17 @@ class Maneuver:
             profile=profile,
             press_m=press_m,
             targets=tuple(targets),
+            slowings=tuple(slowings),
             ahead_s=ahead_s,
         )
 
     def with_target(self, target: Target) -> "Maneuver":
         """Return the maneuver with a further target."""
         return replace(self, targets=(*self.targets, target))
+
+    def with_slowing(self, slowing: Slowing) -> "Maneuver":
+        """Return the maneuver along whose path time is lost, also on the way to later targets."""
+        return replace(self, slowings=(*self.slowings, slowing))
 
     def with_longer(self, number: int, factor: float) -> "Maneuver":
         """Return the maneuver with a phase, counted from 1, that takes `factor` times as long."""
@@ -155,6 +165,9 @@ class Maneuver:
         As multiples of those at hover, at times t_s, (k,), s. Changes take place at their times also
         after a target.
         """
+        if self.slowings:
+            w = self._warped(t_s, ORDERS)
+            return jets.composed(replace(self, slowings=()).formation(w[0]), w)
         sizes = np.zeros((ORDERS, len(t_s), 2))
         sizes[0] = 1.0
 
@@ -172,6 +185,10 @@ class Maneuver:
 
         At times t_s, (k,), s: (k,), m, and (k,), m/s.
         """
+        if self.slowings:
+            w = self._warped(self._by_clock(t_s), 2)
+            depth, sinking = replace(self, slowings=(), ahead_s=0.0).press(w[0])
+            return depth, sinking * w[1]
         level = np.full(len(t_s), float(self.phases[0].kind == "take_off"))
         rate = np.zeros(len(t_s))
         t_s = self._by_clock(t_s)
@@ -190,7 +207,10 @@ class Maneuver:
         return self.press_m * level, self.press_m * rate
 
     def _path_jets(self, t_s: Array, orders: int) -> Array:
-        """Return the jets of the path, (orders, k, 3), SI: (20), (75)."""
+        """Return the jets of the path, (orders, k, 3), SI: (20), (75), (77)."""
+        if self.slowings:
+            w = self._warped(t_s, orders)
+            return jets.composed(replace(self, slowings=())._path_jets(w[0], orders), w)
         r = np.zeros((orders, len(t_s), 3))
         r[0] = self.start_I
 
@@ -202,6 +222,16 @@ class Maneuver:
             if is_led.any():
                 r[:, is_led] = target.joined(t_s[is_led], r[:, is_led])
         return r
+
+    def _warped(self, t_s: Array, orders: int) -> Array:
+        """Return the jets of the time along the phases, (orders, k), s."""
+        w = np.zeros((orders, len(t_s)))
+        w[0] = t_s
+        if orders > 1:
+            w[1] = 1.0
+        for slowing in reversed(self.slowings):
+            w = jets.composed(slowing.warped(w[0], orders), w)
+        return w
 
 
 def _check_ground(phases: Sequence[Phase]) -> None:

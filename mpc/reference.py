@@ -14,6 +14,7 @@ from transport.model.flat import FlatReference, Track
 from transport.model.hover_reference import Reference as HoverReference
 from transport.model.identity import digest
 from transport.model.maneuver import Maneuver
+from transport.model.slowing import Slowing
 from transport.model.target import Target
 from transport.mpc.shared import SharedResults
 
@@ -102,12 +103,17 @@ class Reference:
 
     def with_target(self, target: Target) -> "Reference":
         """Return the reference with a further target."""
-        return _WITH_TARGETS.get(digest(self._key, target), lambda: self._leading_to(target))
+        maneuver = self.maneuver.with_target(target)
+        return _WITH_TARGETS.get(digest(self._key, target), lambda: self._after(maneuver))
 
-    def _leading_to(self, target: Target) -> "Reference":
-        """Return the reference with a further target, anew."""
-        path = self._path.with_maneuver(self.maneuver.with_target(target))
-        reference = Reference(path, self._period_s, self._instants)
+    def with_slowing(self, slowing: Slowing) -> "Reference":
+        """Return the reference along which time is lost."""
+        maneuver = self.maneuver.with_slowing(slowing)
+        return _WITH_TARGETS.get(digest(self._key, slowing), lambda: self._after(maneuver))
+
+    def _after(self, maneuver: Maneuver) -> "Reference":
+        """Return the reference of the maneuver after a further change, anew."""
+        reference = Reference(self._path.with_maneuver(maneuver), self._period_s, self._instants)
         reference._before = self
         return reference
 
@@ -146,11 +152,17 @@ class Reference:
 
     def _after_target(self, before: Sampled) -> Sampled:
         """Return the samples after the newest target, from those before it."""
-        target = self.maneuver.targets[-1]
-        first = round(target.since_s / self._period_s)
-        # The last row is held: at rest, with an instant to spare for a division that is rounded down.
-        last = math.ceil(target.rests_s / self._period_s) + 1
-        end = min(last + 1, self._instants)
+        maneuver = self.maneuver
+        if maneuver.slowings:
+            # Targets come before losses of time, which last for the rest of the run.
+            first = max(0, round(maneuver.slowings[-1].since_s / self._period_s))
+            end = self._instants
+        else:
+            target = maneuver.targets[-1]
+            first = round(target.since_s / self._period_s)
+            # The last row is held: at rest, with an instant to spare for a division that is rounded down.
+            last = math.ceil(target.rests_s / self._period_s) + 1
+            end = min(last + 1, self._instants)
         Y_part, X_part = self._path.followed(self.times_s[first:end])
         frozen(X_part)
 

@@ -16,6 +16,7 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.model.hover import motor_off_state, no_inputs, released_state
 from transport.model.parameters import Payload
+from transport.model.slowing import STOP_S, Slowing
 from transport.plant.actuators import INNER_STEP_S, MOTOR_OFF, ActuatorSchedule, Motors, inner_loop
 from transport.plant.engines import UNKNOWN_ERROR, Engine
 from transport.plant.environment import Environment, Sensors
@@ -98,6 +99,9 @@ class PlantNode(Participant):
         # Targets that the team knows, and by target the agents whose plans have carried it.
         self._targets = KnownTargets(setup)
         self._informed: dict[Place, set[int]] = {}
+        # Ticks by which the path of each agent, and that of the fail-safe, is behind.
+        self._lags: dict[int, int] = {}
+        self._lag = 0
         fail_safe = self._whole_team.law.fail_safe
         self._schedule = ActuatorSchedule(setup.hover.u, fail_safe, setup.settings)
         own = [fault for fault in setup.faults if fault.do in OF_PLANT]
@@ -149,12 +153,27 @@ class PlantNode(Participant):
 
     def _lead_team(self, target: Target) -> None:
         """Let the fail-safe follow a target that the team knows."""
-        if not self._targets.add(target):
-            return
+        if self._targets.add(target):
+            self._renew_team()
+
+    def _renew_team(self) -> None:
+        """Let the fail-safe follow the newest path that the team knows."""
         reference = self._targets.setup.reference.sampled
         if reference.change is not None:
             self._whole_team.follow(reference, reference.change)
         self._renew_fail_safe()
+
+    def _hear_lags(self, plans: Sequence[Plan]) -> None:
+        """Let the fail-safe fall behind by the time by which all agents on the roster are behind."""
+        for plan in plans:
+            self._lags[plan.agent] = max(plan.lag, self._lags.get(plan.agent, 0))
+        lag = min((self._lags.get(agent, 0) for agent in self._membership.since), default=0)
+        if lag <= self._lag:
+            return
+        since_s, lost_s = self._k * self._period_s, (lag - self._lag) * self._period_s
+        self._lag = lag
+        self._targets.slow(Slowing(since_s=since_s, lost_s=lost_s, ramp_s=STOP_S))
+        self._renew_team()
 
     def _hear_targets(self, plans: Sequence[Plan]) -> None:
         """Let the fail-safe follow the targets that plans of all agents on the roster have carried."""
@@ -342,6 +361,7 @@ class PlantNode(Participant):
         for plan in usable:
             self._schedule.add(plan)
         self._hear_targets(usable)
+        self._hear_lags(usable)
         return lost
 
     def _commands(self) -> tuple[Array, tuple[int, ...]]:

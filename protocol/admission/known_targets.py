@@ -5,6 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 from msgspec.structs import replace
 
+from transport.model.slowing import Slowing
 from transport.protocol.admission.carried import Place, place_of
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.codec import encode
@@ -27,6 +28,7 @@ class KnownTargets:
         self._without = setup
         self._known: dict[Place, Target] = {}
         self._followed: list[Target] = []  # those of them that the path follows from, by place
+        self._slowings: list[Slowing] = []  # losses of time along it
 
     def add(self, target: Target) -> bool:
         """Take in a target; return whether the path is a new one.
@@ -45,13 +47,25 @@ class KnownTargets:
         self._followed = self._not_replaced()
         if self._followed == before:
             return False
-        if self._followed == [*before, target]:
+        if self._followed == [*before, target] and not self._slowings:
             self.setup = self.setup.led_to(target)
-            return True
-        self.setup = self._without
-        for one in self._followed:
-            self.setup = self.setup.led_to(one)
+        else:
+            self._renew()
         return True
+
+    def slow(self, slowing: Slowing) -> None:
+        """Lose time along the path, with all targets; a loss that began at the same time is replaced."""
+        others = [one for one in self._slowings if one.since_s != slowing.since_s]
+        self._slowings = [*others, slowing]
+        self._renew()
+
+    def _renew(self) -> None:
+        """Make the path anew: the targets, then the losses of time along it."""
+        self.setup = self._without
+        for target in self._followed:
+            self.setup = self.setup.led_to(target)
+        for slowing in self._slowings:
+            self.setup = self.setup.with_slowing(slowing)
 
     def _not_replaced(self) -> list[Target]:
         """Return the targets that began before all newer ones, by place."""

@@ -23,7 +23,7 @@ def hands_over(scenario: Scenario) -> bool:
     """Return whether agents without news act alone."""
     controller = scenario.controller
     by_law = controller.prediction == "closed_loop" and "mpc" in scenario.controllers
-    return by_law and controller.silence == "alone" and len(scenario.owned) > 1
+    return by_law and controller.silence != "law" and len(scenario.owned) > 1
 
 
 def check_design(scenario: Scenario, source: str, design: AloneDesign) -> None:

@@ -315,6 +315,8 @@ def _vehicles(scenario: Scenario) -> Problems:
         got = attrgetter(key)(scenario)
         if got != needed:
             yield key, f"{needed!r} with {cause}", f"{got!r:.60}"
+    if scenario.controller.silence == "stop":
+        yield "controller.silence", f"'alone' or 'law' with {cause}", "'stop'"
     if any(len(group) > 1 for group in scenario.owned):
         yield (
             "agents.owned",

@@ -16,6 +16,7 @@ from transport.model.linearisation import Model
 from transport.model.maneuver import Maneuver
 from transport.model.obstacles import Obstacle
 from transport.model.parameters import ParameterError, System
+from transport.model.slowing import Slowing
 from transport.model.target import Target
 from transport.mpc.alone_design import AloneDesign, TeamAlone
 from transport.mpc.expressions import check_constraints, check_costs
@@ -235,6 +236,10 @@ class Setup:
     def with_target(self, target: Target) -> "Setup":
         """Return the run with a further target; before it, the reference stays as it was."""
         return replace(self, reference=self.reference.with_target(target))
+
+    def with_slowing(self, slowing: Slowing) -> "Setup":
+        """Return the run along whose path time is lost."""
+        return replace(self, reference=self.reference.with_slowing(slowing))
 
     def after(self, targets: Iterable[TargetMessage]) -> "Setup":
         """Return the run with those targets that follow its own, each once, by their numbers.

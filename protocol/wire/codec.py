@@ -76,10 +76,12 @@ def encoded_length(plan: Plan) -> int:
     length += sum([_array_length(8 * array.size) for array in arrays])
     missing = len(plan.__struct_fields__) - _fields_sent(plan)
     if missing > 0:
-        length -= _NO_TARGETS
+        length -= _NO_LAG
     if missing > 1:
-        length -= _NOT_STALE
+        length -= _NO_TARGETS
     if missing > 2:
+        length -= _NOT_STALE
+    if missing > 3:
         length -= _array_length(0) + _FIELDS_HEADER
     return length
 
@@ -194,6 +196,7 @@ _ENCODER = msgspec.msgpack.Encoder(enc_hook=_pack)
 _WITHOUT_ARRAYS = msgspec.msgpack.Encoder(enc_hook=_pack_without_arrays)
 _NOTHING = 1  # bytes of None
 _LARGEST_FLOAT = "e+308"  # in the text of a bound of `Finite`
+_NO_LAG = 1  # bytes of the number 0
 _NO_TARGETS = 1  # bytes of an empty list
 _NOT_STALE = 1  # bytes of the number 0
 # Bytes by which the header of the list of a plan's fields is longer for its last ones: with own data

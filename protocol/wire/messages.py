@@ -467,7 +467,7 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
         "corrections": _steps,
         "data": lambda _: (None,),
     }
-    optional: ClassVar[tuple[str, ...]] = ("data", "stale", "targets")
+    optional: ClassVar[tuple[str, ...]] = ("data", "stale", "targets", "lag")
 
     agent: Agent  # the agent that planned
     start_tick: Count  # first sampling instant the inputs are for
@@ -497,6 +497,8 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
     # Targets told to some agents only, as `target` messages (`protocol.admission.carried`), oldest first:
     # the newest that the sender follows, and those before on which its path still depends.
     targets: Carried = ()
+    # Ticks by which the sender's path is behind the one that was given, with `controller.silence` stop.
+    lag: Count = 0
 
     @property
     def solved_tick(self) -> int:
@@ -520,6 +522,9 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
             raise MessageError("wrong_shape", text)
         if len(self.data) > MAX_DATA:
             text = f"data: expected at most {MAX_DATA} numbers, got {len(self.data)}"
+            raise MessageError("out_of_range", text)
+        if self.lag > self.tick:
+            text = f"lag: expected at most the {self.tick} ticks so far, got {self.lag}"
             raise MessageError("out_of_range", text)
         if self.stale > self.tick:
             text = f"stale: expected at most the {self.tick} ticks so far, got {self.stale}"

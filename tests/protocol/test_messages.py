@@ -137,24 +137,24 @@ def test_well_formed_garbage() -> None:
             "at most length 10, got 11",
         ),
         (
-            packed(*content(sample(Plan))[:-5], "sold"),
+            packed(*content(sample(Plan))[:-6], "sold"),
             "agent2",
             "out_of_range",
             "status: invalid enum value 'sold'",
         ),
         (
-            packed(*content(sample(Plan))[:-5], 7),
+            packed(*content(sample(Plan))[:-6], 7),
             "agent2",
             "wrong_shape",
             "status: expected str, got int",
         ),
         (
-            packed(*content(sample(Plan))[:-6], array(4, 1, 1, 1), "solved"),
+            packed(*content(sample(Plan))[:-7], array(4, 1, 1, 1), "solved"),
             "agent2",
             "malformed",
             "array of 4 axes",
         ),
-        (packed("plan", "agent-2", *content(sample(Plan))[2:-5], 7), "", "wrong_shape", "status"),
+        (packed("plan", "agent-2", *content(sample(Plan))[2:-6], 7), "", "wrong_shape", "status"),
         (
             packed("plan", ["agent2"], *content(sample(Plan))[2:]),
             "",
@@ -202,8 +202,8 @@ def test_data_of_a_plan() -> None:
     assert largest.data[-1] == MAX_DATA - 1
     with pytest.raises(MessageError, match="data: expected at most 512 numbers, got 513"):
         decode(encode(sample(Plan, data=np.zeros(MAX_DATA + 1))))
-    bare = encode(sample(Plan, data=np.zeros(0), stale=0, targets=()))
-    assert bare == packed(*content(sample(Plan))[:-3])
+    bare = encode(sample(Plan, data=np.zeros(0), stale=0, targets=(), lag=0))
+    assert bare == packed(*content(sample(Plan))[:-4])
     without = decode(bare)
     assert isinstance(without, Plan)
     assert without.data.shape == (0,)
@@ -211,14 +211,18 @@ def test_data_of_a_plan() -> None:
 
 def test_age_of_a_plan() -> None:
     """A plan with fresh inputs is as long as without the field; none is older than the run."""
-    fresh = sample(Plan, stale=0, targets=())
-    assert encode(fresh) == packed(*content(sample(Plan))[:-2])
+    fresh = sample(Plan, stale=0, targets=(), lag=0)
+    assert encode(fresh) == packed(*content(sample(Plan))[:-3])
     assert decode(encode(fresh)).stale == 0  # type: ignore[attr-defined]
     first = sample(Plan, tick=3, stale=3, data=np.zeros(0))
     assert decode(encode(first)).solved_tick == 0  # type: ignore[attr-defined]
     for ticks in (4, 2**48):
         with pytest.raises(MessageError, match=f"stale: .* 3 ticks so far, got {ticks}") as refused:
             decode(encode(sample(Plan, tick=3, stale=ticks)))
+        assert refused.value.reason == "out_of_range"
+    for lag in (4, 2**48):
+        with pytest.raises(MessageError, match=f"lag: .* 3 ticks so far, got {lag}") as refused:
+            decode(encode(sample(Plan, tick=3, lag=lag)))
         assert refused.value.reason == "out_of_range"
     with pytest.raises(MessageError, match="stale") as refused:  # fresh at a tick to come
         decode(encode(sample(Plan, tick=3, stale=-1)))

@@ -196,7 +196,8 @@ def _message(draw: DrawFn, kind: type[Message]) -> Message:
     if kind is Measurement:
         values["missing"] = draw(st.just(()) | st.just((1,) * len(values["uavs"])))
     if kind is Plan:
-        values["stale"] = draw(st.just(0) | st.integers(0, values["tick"]))
+        for field in ("stale", "lag"):
+            values[field] = draw(st.just(0) | st.integers(0, values["tick"]))
     rows = draw(st.integers(1, FEW))
     for field, shape_of in kind.shapes.items():
         none = field in ("corrections", "data") and draw(st.booleans())

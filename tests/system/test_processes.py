@@ -51,6 +51,10 @@ TOLD = (
     "maneuver.phase=[{name='hover',duration_s=5.5,displacement_m=[0,0,0]}]",
     "maneuver.target=[{at_s=0.5,points_m=[[0.2,0,-10]],to=[2]}]",
 )
+STOP = (
+    *("controller.silence=stop", "controller.targets=confirmed"),
+    "links.change=[{at_s=0.4,loss=1.0},{at_s=2.4,loss=0.1}]",
+)
 # Many plans come later than the next tick, and many are lost.
 RADIO = "radio={offsets='random',computation_mean_s=0.02,background=0.3}"
 
@@ -132,6 +136,9 @@ def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]
         ),
         pytest.param(
             (RADIO, *CLOSED_LOOP, *TOLD), id="radio, a target told to one", marks=pytest.mark.slow
+        ),
+        pytest.param(
+            (*CLOSED_LOOP, *TOLD, *STOP), id="stop in silence, confirmed", marks=pytest.mark.slow
         ),
         pytest.param(
             (RADIO, *CLOSED_LOOP, *DEATHS), id="radio, deaths, links", marks=pytest.mark.slow
