@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from operator import itemgetter
 from typing import Any
 
+import numpy as np
 from msgspec.structs import replace
 
 from transport.agent.air import AirNews
@@ -38,6 +39,8 @@ from transport.protocol.wire.messages import (
     Target,
 )
 from transport.protocol.wire.names import agent_name
+
+_MOSTLY = 0.5  # share of acting alone from which on an agent stops in silence
 
 
 def planner_of(setup: Setup, agent: int, stopwatch: Callable[[], int]) -> AgentPlanner[Any]:
@@ -219,8 +222,14 @@ class AgentNode(Participant):
         if self._stopping is None:
             return
         self._stopping.hear(received.plans)
-        is_alone = self._planner.share_alone == 1.0  # until now
-        loss = self._stopping.advance(self._tick, is_alone=is_alone, roster=received.agents)
+        now_s = np.array([self._tick * self._setup.settings.sampling_period_s])
+        _, v_I = self._targets.setup.maneuver.path(now_s)
+        loss = self._stopping.advance(
+            self._tick,
+            is_alone=self._planner.share_alone > _MOSTLY,  # until now
+            roster=received.agents,
+            speed_mps=float(np.linalg.norm(v_I)),
+        )
         if loss is not None:
             self._targets.slow(loss)
             self._planner.follow(self._targets.setup)

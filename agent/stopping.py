@@ -3,16 +3,21 @@
 Another may know what it does not. The states of an agent:
 
     going      along the path, `lag` ticks behind the given one
-    stopping   it acts wholly alone, or hears that another one does: the path rests within `STOP_S`
+    stopping   it acts alone by more than half, or hears that another one does wholly: the path comes to a
+               rest within `STOP_S`, at most at 1 m/s^2 in the mean
 
 Once neither holds, it goes on. Plans carry the lag; who hears of a larger one loses the difference, so that all
 end at the largest, the least progress. Source: docs/equations.md (77).
 """
 
+import math
 from collections.abc import Iterable
 
 from transport.model.slowing import STOP_S, Slowing
 from transport.protocol.wire.messages import Plan
+
+# Mean deceleration of a stop, m/s^2: the largest is twice that.
+_MEAN_MPS2 = 1.0
 
 
 class Stopping:
@@ -30,6 +35,7 @@ class Stopping:
         self.lag = 0
         self._period_s = period_s
         self._ticks = ticks
+        self._ramp_s = STOP_S  # of the stop under way
         self._ramp = round(2.0 * STOP_S / period_s)
         self._stopped: int | None = None  # tick from which on the path slows, while it does
         self._newest: dict[int, Plan] = {}
@@ -46,8 +52,13 @@ class Stopping:
             if newest is None or plan.tick > newest.tick:
                 self._newest[plan.agent] = plan
 
-    def advance(self, k: int, *, is_alone: bool, roster: Iterable[int]) -> Slowing | None:
-        """Return the loss of time that begins, or whose length is known, at tick k; None for none."""
+    def advance(
+        self, k: int, *, is_alone: bool, roster: Iterable[int], speed_mps: float
+    ) -> Slowing | None:
+        """Return the loss of time that begins, or whose length is known, at tick k; None for none.
+
+        The path has that speed now, and takes more time to stop from a larger one.
+        """
         heard = [self._newest[agent] for agent in roster if agent in self._newest]
         largest = max((plan.lag for plan in heard), default=0)
         if self._is_new:
@@ -64,14 +75,15 @@ class Stopping:
         waits = is_alone or any(plan.alone == 1.0 for plan in heard)
         if self._stopped is None and waits:
             self._stopped = k
-            return self._loss(k, self._ticks)
+            self._ramp_s = max(STOP_S, speed_mps / _MEAN_MPS2)
+            return self._loss(k, self._ticks, self._ramp_s)
         if self._stopped is not None:
             if waits:
                 return None
             since, self._stopped = self._stopped, None
-            lost = max(k - since, round(STOP_S / self._period_s))
+            lost = max(k - since, math.ceil(self._ramp_s / self._period_s))
             self.lag += lost
-            return self._loss(since, lost)
+            return self._loss(since, lost, self._ramp_s)
         if largest > self.lag:
             lost, self.lag = largest - self.lag, largest
             return self._loss(k, lost)
@@ -81,6 +93,6 @@ class Stopping:
         """Return the ticks by which the path is behind at tick k, at most."""
         return self.lag + (0 if self._stopped is None else k - self._stopped)
 
-    def _loss(self, tick: int, lost: int) -> Slowing:
+    def _loss(self, tick: int, lost: int, ramp_s: float = STOP_S) -> Slowing:
         since_s, lost_s = tick * self._period_s, lost * self._period_s
-        return Slowing(since_s=since_s, lost_s=lost_s, ramp_s=STOP_S)
+        return Slowing(since_s=since_s, lost_s=lost_s, ramp_s=ramp_s)

@@ -7,7 +7,7 @@ import numpy as np
 from transport.model.arrays import Array
 from transport.model.curves import Curve
 
-STOP_S = 2.0  # time of slowing to a rest in silence, and of speeding up again, s
+STOP_S = 1.0  # least time of slowing to a rest in silence, and of speeding up again, s
 
 
 @dataclass(frozen=True, kw_only=True)

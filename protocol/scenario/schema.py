@@ -156,8 +156,9 @@ class ControllerSection(ControllerSettings):
     """with closed_loop, what an agent does when its news of the others are overdue, or late on average
     with a filter. alone: each of its UAVs gradually follows its part of the motion of the team alone,
     by its own sensors ([equations.md](equations.md#silence)); law: they follow the shared control law
-    by the agent's estimate; stop: as alone, and the agent's path comes to a rest within 2 s, and goes
-    on with the others once there are news ([equations.md](equations.md#stop-in-silence))"""
+    by the agent's estimate; stop: as alone, and the agent's path comes to a rest within 1 s, or its
+    speed over 1 m/s^2, and goes on with the others once there are news
+    ([equations.md](equations.md#stop-in-silence))"""
     targets: Literal["eager", "confirmed"] = "eager"
     """when an agent follows a target that it has heard of in a plan, or that only some are told: eager: at
     once; confirmed: once all agents on the roster are known to have it, and the path before goes on

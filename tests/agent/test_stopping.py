@@ -14,7 +14,6 @@ from transport.protocol.wire.messages import Message, Plan, PlantState
 RUN = setup("controller.horizon=5")
 PERIOD_S = 0.05
 TICKS = 400
-RAMP = 40  # ticks of `STOP_S`
 STOP = "controller.silence=stop"
 AWAY = (
     "maneuver.phase=[{name='hover',duration_s=1,displacement_m=[0,0,0]},"
@@ -54,7 +53,7 @@ def test_all_end_at_the_least_progress_on_random_networks() -> None:
                         stopping.hear([one])
                         heard[receiver, one.agent] = k
                 alone[receiver] = any(k - heard[pair] > 10 for pair in heard if pair[0] == receiver)
-                loss = stopping.advance(k, is_alone=alone[receiver], roster=agents)
+                loss = stopping.advance(k, is_alone=alone[receiver], roster=agents, speed_mps=0.5)
                 assert loss is None or loss.lost_s > 0.0
                 assert stopping.lag >= lags.get(receiver, 0)
                 lags[receiver] = stopping.lag
@@ -67,15 +66,15 @@ def test_all_end_at_the_least_progress_on_random_networks() -> None:
 def test_an_agent_that_starts_is_as_far_behind_as_the_others_at_once() -> None:
     """It has not flown along its path before; one that has loses the time bit by bit."""
     new, old = Stopping(PERIOD_S, TICKS), Stopping(PERIOD_S, TICKS)
-    assert old.advance(0, is_alone=False, roster=(2,)) is None
-    assert new.advance(99, is_alone=False, roster=(2,)) is None
+    assert old.advance(0, is_alone=False, roster=(2,), speed_mps=0.5) is None
+    assert new.advance(99, is_alone=False, roster=(2,), speed_mps=0.5) is None
     for stopping in (new, old):
         stopping.hear([said(2, 99, 30, 0.0)])
-    at_once = new.advance(100, is_alone=False, roster=(2,))
+    at_once = new.advance(100, is_alone=False, roster=(2,), speed_mps=0.5)
     assert at_once is not None
     times = np.array([5.0, 9.0])
     assert np.allclose(at_once.warped(times, 1)[0], times - 30 * PERIOD_S)
-    later = old.advance(100, is_alone=False, roster=(2,))
+    later = old.advance(100, is_alone=False, roster=(2,), speed_mps=0.5)
     assert later is not None
     assert np.allclose(later.warped(times, 1)[0], times - [0.0, 30 * PERIOD_S])
 
@@ -88,17 +87,17 @@ def flown(*settings: str) -> tuple[list[Message], float]:
 
 
 def test_in_silence_the_payload_rests_and_goes_on_later() -> None:
-    """It rests 2 s after the agents act alone, goes on from there without a jump, and arrives by their lag later."""
+    """It rests 1 s after the agents act alone, goes on from there without a jump, and arrives by their lag later."""
     silent, attitude_deg = flown(STOP, SILENT)
     undisturbed, _ = flown(STOP)
     path = np.array([one.x[R0] for one in silent if isinstance(one, PlantState)])
     whole = np.array([one.x[R0] for one in undisturbed if isinstance(one, PlantState)])
     (lag,) = {one.lag for one in silent if isinstance(one, Plan) and one.tick == len(path) - 1}
     assert 40 < lag < 80
-    # Wholly alone after 0.9 s at the latest (OVERDUE_S), at rest 2 s later, until news are back at 9 s.
-    assert np.abs(np.diff(path[160:180], axis=0)).max() / PERIOD_S < 0.15
+    # Alone by half after 0.75 s (OVERDUE_S), and 1 s later the path rests; the load's swing fades until 9 s.
+    assert np.linalg.norm(path[180] - path[170]) < 0.1
     assert np.linalg.norm(path[280:] - whole[280 - lag : -lag], axis=1).max() < 0.05
-    assert attitude_deg < 1.0
+    assert attitude_deg < 3.0
 
 
 def test_a_target_told_to_one_in_silence_waits_for_the_others() -> None:
