@@ -31,21 +31,11 @@ PANELS = 6
 
 # Keys of [controller] that an entry may set: they do not change the task.
 ALGORITHM_KEYS = {
-    *(
-        "horizon",
-        "discretisation",
-        "linearisation",
-        "motor_lag_s",
-        "knows_drag",
-    ),  # the model it predicts with
-    *(
-        "prediction",
-        "received_plans",
-        "received_states",
-        "fail_safe",
-        "silence",
-        "alone",
-    ),  # of the others
+    # the model it predicts with
+    *("horizon", "discretisation", "linearisation", "motor_lag_s", "knows_drag"),
+    # the others, and UAVs alone
+    *("prediction", "received_plans", "received_states", "fail_safe"),
+    *("silence", "alone", "targets"),
     *("estimator", "disturbance"),
     *("terminal", "preview", "relaxation", "solver"),  # the program
     *("negotiation_iterations", "share", "share_threshold", "share_heartbeat_s"),  # the exchange
