@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,9 @@ SHORT = (
     "maneuver.phase=[{name='hover',duration_s=2.0,displacement_m=[0,0,0]},"
     "{name='climb',duration_s=4.0,displacement_m=[0,0,-1.0]}]"
 )
-# Half of real time, as machines with two busy cores bear it.
-SPEED = "clock.speed=0.5"
+# Half of real time where a machine with two busy cores bears it, else a quarter.
+SPEEDS = (0.5, 0.25)
+BEHIND = "lower clock.speed"
 FAILURES = (
     "faults.event=[{at_s=1.5,do='kill',target='vehicle2'},{at_s=2.0,do='restart',target='vehicle2'},"
     "{at_s=3.0,do='kill',target='coordinator'},{at_s=4.0,do='restart',target='coordinator'}]"
@@ -43,18 +45,21 @@ PROGRAMS = [
 
 
 def flown(
-    folder: Path, *changes: str, monkeypatch: pytest.MonkeyPatch
+    folder: Path, *changes: str, monkeypatch: pytest.MonkeyPatch, speeds: Sequence[float] = SPEEDS
 ) -> tuple[dict[str, Any], list[VehicleStatus]]:
-    """Summary and statuses of a completed run of `flight`."""
+    """Summary and statuses of a completed run of `flight`, at the first of the speeds that the machine bears."""
     monkeypatch.setenv("TRANSPORT_AUTOPILOTS", str(folder / "autopilots"))
-    result = transport(
-        "run", "flight", *settings(SPEED, *changes), "--out", "above", "--no-figures", cwd=folder
-    )
+    for speed in speeds:
+        out = f"above-{speed:g}"
+        options = settings(f"clock.speed={speed:g}", *changes)
+        result = transport("run", "flight", *options, "--out", out, "--no-figures", cwd=folder)
+        assert processes_of(out) == {}
+        if BEHIND not in result.stderr:
+            break
     assert result.returncode == 0, result.stderr
-    assert processes_of("above") == {}
-    summary: dict[str, Any] = json.loads((folder / "above" / "summary.json").read_text())
+    summary: dict[str, Any] = json.loads((folder / out / "summary.json").read_text())
     assert summary["outcome"] == "completed"
-    return summary, list(read_log(folder / "above" / "run.mcap").of(VehicleStatus))
+    return summary, list(read_log(folder / out / "run.mcap").of(VehicleStatus))
 
 
 def setpoints(folder: Path, uav: int) -> np.ndarray:
@@ -71,7 +76,8 @@ def test_a_team_flies_through_the_loss_of_a_vehicle_and_of_the_coordinator(
     docs/flight.md: the team goes on, the vehicle from its own law to the plans, and no setpoint is by
     knowledge older than a plan's 0.4 s, its tick before, and the offset of the clocks.
     """
-    summary, statuses = flown(tmp_path, SHORT, FAILURES, monkeypatch=monkeypatch)
+    # At a quarter of real time a busy machine starts the vehicle again while the team still bears it.
+    summary, statuses = flown(tmp_path, SHORT, FAILURES, monkeypatch=monkeypatch, speeds=[0.25])
     assert summary["attitude_max_deg"] < 10.0
     assert summary["payload_tracking"]["rms_m"] < 0.3
 
@@ -125,7 +131,7 @@ def test_a_run_without_a_plant(tmp_path: Path) -> None:
         result = transport(
             "run",
             str(scenario),
-            *settings(SPEED, SHORT, f"network.vehicle_port={port}"),
+            *settings(f"clock.speed={SPEEDS[0]:g}", SHORT, f"network.vehicle_port={port}"),
             *("--out", "without", "--no-figures"),
             cwd=tmp_path,
         )
