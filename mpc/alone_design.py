@@ -201,14 +201,18 @@ class TeamAlone:
         laws = [AloneLaw(system, uav, float(thrusts_N[uav]), gains) for uav in range(system.N)]
         K_alone = np.vstack([law.gain() for law in laws]) @ T
 
-        mixtures = [share * one for one in np.eye(system.N) for share in _ONE_ALONE]
-        mixtures += [np.full(system.N, share) for share in _ALL]
         steps = []
-        for mixture in mixtures:
-            alone = np.repeat(mixture, state.INPUTS)[:, None]
+        for shares in _mixtures(system.N):
+            alone = np.repeat(shares, state.INPUTS)[:, None]
             steps.append(A + B @ ((1.0 - alone) * K_team + alone * K_alone))
         largest = float(np.abs(np.linalg.eigvals(np.array(steps))).max())
         return math.log(largest) / self.settings.sampling_period_s <= GROWTH
+
+
+def _mixtures(N: int) -> list[Array]:
+    """Return the shares by which UAVs act alone in a hand-over, (N,) each: one of them, or all alike."""
+    one_alone = [share * one for one in np.eye(N) for share in _ONE_ALONE]
+    return one_alone + [np.full(N, share) for share in _ALL]
 
 
 # By digests of what they follow from.

@@ -1,7 +1,7 @@
 """The plant of a run whose simulated UAVs are flown by autopilots.
 
-It plays physics and sensors to them in small steps, at the pace of the run, and measures for
-nobody: measurements come from the processes of the vehicles, which hear the autopilots. Until
+It plays physics and sensors to them in small steps, at the pace of the run, and publishes no
+measurements: those come from the processes of the vehicles, which hear the autopilots. Until
 tick 0 the team stands: its state is held, while the autopilots start, arm and raise their thrust.
 """
 

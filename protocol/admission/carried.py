@@ -1,6 +1,6 @@
 """Targets that travel with plans: those told to some agents only, as the bytes of `target` messages.
 
-An agent that knows such a target puts it into its plans, and whoever hears it does the same, so that it
+An agent that knows such a target puts it into its plans, and an agent that hears it does the same, so that it
 goes round a cut link. `incarnation` and `sequence` of a carried message are 0: it belongs to no stream.
 """
 

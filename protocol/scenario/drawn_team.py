@@ -1,4 +1,4 @@
-"""Teams drawn at random: scenarios of teams that nobody has tuned, by a seed.
+"""Teams drawn at random: scenarios of teams without tuning, by a seed.
 
 `DRAWN` has the ranges. A drawn team hovers with all rods taut, and its limits leave room for the maneuver;
 all that is not drawn is the template's.
@@ -187,33 +187,36 @@ def _section(rng: np.random.Generator, N: int, gravity_mps2: float) -> dict[str,
     """Return a section `system`, with attachments around a ring at irregular angles and radii."""
     ranges = DRAWN
     radius_m = rng.uniform(*ranges.spacing_m) / (2.0 * math.sin(math.pi / N))
-    uavs: list[dict[str, Any]] = []
-    for i in range(N):
-        mass_kg = _uniform(rng, ranges.uav_mass_kg)
-        roll_kgm2 = mass_kg * rng.uniform(*ranges.uav_gyration_m) ** 2
-        pitch_kgm2 = roll_kgm2 * rng.uniform(0.95, 1.05)
-        yaw_kgm2 = roll_kgm2 * rng.uniform(*ranges.uav_yaw_inertia)
-        angle_rad = 2.0 * math.pi / N * (i + rng.uniform(*ranges.angle))
-        away_m = radius_m * rng.uniform(*ranges.radius)
-        point_m = [
-            away_m * math.cos(angle_rad),
-            away_m * math.sin(angle_rad),
-            -rng.uniform(*ranges.height_m),
-        ]
-        uavs.append(
-            {
-                "id": i + 1,
-                "mass_kg": mass_kg,
-                "inertia_kgm2": [round(J, 6) for J in (roll_kgm2, pitch_kgm2, yaw_kgm2)],
-                "rho_m": [round(metres, 4) for metres in point_m],
-                "rod_length_m": _uniform(rng, ranges.rod_length_m),
-            }
-        )
+    uavs = [_uav(rng, i, N, radius_m) for i in range(N)]
     load_kg = round(sum(uav["mass_kg"] for uav in uavs) * rng.uniform(*ranges.load), 4)
     inertia_kgm2 = load_kg * radius_m**2 * rng.uniform(*ranges.load_inertia)
     around = [round(inertia_kgm2 * rng.uniform(0.8, 1.2), 5) for _ in range(3)]
     payload: dict[str, Any] = {"mass_kg": load_kg, "inertia_kgm2": around}
     return {"gravity_mps2": gravity_mps2, "payload": payload, "uav": uavs}
+
+
+def _uav(rng: np.random.Generator, i: int, N: int, radius_m: float) -> dict[str, Any]:
+    """Return UAV i, 0-based, of N, attached near its place on a ring of a radius."""
+    ranges = DRAWN
+    mass_kg = _uniform(rng, ranges.uav_mass_kg)
+    roll_kgm2 = mass_kg * rng.uniform(*ranges.uav_gyration_m) ** 2
+    pitch_kgm2 = roll_kgm2 * rng.uniform(0.95, 1.05)
+    yaw_kgm2 = roll_kgm2 * rng.uniform(*ranges.uav_yaw_inertia)
+
+    angle_rad = 2.0 * math.pi / N * (i + rng.uniform(*ranges.angle))
+    away_m = radius_m * rng.uniform(*ranges.radius)
+    point_m = [
+        away_m * math.cos(angle_rad),
+        away_m * math.sin(angle_rad),
+        -rng.uniform(*ranges.height_m),
+    ]
+    return {
+        "id": i + 1,
+        "mass_kg": mass_kg,
+        "inertia_kgm2": [round(J, 6) for J in (roll_kgm2, pitch_kgm2, yaw_kgm2)],
+        "rho_m": [round(metres, 4) for metres in point_m],
+        "rod_length_m": _uniform(rng, ranges.rod_length_m),
+    }
 
 
 def _add_drag(rng: np.random.Generator, section: dict[str, Any]) -> None:

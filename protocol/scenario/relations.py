@@ -260,7 +260,7 @@ def _offsets(scenario: Scenario, offsets_s: Sequence[float]) -> Problems:
 
 
 def _plant(scenario: Scenario) -> Problems:
-    """Yield cables that release, and drag that would reverse the motion it brakes."""
+    """Yield cables that release, and factors of UAVs that the team has not, or has twice."""
     plant = scenario.plant
     is_released = any(event.do == "release" for event in scenario.faults.event)
     if plant.mujoco.suspension == "cables" and is_released:
@@ -270,6 +270,12 @@ def _plant(scenario: Scenario) -> Problems:
     for number, one in enumerate(plant.uav):
         if one.id not in known_ids or one.id in [before.id for before in plant.uav[:number]]:
             yield f"plant.uav.{number + 1}.id", f"each at most once of {known_ids}", one.id
+    yield from _unknown_drag(scenario)
+
+
+def _unknown_drag(scenario: Scenario) -> Problems:
+    """Yield unknown drag beside known drag, and drag that would reverse the motion it brakes."""
+    plant = scenario.plant
 
     # Unknown drag is held over a period: dv = -(c / m) T_s v must not exceed v.
     wind = plant.wind

@@ -32,7 +32,7 @@ def said(agent: int, tick: int, lag: int, alone: float) -> Plan:
 
 
 def test_all_end_at_the_least_progress_on_random_networks() -> None:
-    """Whoever is cut off and whenever, all are equally far behind a while after the last silence."""
+    """Whichever agents are cut off, and at any time, all are equally far behind a while after the last silence."""
     rng = np.random.default_rng(68)
     stops = 0
     for _ in range(40):

@@ -117,7 +117,7 @@ def test_a_run_that_no_gains_hold_is_refused() -> None:
     slow += ["controller.fail_safe=level"]
     with pytest.raises(ScenarioError, match=r"controller.alone: expected gains .* in silence, got"):
         runs.ready("resilient", *slow, "links.loss=0.1")
-    assert runs.ready("resilient", *slow).alone is not None  # a perfect network: nobody acts alone
+    assert runs.ready("resilient", *slow).alone is not None  # a perfect network: no UAV acts alone
     runs.ready("resilient", *slow, "links.loss=0.1", "controller.silence=law")
 
 

@@ -35,7 +35,7 @@ class ScriptedBus:
         self.alive = dict.fromkeys(PROCESSES, 0)
 
     def announce(self) -> None:
-        """Nothing to show: nobody waits."""
+        """Show nothing: no process waits."""
 
     def join(self, *_: object) -> None:
         """All processes have joined."""

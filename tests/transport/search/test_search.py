@@ -277,6 +277,7 @@ def test_a_folder_of_a_search_killed_at_its_start_is_new(tmp_path: Path) -> None
     """The name of the search is in its folder as a whole or not at all; a part of it refuses nothing."""
     (tmp_path / "search.json.partial").write_bytes(b'{"see')
     Evaluations(tmp_path, {"seed": 1}).close()
+    assert json.loads((tmp_path / "search.json").read_text()) == {"seed": 1}
     Evaluations(tmp_path, {"seed": 1}).close()
 
 
