@@ -196,8 +196,10 @@ os._exit = end_late
 fork_server._adopt_orphans(True)
 own = os.getpid()
 request = {"arguments": [], "environment": {}}
-pid = fork_server._started(request, [0, 1], lambda: print("own" if os.getppid() == own else "other"))
-print(pid)
+# A write for each line: two processes write at the same time.
+say = lambda word: os.write(1, f"{word}\\n".encode())
+pid = fork_server._started(request, [0, 1], lambda: say("own" if os.getppid() == own else "other"))
+say(pid)
 if pid:
     os.waitpid(pid, 0)
 """
