@@ -16,11 +16,11 @@ from transport.agent.received import Received
 from transport.agent.step import step_report
 from transport.model import state
 from transport.model.arrays import Array
-from transport.mpc.alone import steps_alone
-from transport.mpc.alone_team import AloneTeam
-from transport.mpc.own_sensors import OwnSensors
-from transport.mpc.regulation import Regulation
-from transport.mpc.uav_motion import Motion, ahead, motion_of, turned_by_inputs
+from transport.mpc.alone.alone_law import steps_alone
+from transport.mpc.alone.motion_by_own_sensors import OwnSensors
+from transport.mpc.alone.uav_motion import Motion, ahead, motion_of, turned_by_inputs
+from transport.mpc.law.laws_of_uavs_alone import AloneTeam
+from transport.mpc.law.present_law import Regulation
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import STAGES, Measurement, Message, Plan
 from transport.protocol.wire.node import Outbox

@@ -12,7 +12,7 @@ from transport.agent.handover import SHARED, Silence
 from transport.agent.heard import HeardOthers, alone_by
 from transport.model.arrays import Array, Rows
 from transport.model.state import input_places, input_slice
-from transport.mpc.fail_safe import FailSafe
+from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.wire.messages import Plan
 

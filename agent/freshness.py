@@ -12,7 +12,7 @@ none. Its inputs count as fresh up to the first of these steps.
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.mpc.fail_safe import PLAYED_S
+from transport.mpc.alone.fail_safe import PLAYED_S
 from transport.protocol.wire.messages import Measurement
 
 # Change of a measured number, SI, below which a feedback need not answer: rounding errors at rest.

@@ -10,10 +10,10 @@ from transport.agent.team_estimate import TeamEstimate
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.rotations import rotation
-from transport.mpc.alone import steps_alone
-from transport.mpc.own_sensors import OwnSensors
-from transport.mpc.prediction import Linear
-from transport.mpc.uav_motion import Motion, motion_of, turned_by_inputs
+from transport.mpc.alone.alone_law import steps_alone
+from transport.mpc.alone.motion_by_own_sensors import OwnSensors
+from transport.mpc.alone.uav_motion import Motion, motion_of, turned_by_inputs
+from transport.mpc.program.prediction import Linear
 from transport.protocol.scenario.setup import Setup
 
 # Time over which the thrust of the team, that the integral begins with, is averaged, s.

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from transport.agent.estimation.history import WINDOW
 from transport.model.arrays import Array
-from transport.mpc.regulation import Regulation
+from transport.mpc.law.present_law import Regulation
 
 # Ticks kept: those that an estimator repeats, and as many before, at which plans began.
 _KEPT = 2 * WINDOW

@@ -23,7 +23,7 @@ from transport.agent.received import Received
 from transport.agent.step import numbers_note, step_report
 from transport.model.arrays import Array
 from transport.model.state import REPORTS, StateView, input_indices
-from transport.mpc.fail_safe import PLAYED_S
+from transport.mpc.alone.fail_safe import PLAYED_S
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.own_calls import OwnClassError
 from transport.protocol.scenario.own_class import own_class, version_of

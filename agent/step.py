@@ -24,11 +24,11 @@ from transport.model.arrays import Array, ShapeError, frozen
 from transport.model.discretisation import Discrete
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller, Horizon, StepResult
-from transport.mpc.cost import CostToGo
-from transport.mpc.feedback import FeedbackLaw
-from transport.mpc.prediction import Linear
-from transport.mpc.qp import unsolved
-from transport.mpc.softening import softened_problem
+from transport.mpc.program.feedback_law import FeedbackLaw
+from transport.mpc.program.horizon_cost import CostToGo
+from transport.mpc.program.prediction import Linear
+from transport.mpc.program.qp_solvers import unsolved
+from transport.mpc.program.softening import softened_problem
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import STAGES, Message, Note, Plan, StepReport
 from transport.protocol.wire.node import Outbox

@@ -15,12 +15,12 @@ from transport.agent.received import Received
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.hover import motor_off_state, released_state
-from transport.mpc.alone import AloneLaw
-from transport.mpc.alone_team import AloneTeam
+from transport.mpc.alone.alone_law import AloneLaw
+from transport.mpc.alone.uav_motion import Setpoint
 from transport.mpc.controller import Controller
-from transport.mpc.course import Course
-from transport.mpc.prediction import Prediction
-from transport.mpc.uav_motion import Setpoint
+from transport.mpc.law.laws_of_uavs_alone import AloneTeam
+from transport.mpc.program.prediction import Prediction
+from transport.mpc.program.program_along_reference import Course
 from transport.protocol.scenario.setup import Setup
 
 _NO_UAVS: frozenset[int] = frozenset()

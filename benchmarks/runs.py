@@ -21,7 +21,7 @@ from transport.flight.run_files import machine
 from transport.model import native
 from transport.model.arrays import Array
 from transport.mpc.controller import Controller
-from transport.mpc.qp import QP
+from transport.mpc.program.qp_solvers import QP
 from transport.protocol.scenario.file import find_scenario, read_scenario
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.team import Team, resized

@@ -26,9 +26,9 @@ from benchmarks.runs import origin
 from docs.tables import ROOT, put, table
 from transport.flight.memory import simulate
 from transport.model.state import StateView
-from transport.mpc.actual_plant import Mismatch
-from transport.mpc.alone_design import DECAY_PER_S, FAMILY
-from transport.mpc.margins import margins
+from transport.mpc.margins.actual_plant import Mismatch
+from transport.mpc.margins.design_of_gains_alone import DECAY_PER_S, FAMILY
+from transport.mpc.margins.sampled_loop import margins
 from transport.protocol.scenario.drawn_team import NOISE, drawn
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.file import find_scenario, read_scenario, validate

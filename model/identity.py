@@ -1,14 +1,18 @@
-"""Digests of values: equal for equal numbers, whatever object holds them.
+"""Digests of values: equal for equal numbers, whatever object holds them; and results shared by them.
 
-Keys of results that are shared by what they follow from. An array that is changed in place has
+An array that is changed in place has
 another digest than before.
 """
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
+from weakref import WeakValueDictionary
 
 import numpy as np
+
+T = TypeVar("T")
 
 _BYTES = 16  # of a digest: no two values of a process have the same
 
@@ -44,3 +48,21 @@ def _add(hashed: Any, value: Any) -> None:
                 _add(hashed, getattr(value, field.name))
         case _:
             raise TypeError(f"expected numbers, texts, arrays or dataclasses, got {type(value)}")
+
+
+class SharedResults(Generic[T]):
+    """Results by digests of the values that they follow from, as long as a controller holds them.
+
+    They save repeated Riccati recursions: in an in-memory run all agents have the same law.
+    """
+
+    def __init__(self) -> None:
+        self._results: WeakValueDictionary[bytes, T] = WeakValueDictionary()
+
+    def get(self, key: bytes, compute: Callable[[], T]) -> T:
+        """Return the result of a key, computed by the first who needs it."""
+        result = self._results.get(key)
+        if result is None:
+            result = compute()
+            self._results[key] = result
+        return result

@@ -331,7 +331,7 @@ ptrdiff_t predict_work(ptrdiff_t n, ptrdiff_t m, ptrdiff_t own)
 
        x(k+1) = A x(k) + f_d + B_own v(k) + B_others (drive(k) + K x(k)),   x(0) = 0;
 
-   (22)-(24), (35); see mpc/prediction.py.
+   (22)-(24), (35); see mpc/program/prediction.py.
 
    own: (count,). K: (m, n), 0 without feedback. drive: (steps, m). impulse: (n, steps, count), effect on the state one,
    two, .. steps later. dX: (steps + 1, n). feedback = K impulse, (m, steps, count); dU = K dX, (steps, m). */
@@ -433,7 +433,7 @@ void free_response(ptrdiff_t steps, ptrdiff_t n, const double *A, const double *
 }
 
 /* States Z, (steps + 1, n), and inputs U, (steps, m), under u = at_x0 + K (x - x0) within bounds: (35a), (73); see
-   mpc/rollout.py. K: (m, n), or with `varying` of each step, (steps, m, n).
+   mpc/program/rollout.py. K: (m, n), or with `varying` of each step, (steps, m, n).
 
    advance: a CasADi function (x, u, p, F, h) -> x; arg, res, iw, w: room for it, arg[2] to arg[4] are set. */
 void rollout(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m,
@@ -467,7 +467,7 @@ INLINE double answer(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t i, ptrdiff_t k, con
     return sum;
 }
 
-/* Plan from a solution by mixing corrections c to the shared control law with the previous ones; see mpc/relaxation.py.
+/* Plan from a solution by mixing corrections c to the shared control law with the previous ones; see mpc/program/relaxation.py.
 
    own: (m,) of all inputs. z: scaled decision, (steps, m). uncorrected, previous, dU: (steps, all): inputs by the law at
    x0, corrections, K dX. feedback: (all, steps, m). w: of the new corrections, 0 for none.
@@ -510,7 +510,7 @@ static void relax(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t all, const ptrdiff_t *
         }
 }
 
-/* The problem of one step; see mpc/compiled_program.py. Three kinds of outputs: the model's, the user's terms, and the
+/* The problem of one step; see mpc/program/compiled_program.py. Three kinds of outputs: the model's, the user's terms, and the
    inputs of the other agents' UAVs. Sizes of arrays behind their names; D = steps * m. */
 typedef struct {
     ptrdiff_t steps, n, m, size;              /* horizon, states, owned inputs, decisions and slacks */
@@ -545,7 +545,7 @@ typedef struct {
     double *work;
 } problem;
 
-/* Prediction without decision, and the effect of decisions; see mpc/prediction.py. */
+/* Prediction without decision, and the effect of decisions; see mpc/program/prediction.py. */
 void respond(const problem *p)
 {
     const ptrdiff_t all = p->all_inputs;
@@ -615,7 +615,7 @@ static void effects(const problem *c, const ptrdiff_t *every, double *L, double 
 
        H_ij = P(N_p - 2 - i, N_p - 2 - j) + S(N_p - 1 - i)' Q_f S(N_p - 1 - j) + R_ij,
        P(a, b) = S(a)' Q S(b) + P(a - 1, b - 1): (26), and 2 root' root of the cost-to-go, (36d); see
-   mpc/condensing.py. */
+   mpc/program/horizon_cost.py. */
 static void hessian(const problem *c, const ptrdiff_t *every, const double *flat, const double *reached, double *value,
                     double *work)
 {
@@ -738,7 +738,7 @@ static void toeplitz(ptrdiff_t steps, ptrdiff_t s, ptrdiff_t m, const double *im
 }
 
 /* Distances of pairs of UAVs along their present direction n_ij = (r_i - r_j) / |r_i - r_j|: (29); see
-   mpc/constraints/separation.py.
+   mpc/program/constraints/separation.py.
 
    pairs: (count, 2). r: positions, (3 N). free_: the same at steps 1 .. steps, rows of length `outputs`. effect: of
    the decisions on them, (3 N, steps, m). by: (count, steps, m), effect on the distances; distance: (steps, count). */
@@ -768,7 +768,7 @@ void distances(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t count, const ptrdiff_t *p
     }
 }
 
-/* The QP of a prediction: cost, bounds, and rows of limited distances and angles; see mpc/compiled_program.py. */
+/* The QP of a prediction: cost, bounds, and rows of limited distances and angles; see mpc/program/compiled_program.py. */
 void fill(const problem *p)
 {
     const ptrdiff_t steps = p->steps, m = p->m, D = steps * m;
@@ -985,7 +985,7 @@ ptrdiff_t within_bounds_work(ptrdiff_t n, ptrdiff_t rows)
 }
 
 /* minimise 1/2 z' H z + g' z within bounds by a primal-dual active-set method (Hintermueller, Ito, Kunisch 2003); see
-   mpc/qp.py. With F the free and A the held coordinates of a guess,
+   mpc/program/qp_solvers.py. With F the free and A the held coordinates of a guess,
 
        H_FF z_F = -g_F - H_FA z_A,   mu_A = -(g + H z)_A,   mu_F = 0,
 
@@ -1050,7 +1050,7 @@ static void judge(double value, double multiplier, double low, double high, doub
     else if (multiplier != 0.0) *slackness = larger(*slackness, fabs(multiplier * (isinf(low) ? 1.0 : value - low)));
 }
 
-/* Karush-Kuhn-Tucker residuals (28); see mpc/qp.py. found: stationarity, primal, complementarity. */
+/* Karush-Kuhn-Tucker residuals (28); see mpc/program/qp_solvers.py. found: stationarity, primal, complementarity. */
 void residuals(ptrdiff_t n, ptrdiff_t rows, const double *H, const double *g, const double *lower, const double *upper,
                const double *A, const double *row_lower, const double *row_upper, const double *z,
                const double *bound_multipliers, const double *row_multipliers, double *found, double *work)

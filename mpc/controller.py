@@ -17,19 +17,20 @@ from transport.model.motors import with_lag
 from transport.model.native import Places
 from transport.model.obstacles import Obstacle
 from transport.model.state import LARGEST
-from transport.mpc.constraints.own import OwnInputs, OwnStates
-from transport.mpc.cost import Cost, CostToGo
-from transport.mpc.course import Course, CourseProgram
-from transport.mpc.decision import Decision
-from transport.mpc.feedback import FeedbackLaw
-from transport.mpc.prediction import Linear, Prediction, convolve
-from transport.mpc.program import Program
-from transport.mpc.qp import QP, Solution, solve, unsolved
+from transport.mpc.law.present_law import Regulation
+from transport.mpc.program.constraints.user_constraints import OwnInputs, OwnStates
+from transport.mpc.program.decision import Decision
+from transport.mpc.program.feedback_law import FeedbackLaw
+from transport.mpc.program.horizon_cost import CostToGo
+from transport.mpc.program.prediction import Linear, Prediction, convolve
+from transport.mpc.program.program_along_reference import Course, CourseProgram
+from transport.mpc.program.qp_solvers import QP, Solution, solve, unsolved
+from transport.mpc.program.quadratic_program import Program
+from transport.mpc.program.rollout import Actuation, Rollout, rollout
+from transport.mpc.program.softening import Softening
+from transport.mpc.program.stage_cost import Cost
 from transport.mpc.reference import Sampled
-from transport.mpc.regulation import Regulation
-from transport.mpc.rollout import Actuation, Rollout, rollout
 from transport.mpc.settings import ControllerSettings
-from transport.mpc.softening import Softening
 
 # A trajectory beyond these angles of payload or UAVs, rad, is not followed: Euler angles become
 # singular.

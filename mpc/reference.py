@@ -12,11 +12,10 @@ import numpy as np
 from transport.model.arrays import Array, continued, frozen
 from transport.model.flat import FlatReference, Track
 from transport.model.hover_reference import Reference as HoverReference
-from transport.model.identity import digest
+from transport.model.identity import SharedResults, digest
 from transport.model.maneuver import Maneuver
 from transport.model.slowing import Slowing
 from transport.model.target import Target
-from transport.mpc.shared import SharedResults
 
 # Instants before a target for which a track and its gains are kept: more than estimators look back
 # (`WINDOW` of agent/estimation/history.py).

@@ -247,7 +247,7 @@ class Tension(Section):
 
 
 class Constraint(Section):
-    """A constraint of the user as text over the variables of the model (see `mpc.expressions`)."""
+    """A constraint of the user as text over the variables of the model (see `mpc.program.user_expressions`)."""
 
     expression: str
     """such as `"r0[2] >= -12.0"`"""

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from transport.model import motors, state
 from transport.model.arrays import Array
 from transport.model.parameters import System
-from transport.mpc.fail_safe import FailSafe
+from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.plant_sections import MotorsSection, RotorsSection
 from transport.protocol.scenario.setup import Setup

@@ -3,10 +3,10 @@
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.mpc.alone_team import AloneTeam
-from transport.mpc.own_sensors import OwnSensors
-from transport.mpc.regulation import Regulation
-from transport.mpc.uav_motion import Motion
+from transport.mpc.alone.motion_by_own_sensors import OwnSensors
+from transport.mpc.alone.uav_motion import Motion
+from transport.mpc.law.laws_of_uavs_alone import AloneTeam
+from transport.mpc.law.present_law import Regulation
 from transport.protocol.scenario.setup import Setup
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from transport.agent.announced import Silent, Untold
 from transport.model import state
 from transport.model.arrays import Array, padded
-from transport.mpc.fail_safe import FailSafe
+from transport.mpc.alone.fail_safe import FailSafe
 from transport.protocol.scenario.setup import Setup
 
 

@@ -30,7 +30,7 @@ from transport.model.arrays import Array
 from transport.model.dynamics import Symbols, motion, outputs
 from transport.model.linearisation import Model
 from transport.model.state import INPUTS
-from transport.mpc.cost import Cost
+from transport.mpc.program.stage_cost import Cost
 from transport.protocol.scenario.setup import Setup
 
 _FILE = Path(__file__).resolve()

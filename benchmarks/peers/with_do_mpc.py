@@ -22,7 +22,7 @@ import transport
 from transport.agent.own_run import Run
 from transport.model.arrays import Array
 from transport.model.dynamics import Symbols, motion, outputs
-from transport.mpc.cost import Cost
+from transport.mpc.program.stage_cost import Cost
 from transport.protocol.wire.messages import Measurement, Plan
 
 

@@ -5,7 +5,7 @@ UAVs act alone by their controller, in silence, and on a fail-safe that follows.
 
 from collections.abc import Iterator
 
-from transport.mpc.alone_design import DECAY_PER_S, AloneDesign
+from transport.mpc.margins.design_of_gains_alone import DECAY_PER_S, AloneDesign
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.link_sections import LinksSection
 from transport.protocol.scenario.schema import Scenario

@@ -97,7 +97,7 @@ class Sizes:
         if controller.motor_lag_s:
             states += INPUTS * N
 
-        # Rows per step that a slack softens, as `mpc.constraints` makes them; the user's have at most
+        # Rows per step that a slack softens, as `mpc.program.constraints` makes them; the user's have at most
         # one each.
         softened = _softened_rows(scenario, N, own)
         user = len(controller.constraint)

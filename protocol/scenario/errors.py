@@ -9,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 
 from transport.model.arrays import ShapeError
 from transport.model.parameters import ParameterError
-from transport.mpc.feedback import FeedbackError
+from transport.mpc.program.feedback_law import FeedbackError
 from transport.mpc.settings import SettingsError
 from transport.protocol.scenario.keys import (
     milliseconds,

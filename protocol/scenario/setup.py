@@ -18,11 +18,11 @@ from transport.model.obstacles import Obstacle
 from transport.model.parameters import ParameterError, System
 from transport.model.slowing import Slowing
 from transport.model.target import Target
-from transport.mpc.alone_design import AloneDesign, TeamAlone
-from transport.mpc.expressions import check_constraints, check_costs
-from transport.mpc.hover_law import Crew
+from transport.mpc.law.hover_law import Crew
+from transport.mpc.law.present_law import Regulation, WholeTeam
+from transport.mpc.margins.design_of_gains_alone import AloneDesign, TeamAlone
+from transport.mpc.program.user_expressions import check_constraints, check_costs
 from transport.mpc.reference import Reference
-from transport.mpc.regulation import Regulation, WholeTeam
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.acting_alone import check_design, hands_over, may_act_alone
 from transport.protocol.scenario.budget import ticks_of

@@ -11,7 +11,7 @@ from transport.model.arrays import Array
 from transport.model.hover import hover_after_failures
 from transport.model.parameters import ParameterError
 from transport.model.state import input_indices
-from transport.mpc.cost import Cost
+from transport.mpc.program.stage_cost import Cost
 from transport.protocol.scenario.faults import Fault, failures
 from transport.protocol.scenario.setup import Setup
 

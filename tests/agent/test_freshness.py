@@ -15,7 +15,7 @@ from transport.agent.own_run import Run
 from transport.agent.received import Received
 from transport.agent.step import Planner, Step
 from transport.mpc.controller import Controller
-from transport.mpc.qp import QP, Solution, unsolved
+from transport.mpc.program.qp_solvers import QP, Solution, unsolved
 from transport.protocol.scenario.own_class import own_class
 from transport.protocol.wire.messages import Measurement, Plan, PlantState
 

@@ -8,7 +8,7 @@ from tests.support.runs import end, integrated, measurement, plan, roster, setup
 from transport.model import state
 from transport.model.arrays import Array
 from transport.mpc.controller import Controller, Horizon
-from transport.mpc.prediction import Linear
+from transport.mpc.program.prediction import Linear
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Message, Plan, Presence, StepReport
 

@@ -22,7 +22,7 @@ from transport.model.compiled_step import Feedback
 from transport.model.discretisation import by_exponential, zero_order_hold
 from transport.model.hover import hover
 from transport.model.linearisation import Linearisation, Model
-from transport.mpc.prediction import free_response
+from transport.mpc.program.prediction import free_response
 
 needs_compiler = pytest.mark.skipif(
     compiler.find_compiler() is None, reason="no C compiler on this machine"

@@ -13,13 +13,13 @@ from transport.model.arrays import Array
 from transport.model.discretisation import zero_order_hold
 from transport.model.hover import hover
 from transport.model.parameters import System, table_1
-from transport.mpc.actual_plant import Mismatch
-from transport.mpc.alone import GAINS, AloneLaw, steps_alone
-from transport.mpc.compiled_alone import CompiledAloneLaw, CompiledSetpoint
+from transport.mpc.alone.alone_law import GAINS, AloneLaw, steps_alone
+from transport.mpc.alone.compiled_alone_law import CompiledAloneLaw, CompiledSetpoint
+from transport.mpc.alone.fail_safe import FailSafe
+from transport.mpc.alone.uav_motion import Motion, Setpoint, motion_of, setpoint_of
 from transport.mpc.controller import Controller
-from transport.mpc.fail_safe import FailSafe
-from transport.mpc.manifold import tangent
-from transport.mpc.uav_motion import Motion, Setpoint, motion_of, setpoint_of
+from transport.mpc.law.tangent import tangent
+from transport.mpc.margins.actual_plant import Mismatch
 from transport.protocol.scenario.setup import Setup
 
 SYSTEM = table_1()

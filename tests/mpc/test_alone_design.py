@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.support import runs
-from transport.mpc.actual_plant import Mismatch
-from transport.mpc.alone_design import DECAY_PER_S, FAMILY, REQUIRED, TeamAlone
+from transport.mpc.margins.actual_plant import Mismatch
+from transport.mpc.margins.design_of_gains_alone import DECAY_PER_S, FAMILY, REQUIRED, TeamAlone
 from transport.mpc.settings import AloneGains
 from transport.protocol.scenario.drawn_team import drawn
 from transport.protocol.scenario.errors import ScenarioError

@@ -8,9 +8,9 @@ import pytest
 from tests.support import runs
 from transport.model import native
 from transport.model.arrays import Array
-from transport.mpc.alone_team import AloneTeam
-from transport.mpc.regulation import Regulation
-from transport.mpc.uav_motion import motion_of
+from transport.mpc.alone.uav_motion import motion_of
+from transport.mpc.law.laws_of_uavs_alone import AloneTeam
+from transport.mpc.law.present_law import Regulation
 from transport.protocol.scenario.setup import Setup
 
 TICK = 40

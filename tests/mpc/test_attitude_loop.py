@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from transport.model.parameters import System, table_1
-from transport.mpc.attitude_loop import LEVELLING, OuterGain, attitude_loop
+from transport.mpc.alone.attitude_loop import LEVELLING, OuterGain, attitude_loop
 
 PAPER = table_1()
 # That of a UAV alone.

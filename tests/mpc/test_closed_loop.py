@@ -8,8 +8,8 @@ from transport.model.hover import hover
 from transport.model.linearisation import Model
 from transport.model.parameters import table_1
 from transport.mpc.controller import Controller
-from transport.mpc.prediction import Prediction
-from transport.mpc.rollout import Actuation, rollout
+from transport.mpc.program.prediction import Prediction
+from transport.mpc.program.rollout import Actuation, rollout
 from transport.mpc.settings import ControllerSettings
 
 ON_THE_TRAJECTORY = 1e-9  # rounding over 40 steps

@@ -12,9 +12,9 @@ from tests.support.systems import Setup, Situation, controller, paper_setup, sit
 from transport.model.arrays import Array
 from transport.model.hover import hover_after_failures
 from transport.model.state import THETA, V0, uav_slice
-from transport.mpc.constraints.separation import pair_distances
-from transport.mpc.prediction import Prediction, convolve
-from transport.mpc.qp import QP
+from transport.mpc.program.constraints.separation import pair_distances
+from transport.mpc.program.prediction import Prediction, convolve
+from transport.mpc.program.qp_solvers import QP
 from transport.mpc.settings import Constraint, ControllerSettings, Separation, Tension, Tilt
 
 # Relative to the largest margin of the block: the same sums in another order.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.systems import changed, paper_setup, ring_setup
-from transport.mpc.cost import Cost
+from transport.mpc.program.stage_cost import Cost
 from transport.mpc.settings import Weights
 
 # A handful of products of numbers near 1: rounding only.

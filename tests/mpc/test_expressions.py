@@ -10,7 +10,12 @@ from tests.support.systems import disturbed, paper_setup
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.dynamics import Symbols
-from transport.mpc.expressions import Relation, check_constraints, compile_constraints, read
+from transport.mpc.program.user_expressions import (
+    Relation,
+    check_constraints,
+    compile_constraints,
+    read,
+)
 from transport.mpc.settings import Constraint, SettingsError
 
 # Hand computation and compiled expression differ by rounding only; the largest value here is about

@@ -6,7 +6,7 @@ import pytest
 from transport.model import state
 from transport.model.hover import hover
 from transport.model.parameters import table_1
-from transport.mpc.fail_safe import FailSafe
+from transport.mpc.alone.fail_safe import FailSafe
 
 SYSTEM = table_1()
 AT_REST = hover(SYSTEM)

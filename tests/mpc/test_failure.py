@@ -15,11 +15,11 @@ from transport.model.linearisation import Model
 from transport.model.parameters import System, table_1
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller, Horizon
-from transport.mpc.cost import Cost
-from transport.mpc.feedback import FeedbackError
-from transport.mpc.manifold import tangent
-from transport.mpc.regulation import Regulation
-from transport.mpc.regulator import HoveringTeam, Regulator, Team, regulator
+from transport.mpc.law.infinite_horizon_lqr import HoveringTeam, Regulator, Team, regulator
+from transport.mpc.law.present_law import Regulation
+from transport.mpc.law.tangent import tangent
+from transport.mpc.program.feedback_law import FeedbackError
+from transport.mpc.program.stage_cost import Cost
 from transport.mpc.settings import ControllerSettings, Weights
 
 PERIOD_S = 0.05

@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.systems import Situation, controller, paper_setup, situation, step
 from transport.mpc.controller import Controller, StepResult
-from transport.mpc.prediction import Prediction
+from transport.mpc.program.prediction import Prediction
 from transport.mpc.settings import Constraint, ControllerSettings, SolverName
 
 HORIZON = 6

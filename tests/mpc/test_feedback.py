@@ -12,10 +12,10 @@ from transport.model.arrays import Array
 from transport.model.discretisation import zero_order_hold
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller, Horizon
-from transport.mpc.cost import Cost
-from transport.mpc.feedback import FeedbackError, FeedbackLaw
-from transport.mpc.prediction import Prediction, convolve, predict
-from transport.mpc.regulator import HoveringTeam, regulator
+from transport.mpc.law.infinite_horizon_lqr import HoveringTeam, regulator
+from transport.mpc.program.feedback_law import FeedbackError, FeedbackLaw
+from transport.mpc.program.prediction import Prediction, convolve, predict
+from transport.mpc.program.stage_cost import Cost
 from transport.mpc.settings import ControllerSettings, CostTerm, Weights
 
 PERIOD_S = 0.05

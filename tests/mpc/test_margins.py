@@ -12,11 +12,11 @@ from transport.model.hover import hover
 from transport.model.linearisation import Model
 from transport.model.parameters import System, table_1
 from transport.model.state import PAYLOAD, input_slice, uav_slice
-from transport.mpc.actual_plant import Mismatch, delayed_step
+from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.controller import Controller
-from transport.mpc.fail_safe import FailSafe
-from transport.mpc.manifold import tangent
-from transport.mpc.margins import (
+from transport.mpc.law.tangent import tangent
+from transport.mpc.margins.actual_plant import Mismatch, delayed_step
+from transport.mpc.margins.sampled_loop import (
     FARTHEST,
     FARTHEST_S,
     GROWTH,

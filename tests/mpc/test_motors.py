@@ -13,9 +13,9 @@ from transport.model.linearisation import Linearisation
 from transport.model.native import Places
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller, Horizon, StepResult
-from transport.mpc.cost import Cost
-from transport.mpc.prediction import Prediction, convolve
-from transport.mpc.regulator import HoveringTeam, regulator
+from transport.mpc.law.infinite_horizon_lqr import HoveringTeam, regulator
+from transport.mpc.program.prediction import Prediction, convolve
+from transport.mpc.program.stage_cost import Cost
 from transport.mpc.settings import (
     Constraint,
     ControllerSettings,

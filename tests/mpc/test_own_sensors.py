@@ -11,8 +11,8 @@ from transport.model.arrays import Array
 from transport.model.hover import hover
 from transport.model.parameters import table_1
 from transport.model.rotations import euler_rates, rotation
-from transport.mpc.own_sensors import OwnSensors
-from transport.mpc.uav_motion import Motion, motion_of
+from transport.mpc.alone.motion_by_own_sensors import OwnSensors
+from transport.mpc.alone.uav_motion import Motion, motion_of
 
 SYSTEM = table_1()
 AT_REST = hover(SYSTEM)

@@ -25,12 +25,12 @@ from transport.model.linearisation import Model
 from transport.model.parameters import System, table_1
 from transport.model.phase import Profile
 from transport.model.state import input_indices
-from transport.mpc.cost import Cost
-from transport.mpc.fail_safe import FailSafe
-from transport.mpc.preview import preview
+from transport.mpc.alone.fail_safe import FailSafe
+from transport.mpc.law.infinite_horizon_lqr import HoveringTeam, Regulator, regulator
+from transport.mpc.law.present_law import Regulation
+from transport.mpc.law.preview import preview
+from transport.mpc.program.stage_cost import Cost
 from transport.mpc.reference import Sampled
-from transport.mpc.regulation import Regulation
-from transport.mpc.regulator import HoveringTeam, Regulator, regulator
 from transport.mpc.settings import ControllerSettings, CostTerm, Weights
 
 # Relative to the largest value: two solutions of one linear problem whose Hessian has a condition

@@ -13,10 +13,10 @@ from transport.model import native
 from transport.model.arrays import Array
 from transport.model.discretisation import Discrete
 from transport.mpc.controller import Controller
-from transport.mpc.cost import CostToGo
-from transport.mpc.feedback import FeedbackLaw
-from transport.mpc.prediction import Prediction, free_response, predict, stacked
-from transport.mpc.qp import QP, residuals, solve_clarabel, within_bounds
+from transport.mpc.program.feedback_law import FeedbackLaw
+from transport.mpc.program.horizon_cost import CostToGo
+from transport.mpc.program.prediction import Prediction, free_response, predict, stacked
+from transport.mpc.program.qp_solvers import QP, residuals, solve_clarabel, within_bounds
 from transport.mpc.settings import Constraint, ControllerSettings, CostTerm, Separation, Tilt
 
 needs_kernels = pytest.mark.skipif(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from transport.model import native
-from transport.mpc.qp import QP, residuals
+from transport.mpc.program.qp_solvers import QP, residuals
 
 # A few products of small numbers: rounding only.
 ROUNDING = 1e-15

@@ -28,11 +28,11 @@ from transport.model.hover import Hover, hover
 from transport.model.linearisation import Model
 from transport.model.parameters import System, table_1
 from transport.model.state import input_indices, input_slice
+from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.controller import Controller, Horizon, StepResult
-from transport.mpc.cost import Cost
-from transport.mpc.fail_safe import FailSafe
+from transport.mpc.law.present_law import Regulation
+from transport.mpc.program.stage_cost import Cost
 from transport.mpc.reference import Sampled
-from transport.mpc.regulation import Regulation
 from transport.mpc.settings import ControllerSettings, CostTerm, Limits, Weights
 
 # Relative to the largest deviation of the inputs from hover: two solutions of one linear problem

@@ -9,7 +9,7 @@ import pytest
 from tests.support.systems import changed
 from transport.model.parameters import table_1
 from transport.model.state import StateView
-from transport.mpc.expressions import UserCosts
+from transport.mpc.program.user_expressions import UserCosts
 from transport.mpc.settings import ControllerSettings, Limits, Section, Weights
 
 BAD: list[tuple[type[Section], dict[str, Any]]] = [

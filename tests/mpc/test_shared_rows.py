@@ -8,12 +8,12 @@ import pytest
 from tests.support.systems import paper_setup
 from transport.model.arrays import Array
 from transport.model.state import input_indices
-from transport.mpc.constraints.own import OwnInputs
-from transport.mpc.decision import Decision
-from transport.mpc.prediction import Linear, Prediction
+from transport.mpc.program.constraints.shared_rows import default_penalties, share
+from transport.mpc.program.constraints.user_constraints import OwnInputs
+from transport.mpc.program.decision import Decision
+from transport.mpc.program.prediction import Linear, Prediction
+from transport.mpc.program.trajectory import Announced, TimeInvariant
 from transport.mpc.settings import Constraint, ControllerSettings, Weights
-from transport.mpc.shared_rows import default_penalties, share
-from transport.mpc.trajectory import Announced, TimeInvariant
 
 # Rows of four UAVs: the sum of all thrusts, thrusts of UAVs 1 and 3, the moments of UAV 2 alone.
 ROWS = np.zeros((3, 16), dtype=bool)

@@ -11,7 +11,14 @@ import pytest
 
 from tests.support.programs import collected, random_qp, without_solution
 from transport.model.arrays import Array
-from transport.mpc.qp import QP, RESIDUAL_TOLERANCE, residuals, solve, solve_clarabel, solve_daqp
+from transport.mpc.program.qp_solvers import (
+    QP,
+    RESIDUAL_TOLERANCE,
+    residuals,
+    solve,
+    solve_clarabel,
+    solve_daqp,
+)
 from transport.mpc.settings import SolverName
 
 # Relative to the largest entry: two solvers meeting the residual tolerance on well-conditioned

@@ -9,13 +9,13 @@ from scipy.linalg import null_space
 from tests.support.systems import Setup, controller, paper_setup, ring_setup
 from transport.model import state
 from transport.model.arrays import Array
+from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.controller import Horizon
-from transport.mpc.cost import Cost
-from transport.mpc.fail_safe import FailSafe
-from transport.mpc.manifold import tangent
-from transport.mpc.regulator import HoveringTeam
+from transport.mpc.law.infinite_horizon_lqr import HoveringTeam
+from transport.mpc.law.steady_state import Target, target
+from transport.mpc.law.tangent import tangent
+from transport.mpc.program.stage_cost import Cost
 from transport.mpc.settings import ControllerSettings, PredictionName, Weights
-from transport.mpc.steady_state import Target, target
 
 # Sums of a few dozen terms through a singular value decomposition of matrices with entries of up to
 # 35.

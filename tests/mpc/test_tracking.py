@@ -20,10 +20,11 @@ from transport.model.obstacles import Obstacle, Solid, clearances
 from transport.model.phase import Phase
 from transport.model.state import R0, V0, StateView, input_slice, uav_slice
 from transport.mpc.controller import Controller, StepResult
-from transport.mpc.course import Course
-from transport.mpc.forming import recursion_of
+from transport.mpc.law.reconfiguration import recursion_of
+from transport.mpc.law.tracking_lqr import GAINS_PER_PERIOD
+from transport.mpc.program.program_along_reference import Course
+from transport.mpc.program.rollout import Actuation, rollout
 from transport.mpc.reference import Sampled
-from transport.mpc.rollout import Actuation, rollout
 from transport.mpc.settings import (
     ControllerSettings,
     CostTerm,
@@ -33,7 +34,6 @@ from transport.mpc.settings import (
     Tilt,
     Weights,
 )
-from transport.mpc.tracking import GAINS_PER_PERIOD
 
 PERIOD_S = 0.05
 SETTINGS = ControllerSettings(

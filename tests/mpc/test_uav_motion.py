@@ -9,7 +9,7 @@ from transport.model.arrays import Array
 from transport.model.hover import hover
 from transport.model.parameters import table_1
 from transport.model.rotations import rotation
-from transport.mpc.uav_motion import Motion, ahead, motion_of
+from transport.mpc.alone.uav_motion import Motion, ahead, motion_of
 
 SYSTEM = table_1()
 AT_REST = hover(SYSTEM)

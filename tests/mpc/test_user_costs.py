@@ -8,7 +8,7 @@ from tests.support.systems import changed, controller, paper_setup, situation
 from transport.flight.memory import simulate
 from transport.model.arrays import Array
 from transport.mpc.controller import Controller
-from transport.mpc.prediction import Prediction
+from transport.mpc.program.prediction import Prediction
 from transport.mpc.settings import ControllerSettings, CostTerm, Weights
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Message, PlantState

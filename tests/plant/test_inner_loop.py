@@ -10,7 +10,7 @@ from transport.model.linearisation import Model
 from transport.model.motors import rate_places
 from transport.model.parameters import System
 from transport.model.state import StateView, uav_slice
-from transport.mpc.fail_safe import FailSafe
+from transport.mpc.alone.fail_safe import FailSafe
 from transport.plant.actuators import INNER_STEP_S, RateLoop
 
 GAINS = np.array([25.0, 20.0, 10.0])

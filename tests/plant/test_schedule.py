@@ -9,7 +9,7 @@ from transport.model.arrays import Array
 from transport.model.hover import hover
 from transport.model.parameters import Payload, System, Uav
 from transport.model.rotations import euler_rates, rotation
-from transport.mpc.fail_safe import FailSafe
+from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.settings import ControllerSettings, Limits
 from transport.plant.actuators import BEFORE_ANY_PLAN, FAIL_SAFE, ActuatorSchedule
 from transport.protocol.wire.messages import Plan

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from tests.support.logs import record_run
-from transport.mpc.constraints import constraints_of
-from transport.mpc.constraints.stack import Stack
-from transport.mpc.decision import Decision
+from transport.mpc.program.constraints import constraints_of
+from transport.mpc.program.constraints.stack import Stack
+from transport.mpc.program.decision import Decision
 from transport.protocol.scenario.budget import estimate
 from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.schema import Scenario

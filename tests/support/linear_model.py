@@ -12,7 +12,7 @@ from transport.model.linearisation import Linearisation, Model
 from transport.model.maneuver import Maneuver
 from transport.model.parameters import Payload, System, Uav
 from transport.model.phase import Phase, Profile
-from transport.mpc.manifold import tangent
+from transport.mpc.law.tangent import tangent
 
 PERIOD_S = 0.05
 

@@ -22,7 +22,7 @@ from transport.cli.processes import Prepared
 from transport.flight import fork_server, harness
 from transport.flight.fork_server import ForkServer
 from transport.flight.harness import Child, start_child
-from transport.mpc.regulation import Regulation
+from transport.mpc.law.present_law import Regulation
 from transport.protocol.network.parent import FORK_SERVER
 
 pytestmark = pytest.mark.skipif(

@@ -12,7 +12,7 @@ from tests.support.runs import ready, reproducible
 from transport.flight.memory import simulate
 from transport.model import state
 from transport.model.arrays import Array
-from transport.mpc.cost import Cost
+from transport.mpc.program.stage_cost import Cost
 from transport.protocol.wire.messages import Message, PlantState, StepReport
 
 # A climb, and a hover long enough to settle. Nothing moves sideways: swinging, the payload is

@@ -8,8 +8,8 @@ from transport.flight.memory import simulate
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.target import Target
-from transport.mpc.regulation import Regulation
-from transport.mpc.undisturbed import UndisturbedMotion
+from transport.mpc.alone.undisturbed_motion import UndisturbedMotion
+from transport.mpc.law.present_law import Regulation
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.target_planning import straight
 from transport.protocol.wire.messages import Message, PlantState

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from transport.analysis.series import Series
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
-from transport.mpc.expressions import UserConstraints, Variable
-from transport.mpc.softening import softened_problem
+from transport.mpc.program.softening import softened_problem
+from transport.mpc.program.user_expressions import UserConstraints, Variable
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Note
 

@@ -48,7 +48,7 @@ from transport.protocol.wire.keys import ROUTER, Keys
 from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER, agent_name, vehicle_name
 
 if TYPE_CHECKING:
-    from transport.mpc.regulation import Regulation
+    from transport.mpc.law.present_law import Regulation
 
 _LOOKS_FOR_SIGNALS_S = 0.2
 
@@ -143,7 +143,7 @@ class Prepared:
     """Model and control law of a run, computed once: the processes forked after share their memory.
 
     The fork server (`transport.__main__`) calls `prepare` before each fork. The law's results are
-    shared as long as it is kept: `mpc.shared`.
+    shared as long as it is kept: `model.identity`.
     """
 
     def __init__(self) -> None:
@@ -152,7 +152,7 @@ class Prepared:
 
     def prepare(self, arguments: Sequence[str]) -> None:
         """Take in the arguments of a process of the run, which `transport run` has checked."""
-        from transport.mpc.regulation import Regulation
+        from transport.mpc.law.present_law import Regulation
 
         scenario = arguments[arguments.index("--scenario") + 1]
         settings = [value for option, value in itertools.pairwise(arguments) if option == "--set"]

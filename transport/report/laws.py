@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import threadpoolctl
 
-from transport.mpc.actual_plant import Mismatch
-from transport.mpc.alone_margins import AloneLoop
 from transport.mpc.controller import Controller
-from transport.mpc.margins import Loop, SampledLoop, margins
+from transport.mpc.margins.actual_plant import Mismatch
+from transport.mpc.margins.loop_of_uavs_alone import AloneLoop
+from transport.mpc.margins.sampled_loop import Loop, SampledLoop, margins
 from transport.mpc.reference import Sampled
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.setup import Setup

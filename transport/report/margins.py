@@ -11,8 +11,8 @@ import threadpoolctl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from transport.mpc.actual_plant import Mismatch
-from transport.mpc.margins import FARTHEST, FARTHEST_S, Margin, SampledLoop, margins
+from transport.mpc.margins.actual_plant import Mismatch
+from transport.mpc.margins.sampled_loop import FARTHEST, FARTHEST_S, Margin, SampledLoop, margins
 from transport.protocol.scenario.setup import Setup
 from transport.report.laws import ACTUATIONS, alone_loops, check_feedback, team_loops
 from transport.report.style import COLUMN_IN, CURVES
@@ -44,7 +44,7 @@ class HoverMargins:
     # Time in which the slowest deviation decays by e; None: the payload is not held.
     settling_s: dict[str, float | None]
     growth_per_s: dict[str, float]  # of the fastest growing mode
-    # By property of `mpc.margins.Mismatch`; empty where the hover is unstable.
+    # By property of `mpc.margins.actual_plant.Mismatch`; empty where the hover is unstable.
     margins: dict[str, dict[str, Margin]]
 
 

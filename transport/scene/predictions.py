@@ -13,10 +13,10 @@ import numpy as np
 from transport.agent.announced import AnnouncedInputs
 from transport.model.arrays import Array
 from transport.model.state import StateView
-from transport.mpc.feedback import FeedbackLaw
+from transport.mpc.law.present_law import Regulation
+from transport.mpc.program.feedback_law import FeedbackLaw
+from transport.mpc.program.rollout import Actuation, rollout
 from transport.mpc.reference import Sampled
-from transport.mpc.regulation import Regulation
-from transport.mpc.rollout import Actuation, rollout
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Plan, PlantState, StepReport
 from transport.scene.history import RunHistory

@@ -9,7 +9,7 @@ from tests.support import runs
 from transport.agent.announced import Silent, Untold
 from transport.agent.estimation.silent_team import SilentTeam
 from transport.model.arrays import Array
-from transport.mpc.fail_safe import FailSafe
+from transport.mpc.alone.fail_safe import FailSafe
 
 ROUNDING = 1e-12
 

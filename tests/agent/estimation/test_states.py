@@ -18,8 +18,8 @@ from transport.model import motors, state
 from transport.model.arrays import Array
 from transport.model.hover import released_state
 from transport.model.linearisation import Model
+from transport.mpc.law.present_law import Regulation
 from transport.mpc.reference import Sampled
-from transport.mpc.regulation import Regulation
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Measurement, Plan
 
