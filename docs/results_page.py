@@ -225,16 +225,16 @@ def claim(results: Mapping[str, Sequence[Result]]) -> str:
     """
     planned = _comparison()
     result = comparison_report.compared(planned, *_halves(planned, results[PAPER]))
-    rows = [_as_text(row) for row in result.verdict_rows]
+    rows = [_as_text(row) for row in result.range_rows]
     rows = [row for row in rows if row["controller"] == "paper's algorithm"]
     weathers = list(dict.fromkeys(row["weather"] for row in rows))
     cells = {
-        (row["at"], row["weather"]): ": ".join(filter(None, (row["cost"], row["verdict"])))
+        (row["at"], row["weather"]): row["cost"] or row["T_s"]
         for row in rows
     }
     periods: dict[str, str] = {}
     for row in rows:  # of the first weather
-        periods.setdefault(row["at"], f" (T_s {row['T_s']})" * bool(row["T_s"]))
+        periods.setdefault(row["at"], f" (T_s {row['T_s']})" * bool(row["cost"]))
     lines = [
         [f"at {at}{where}", *(cells[at, weather] for weather in weathers)]
         for at, where in periods.items()

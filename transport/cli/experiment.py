@@ -291,8 +291,8 @@ def paper(
     Runs both controllers at a grid of sampling periods and compares mean cost over processor time,
     which is measured first.
 
-    Prints a table, and verdicts at equal sampling rate and at equal computation with their ranges;
-    writes figures.
+    Prints a table, and the cost at equal sampling rate and at equal computation as ranges; writes
+    figures.
 
     Example: transport experiment paper --seeds 10
     """

@@ -1,4 +1,4 @@
-"""Report of the comparison: measures processor time, simulates, and writes tables and verdicts."""
+"""Report of the comparison: measures processor time, simulates, and writes tables and ranges."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ from transport.experiments.cases import simulate as simulate_here
 from transport.experiments.comparison import CENTRALIZED, Cell, Curve
 from transport.experiments.comparison_figures import draw_costs, draw_maneuver
 from transport.experiments.declaration import Experiment
+from transport.experiments.equal_terms import ranges, sentence
 from transport.experiments.statistics import COST_RATIO, Column, console_table
 from transport.experiments.sweep import Results, Simulate, Swept, sweep, write_markdown
-from transport.experiments.verdicts import sentence, verdicts
 from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.whole_files import write_csv
 
@@ -126,12 +126,12 @@ class Compared:
 
     curves: Sequence[Curve]
     curve_rows: Sequence[comparison.Row]
-    verdict_rows: Sequence[comparison.Row]
+    range_rows: Sequence[comparison.Row]
 
     @property
     def sentences(self) -> list[str]:
-        """Verdicts, one sentence each."""
-        return list(map(sentence, self.verdict_rows))
+        """Ranges of periods and costs at equal rate and computation, one sentence each."""
+        return list(map(sentence, self.range_rows))
 
     @property
     def table(self) -> Table:
@@ -140,7 +140,7 @@ class Compared:
 
 
 def compared(planned: ComparisonPlan, timed: Swept, swept: Swept) -> Compared:
-    """Return curves and verdicts of the measured runs and of those that give the costs.
+    """Return curves and ranges of the measured runs and of those that give the costs.
 
     Raises: ExperimentError: a run raised an error, or the reference diverged.
     """
@@ -148,7 +148,7 @@ def compared(planned: ComparisonPlan, timed: Swept, swept: Swept) -> Compared:
     return Compared(
         curves=curves,
         curve_rows=[row for curve in curves for row in curve.rows()],
-        verdict_rows=list(verdicts(curves, planned.reference)),
+        range_rows=list(ranges(curves, planned.reference)),
     )
 
 
@@ -183,7 +183,7 @@ def compare(
         timed.write_cases(folder / "computation.csv"),
         swept.write_cases(folder / "cases.csv"),
         _written(folder / "curves.csv", result.curve_rows),
-        _written(folder / "verdict.csv", result.verdict_rows),
+        _written(folder / "ranges.csv", result.range_rows),
         *draw(result, planned, swept, folder),
     ]
     return write_markdown(folder, result.sentences, result.table, files), result.table

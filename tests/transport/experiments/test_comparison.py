@@ -144,7 +144,7 @@ def test_the_table_has_every_number_in_the_unit_of_its_column() -> None:
         "cpu_agent_s_per_s": 0.3456,
         "cpu_team_s_per_s": 1.3824,
     }
-    shown = comparison_report.Compared(curves=[], curve_rows=[row], verdict_rows=[]).table
+    shown = comparison_report.Compared(curves=[], curve_rows=[row], range_rows=[]).table
     columns = {str(column.header): list(column.cells) for column in shown.columns}
     assert columns == {
         "weather": [GUSTS],
@@ -170,7 +170,7 @@ def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     arguments = ("experiment", "paper", "--quick", "--gust", "0", "--jobs", "1", "--out", out)
     result = here(*arguments, "--set", ticks(6))
     assert result.exit_code == 0, result.output
-    files = {"curves.csv", "verdict.csv", "computation.csv", "cases.csv", "report.md"}
+    files = {"curves.csv", "ranges.csv", "computation.csv", "cases.csv", "report.md"}
     files |= {f"{figure}.{kind}" for figure in ("figure", "maneuver") for kind in ("png", "svg")}
     assert files <= {path.name for path in out.iterdir()}
     with (out / "curves.csv").open(newline="") as file:
@@ -178,14 +178,14 @@ def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert {(row["controller"], row["kept"]) for row in rows} == set(comparison.CURVES)
     assert float(rows[0]["cost_ratio"]) == 1.0
     assert all(float(row["cpu_team_s_per_s"]) > 0.0 for row in rows)
-    with (out / "verdict.csv").open(newline="") as file:
-        verdicts = list(csv.DictReader(file))
-    assert (verdicts[0]["at"], verdicts[0]["claim"]) == ("the same rate", "slightly worse")
+    with (out / "ranges.csv").open(newline="") as file:
+        ranges = list(csv.DictReader(file))
+    assert (ranges[0]["at"], ranges[0]["T_s"]) == ("the same rate", "50 ms")
+    assert ranges[0]["cost"].startswith("x")
     text = (out / "report.md").read_text()
     assert all(
         line.removeprefix("- ") in result.stdout for line in text.partition("\n\n")[0].splitlines()
     )
-    assert '("slightly worse" ' in text
 
     def never(*_: object, **__: object) -> None:
         raise AssertionError("measured or run again")
