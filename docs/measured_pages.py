@@ -23,7 +23,6 @@ from simulations import (
     values,
 )
 
-
 LATE = ("links.delay_s=0.2", "links.loss=0.3")
 IMPAIRED = ("links.delay_s=0.1", "links.loss=0.3")
 ESTIMATE = "controller.disturbance.estimate=true"

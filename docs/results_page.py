@@ -228,10 +228,7 @@ def claim(results: Mapping[str, Sequence[Result]]) -> str:
     rows = [_as_text(row) for row in result.range_rows]
     rows = [row for row in rows if row["controller"] == "paper's algorithm"]
     weathers = list(dict.fromkeys(row["weather"] for row in rows))
-    cells = {
-        (row["at"], row["weather"]): row["cost"] or row["T_s"]
-        for row in rows
-    }
+    cells = {(row["at"], row["weather"]): row["cost"] or row["T_s"] for row in rows}
     periods: dict[str, str] = {}
     for row in rows:  # of the first weather
         periods.setdefault(row["at"], f" (T_s {row['T_s']})" * bool(row["cost"]))

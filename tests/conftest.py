@@ -7,8 +7,10 @@ import math
 import os
 import shutil
 import signal
+import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import hypothesis
@@ -70,6 +72,16 @@ def pytest_configure(config: pytest.Config) -> None:
         compiled.compile_functions(4)
         compiled.compile_functions(3)
         compiled.compile_functions(3, rates=True)
+
+
+@pytest.fixture(autouse=True)
+def _own_modules_forgotten() -> Iterator[None]:
+    """Forget modules that a test has imported from its folder, as each user has a process for them."""
+    before = set(sys.modules)
+    yield
+    for name in sys.modules.keys() - before:
+        if (getattr(sys.modules[name], "__file__", None) or "").startswith(tempfile.gettempdir()):
+            del sys.modules[name]
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

@@ -1,7 +1,5 @@
-"""Calls of classes of the user: their errors in one line, and no end of the process without a word."""
+"""Calls of classes of the user: their errors in one line."""
 
-import contextlib
-import os
 import re
 import sys
 import sysconfig
@@ -10,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from types import FrameType
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
@@ -55,7 +53,7 @@ def _raised(call: str, words: str) -> str:
 
 @contextmanager
 def errors_of(call: str, wording: Callable[[str, str], str] = _raised) -> Iterator[None]:
-    """Turn exceptions of a call of a class into OwnClassError, with file and line, also `os._exit`.
+    """Turn exceptions of a call of a class into OwnClassError, with file and line.
 
     What a class returns is its code as well: an object runs some when it is converted or printed, so
     this surrounds the conversion too. Output goes to standard error.
@@ -65,7 +63,7 @@ def errors_of(call: str, wording: Callable[[str, str], str] = _raised) -> Iterat
         wording: Text of the error, from the call and the exception in words.
     """
     try:
-        with redirect_stdout(sys.stderr), _no_exit():
+        with redirect_stdout(sys.stderr):
             yield
     except (KeyboardInterrupt, OwnClassError):
         raise
@@ -103,7 +101,7 @@ def _place_of(error: BaseException) -> str:
     frames = list(traceback.walk_tb(error.__traceback__))
     for frame, line in reversed(frames):
         file = frame.f_code.co_filename
-        if not _is_of_program(frame) and not is_foreign(file):
+        if not _is_of_program(frame) and not _is_foreign(file):
             return f" ({Path(file).name}:{line})"
     return ""
 
@@ -113,49 +111,7 @@ def _is_of_program(frame: FrameType) -> bool:
     return str(frame.f_globals.get("__name__", "")).startswith(_PROGRAM)
 
 
-def is_foreign(file: str) -> bool:
+def _is_foreign(file: str) -> bool:
     """Return whether a file of code is one of Python or of an installed package, or no file."""
     is_of_python = Path(file).is_relative_to(_STANDARD_LIBRARY)
     return is_of_python or _FOREIGN_FILE.match(file) is not None
-
-
-@contextmanager
-def _no_exit() -> Iterator[None]:
-    """Turn `os._exit` by the code that is called within it into SystemExit.
-
-    A command that ended so would look like a success, with no word of the class. Other threads,
-    forked children and the program's own handlers of signals end as they ask to; `os.abort`,
-    signals and C code end the process, which its parent reports.
-    """
-    end = os._exit
-    process = os.getpid()
-    caller = _caller()
-
-    def end_or_raise(status: int) -> NoReturn:
-        frame = sys._getframe(1)
-        if os.getpid() == process and not _is_of_program(frame) and _is_within(frame, caller):
-            raise SystemExit(f"os._exit({status})")
-        end(status)
-
-    os._exit = end_or_raise
-    try:
-        yield
-    finally:
-        os._exit = end
-
-
-def _caller() -> FrameType | None:
-    """Return the frame of the function that called this module."""
-    frame: FrameType | None = sys._getframe(1)
-    while frame is not None and frame.f_code.co_filename in (__file__, contextlib.__file__):
-        frame = frame.f_back
-    return frame
-
-
-def _is_within(frame: FrameType | None, caller: FrameType | None) -> bool:
-    """Return whether a frame was called, directly or not, by another one, so in its thread."""
-    while frame is not None:
-        if frame is caller:
-            return True
-        frame = frame.f_back
-    return False

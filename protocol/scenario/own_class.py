@@ -6,32 +6,20 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from importlib.machinery import ModuleSpec, PathFinder
+from functools import cache
+from importlib.machinery import PathFinder
 from importlib.util import module_from_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from pydantic import AfterValidator
 
-from transport.protocol.scenario.own_calls import OwnClassError, errors_of, is_foreign, printable
+from transport.protocol.scenario.own_calls import OwnClassError, errors_of, printable
 
 _MAIN = "__main__"  # module of a script or notebook, which is no file to be imported again
-_PROGRAM = "transport"  # package of the program
 
 _NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Imported:
-    """A file of the user as it was imported."""
-
-    file: Path
-    digest: str
-
-
-# The user's modules, by name: those of named classes, and what these import from their folder.
-_OWN_MODULES: dict[str, _Imported] = {}
 
 
 def or_class(*names: str) -> AfterValidator:
@@ -51,26 +39,16 @@ def own_class(name: str) -> Any:
     """Return the user's class "package.module:Class", of the current folder or installed packages.
 
     The current folder comes first, for this module alone: a file there named like an installed
-    package hides that package from no other import. Where a file of the user has changed, all are
-    imported again, since the recorded version must be that of the code that runs.
+    package hides that package from no other import. As in all of Python a module is imported once.
     Raises: OwnClassError: it is not found, or its import fails.
     """
     module_name, _, attribute = name.partition(":")
-    package = module_name.partition(".")[0]
     folder = Path.cwd()
-    spec = None
-    if module_name != _MAIN:
-        _forget_changed()
-        spec = _spec_to_import(folder, package)
-
-    before = set(sys.modules)
     with errors_of(f"its import from {folder} or the installed packages"), _on_path(folder):
-        try:
-            if spec is not None:
-                _execute(spec)
-            module = importlib.import_module(module_name)
-        finally:
-            _note_own(module_name, before, folder)
+        if module_name != _MAIN:
+            _import_from(folder, module_name.partition(".")[0])
+        module = importlib.import_module(module_name)
+        _digest_of(module)  # that of the code that runs, should the file change later
         return getattr(module, attribute)
 
 
@@ -86,79 +64,35 @@ def _on_path(folder: Path) -> Iterator[None]:
         del sys.path[last]
 
 
-def _spec_to_import(folder: Path, package: str) -> ModuleSpec | None:
-    """Return the specification of a package in a folder; None if it is imported or not there.
+def _import_from(folder: Path, package: str) -> None:
+    """Import a package of a folder unless it is imported, or not there.
 
-    Modules that the user has in other folders are forgotten: some may have the names of those here.
-    Raises: OwnClassError: another package of this name, which is not the user's, is imported.
+    Raises: OwnClassError: another package of this name is imported.
     """
     importlib.invalidate_caches()  # the file may be newer than this process
     spec = PathFinder.find_spec(package, [str(folder)])
     if spec is None or spec.loader is None:
-        return None
-
-    for name, own in list(_OWN_MODULES.items()):
-        if not own.file.is_relative_to(folder):
-            _forget(name)
+        return
 
     imported = sys.modules.get(package)
-    if imported is None:
-        return spec
-    file = getattr(imported, "__file__", None)
-    if file == spec.origin:
-        return None
-    problem = f"{spec.origin} has the name of the imported package {file}"
-    raise OwnClassError(f"{problem}: rename it")
+    if imported is not None:
+        file = getattr(imported, "__file__", None)
+        if file != spec.origin:
+            problem = f"{spec.origin} has the name of the imported package {file}"
+            raise OwnClassError(f"{problem}: rename it, or restart Python")
+        return
 
-
-def _execute(spec: ModuleSpec) -> None:
-    """Import a package as found."""
     module = module_from_spec(spec)
-    sys.modules[spec.name] = module
+    sys.modules[package] = module
     try:
-        spec.loader.exec_module(module)  # type: ignore[union-attr]
+        spec.loader.exec_module(module)
     except BaseException:
-        del sys.modules[spec.name]
+        del sys.modules[package]
         raise
 
 
-def _note_own(module_name: str, before: set[str], folder: Path) -> None:
-    """Note the files of a named module, and of those of its folder that it has imported.
-
-    Installed packages are not the user's: many cannot be imported a second time.
-    """
-    for name in (sys.modules.keys() - before) | {module_name}:
-        file = getattr(sys.modules.get(name), "__file__", None)
-        is_of_program = name == _MAIN or _is_within(_PROGRAM, name)
-        if not file or is_foreign(file) or is_of_program or name in _OWN_MODULES:
-            continue
-        if Path(file).is_relative_to(folder) or name == module_name:
-            _OWN_MODULES[name] = _Imported(file=Path(file), digest=_digest(Path(file)))
-
-
-def _forget_changed() -> None:
-    """Forget all modules of the user if a file of theirs has changed since it was imported.
-
-    All of them, as others may have imported from it.
-    """
-    if any(_digest(own.file) != own.digest for own in _OWN_MODULES.values()):
-        for name in list(_OWN_MODULES):
-            _forget(name)
-
-
-def _forget(name: str) -> None:
-    """Forget a module of the user, so that it is imported anew."""
-    sys.modules.pop(name, None)
-    del _OWN_MODULES[name]
-
-
-def _is_within(package: str, module: str) -> bool:
-    """Return whether a module is a package or one of its parts."""
-    return module == package or module.startswith(f"{package}.")
-
-
 def version_of(make: Any) -> str:
-    """Return the version of a class: its attribute `version`, else a hash of its file.
+    """Return the version of a class: its attribute `version`, else a hash of its file at import.
 
     Empty if there is neither. Raises: OwnClassError: the attribute is no text.
     """
@@ -166,13 +100,14 @@ def version_of(make: Any) -> str:
         given = getattr(make, "version", None)
         if given is not None:
             return printable(str(given))
-        file = getattr(sys.modules.get(make.__module__), "__file__", None)
-    return _digest(Path(file)) if file else ""
+        return _digest_of(sys.modules.get(make.__module__))
 
 
-def _digest(file: Path) -> str:
-    """Return a hash of a file; empty if it cannot be read."""
+@cache
+def _digest_of(module: ModuleType | None) -> str:
+    """Return a hash of the file of a module when first asked; empty if it has none."""
+    file = getattr(module, "__file__", None)
     try:
-        return hashlib.sha256(file.read_bytes()).hexdigest()[:12]
+        return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:12] if file else ""
     except OSError:
         return ""

@@ -93,7 +93,7 @@ def own(
     lines += ["    def stop(self): ended.append(self.run.agent)"]
     (folder / "my_own.py").write_text("\n".join(lines) + "\n", encoding="utf-8")
     monkeypatch.chdir(folder)
-    monkeypatch.delitem(sys.modules, "my_own", raising=False)
+    sys.modules.pop("my_own", None)  # of an earlier call of this test
     return setup(SHORT, "agents.controller=my_own:Mine", *changes)
 
 

@@ -84,10 +84,9 @@ FAILURES = {
 
 
 def module(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, text: str) -> None:
-    """Write a module into a folder, go there, and forget the module after the test."""
+    """Write a module into a folder, and go there."""
     (folder / f"{name}.py").write_text(text, encoding="utf-8")
     monkeypatch.chdir(folder)
-    monkeypatch.delitem(sys.modules, name, raising=False)
 
 
 def broken(advance: str = "pass", state: str = "return self.x", reset: str = "self.x = x") -> str:
@@ -151,16 +150,6 @@ def test_an_engine_of_a_person_flies(tmp_path: Path, monkeypatch: pytest.MonkeyP
     # And once more: the same bits.
     assert list(map(reproducible, own))[-1] == list(map(reproducible, recorded(run)))[-1]
     assert states(own).tobytes() == states(recorded(run)).tobytes()
-
-
-def test_a_changed_file_is_imported_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run in this process uses the file as it is now, which is the one whose hash it records."""
-    module(tmp_path, monkeypatch, "mine_edited", broken())
-    assert ended(setup(SHORT, "plant.engine=mine_edited:Mine")).outcome == "completed"
-    (tmp_path / "mine_edited.py").write_text(
-        broken("raise RuntimeError('changed')"), encoding="utf-8"
-    )
-    assert "RuntimeError: changed" in ended(setup(SHORT, "plant.engine=mine_edited:Mine")).reason
 
 
 @pytest.mark.parametrize("failure", FAILURES)

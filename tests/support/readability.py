@@ -13,8 +13,7 @@ def figures(path: Path) -> Counter[str]:
     """Count assignments, pairs of unrelated values, blank lines and large functions of a file."""
     lines = path.read_text(encoding="utf-8").splitlines()
     tree = ast.parse("\n".join(lines))
-    words = [node for node in ast.walk(tree) if isinstance(node, ast.Name)]
-    count = Counter(found=len({word.lineno for word in words if word.id == "found"}))
+    count: Counter[str] = Counter()
     for node in ast.walk(tree):
         if isinstance(node, ast.Assign):
             pair = isinstance(node.targets[0], ast.Tuple) and isinstance(node.value, ast.Tuple)
@@ -36,6 +35,6 @@ if __name__ == "__main__":
         for path in Path(folder).rglob("*.py"):
             total.update(figures(path))
         pairs = f"{total['pairs'] / total['assignments']:6.1%} pairs"
-        blank = f"{total['blank'] / total['body']:6.1%} blank, found {total['found']:3}"
+        blank = f"{total['blank'] / total['body']:6.1%} blank"
         large = f"functions of > 15 locals {total['locals']}, > 6 arguments {total['arguments']}"
         sys.stdout.write(f"{folder:<12}{pairs}, {blank}, {large}\n")
