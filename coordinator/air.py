@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Collection
+from collections.abc import Set as AbstractSet
 
 from transport.model.arrays import Array
 from transport.protocol.scenario.radio_section import RadioSection
@@ -41,7 +42,7 @@ class TeamAir:
         if plan.negotiation > 0:
             self._proposed[plan.negotiation].add(plan.agent)
 
-    def exchanged(self, tick: int, members: set[int]) -> list[Airtime]:
+    def exchanged(self, tick: int, members: AbstractSet[int]) -> list[Airtime]:
         """Return the news of the exchanges for which all proposals are here."""
         news = []
         while self._following > 0 and members <= self._proposed[self._following]:

@@ -1,10 +1,11 @@
 """Sampling clocks: when a tick opens, and which answers to it are late."""
 
 from collections.abc import Collection
+from collections.abc import Set as AbstractSet
 
-from transport.coordinator.roster import names
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Plan
+from transport.protocol.wire.names import agent_names
 
 # A process that wakes up so much later than planned was frozen, or had no processor to run on.
 _AWAY_NS = 200_000_000
@@ -22,9 +23,6 @@ class Clock:
 
     Attributes:
         is_realtime: Whether ticks open at their deadlines.
-        waiting_since_ns: Start of the barrier timeout, or of the wait for agents that faults bring
-            back; the coordinator sets it as well.
-        plant_ns: Time at which the plant answered, or was first asked for the next interval.
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -35,10 +33,12 @@ class Clock:
         self._holds = self._settings.on_overrun == "hold"
         self.is_realtime = self._settings.mode == "realtime"
 
-        self.waiting_since_ns = 0
-        self.plant_ns = 0
+        # Start of the barrier timeout, or of the wait for agents that faults bring back.
+        self._waiting_since_ns = 0
+        # When the plant answered, or was first asked for the next interval.
+        self._plant_ns = 0
         self._start_ns = 0  # instant of tick 0
-        self.is_told = False  # whether others follow it as well
+        self._is_told = False  # whether others follow it as well
         self._owed_since_ns: dict[int, int] = {}  # by agent: since when it owes an answer
         self._overrun_ns = 0  # largest overrun of a plan since the last tick
         self._overruns = 0  # missed deadlines
@@ -48,7 +48,15 @@ class Clock:
     def begin(self, start_ns: int) -> None:
         """Set the instant of tick 0, which the vehicles have been told."""
         self._start_ns = start_ns
-        self.is_told = True
+        self._is_told = True
+
+    def restart(self, now_ns: int) -> None:
+        """Begin the barrier timeout, or the wait for agents that return, from now on."""
+        self._waiting_since_ns = now_ns
+
+    def note_plant(self, now_ns: int) -> None:
+        """Note that the plant has answered, or is asked for the next interval and owes no other."""
+        self._plant_ns = now_ns
 
     def newest(self, now_ns: int) -> int:
         """Return the newest tick that is due; -1 before the first."""
@@ -65,12 +73,12 @@ class Clock:
     @property
     def expires_ns(self) -> int:
         """End of the barrier timeout."""
-        return self.waiting_since_ns + self._barrier_ns
+        return self._waiting_since_ns + self._barrier_ns
 
     @property
     def hold_ends_ns(self) -> int:
         """End of the wait for agents that the scenario's faults bring back at a tick."""
-        return self.waiting_since_ns + self._hold_ns
+        return self._waiting_since_ns + self._hold_ns
 
     def excuse_absence(self, tick: int, wake_ns: int | None, now_ns: int) -> None:
         """Restart all timeouts if the coordinator woke up late: answers may still have to be read.
@@ -87,20 +95,20 @@ class Clock:
             return
 
         self._excused_tick = tick
-        self.waiting_since_ns = now_ns
-        self.plant_ns = now_ns
+        self._waiting_since_ns = now_ns
+        self._plant_ns = now_ns
         self._owed_since_ns = dict.fromkeys(self._owed_since_ns, now_ns)
 
     def open(
         self, tick: int, members: Collection[int], joined: Collection[int], now_ns: int
     ) -> None:
         """Note that a tick is opened for the roster, some agents of which have just joined."""
-        if tick == 0 and not self.is_told:
+        if tick == 0 and not self._is_told:
             self._start_ns = now_ns
         if self._holds:
             late_ns, _ = self.lateness_ns(tick, now_ns)
             self._start_ns += late_ns  # all later deadlines move by the wait
-        self.waiting_since_ns = now_ns
+        self._waiting_since_ns = now_ns
         self._overrun_ns = 0
 
         for agent in joined:
@@ -130,7 +138,7 @@ class Clock:
         late_ns = max(0, now_ns - self.due_ns(tick)) if tick > 0 else 0
         return late_ns, self._overrun_ns
 
-    def silent(self, members: set[int], missing: set[int], now_ns: int) -> set[int]:
+    def silent(self, members: AbstractSet[int], missing: set[int], now_ns: int) -> set[int]:
         """Return the agents that have owed an answer for the barrier timeout."""
         if not self.is_realtime:
             return missing if now_ns >= self.expires_ns else set()
@@ -145,7 +153,7 @@ class Clock:
 
         Never in lockstep, where the agents wait for it, too.
         """
-        return self.is_realtime and now_ns >= self.plant_ns + self._barrier_ns
+        return self.is_realtime and now_ns >= self._plant_ns + self._barrier_ns
 
     def may_close(self, tick: int, missing: set[int], now_ns: int, *, last: bool) -> bool:
         """Return whether the open tick may be closed.
@@ -164,7 +172,7 @@ class Clock:
 
         if self._overruns > settings.overrun_limit:
             t_s = (tick + 1) * self._period_ns / 1e9
-            missed = f"{names(missing)} missed the deadline of tick {tick} at t = {t_s:.2f} s"
+            missed = f"{agent_names(missing)} missed the deadline of tick {tick} at t = {t_s:.2f} s"
             counts = f"{self._overruns} missed in total, {settings.overrun_limit} allowed"
             return f"{missed}: {counts}"
 

@@ -1,8 +1,8 @@
 """The vehicles of a run before and during the flight, as the coordinator knows them.
 
-PREPARING  vehicles tell their phase and problem, five times a second; each answer to a word of
-           the coordinator measures the offset of its clock
-ENGAGING   all are ready, in their places, with one time: tick 0 is told, a second ahead
+In PREPARING (`coordinator.machine`) vehicles tell their phase and problem, five times a second, and
+each answer to a word of the coordinator measures the offset of its clock. Once all are ready, in
+their places and with one time, the instant of tick 0 is told, a second ahead: STARTING.
 """
 
 import math
@@ -80,6 +80,10 @@ class Fleet:
         """Return the instants of the ticks, as far as they are decided."""
         sent_ns = now_ns + self._wall_offset_ns
         return self._out.stamp(Schedule, tick=0, sent_ns=sent_ns, start_ns=self.start_ns)
+
+    def follow(self) -> None:
+        """Take the instant of tick 0 that the vehicles follow already."""
+        self.start_ns = self.followed_ns
 
     def is_over(self, now_ns: int) -> bool:
         """Return whether the time is over in which vehicles have to be ready."""

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from transport.coordinator.roster import TeamRoster
+from transport.coordinator.changes import Changes
 from transport.protocol.scenario.errors import RequestError, requested
 from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.wire.messages import Message, Request, Target
@@ -31,14 +31,14 @@ class RunStatus:
     period_ns: int
 
 
-def answer_request(request: Request, status: RunStatus, roster: TeamRoster) -> Sequence[Message]:
+def answer_request(request: Request, status: RunStatus, changes: Changes) -> Sequence[Message]:
     """Answer a request, and return the messages of a change, which holds from the next tick on."""
     if request.what == "status":
         shown = ("tick", "ticks", "members", "observers")
         request.reply({key: getattr(status, key) for key in shown})
         return ()
     try:
-        messages = _changes(request, status, roster)
+        messages = _changed(request, status, changes)
     except RequestError as error:
         request.reply({"error": str(error)})
         return ()
@@ -46,7 +46,7 @@ def answer_request(request: Request, status: RunStatus, roster: TeamRoster) -> S
     return messages
 
 
-def _changes(request: Request, status: RunStatus, roster: TeamRoster) -> Sequence[Message]:
+def _changed(request: Request, status: RunStatus, changes: Changes) -> Sequence[Message]:
     """Return the messages of a change of links or a target. Raises: RequestError."""
     if request.what not in ("link", "target"):
         raise RequestError(f"what: expected status, link or target, got {request.what!r}")
@@ -54,9 +54,9 @@ def _changes(request: Request, status: RunStatus, roster: TeamRoster) -> Sequenc
         raise RequestError("expected a running simulation")
 
     if request.what == "link":
-        return roster.link(request.given, status.tick + 1)
+        return changes.link(request.given, status.tick + 1)
     section = requested(TargetSection, dict(request.given))
-    return roster.target(section, status.tick + 1)
+    return changes.target(section, status.tick + 1)
 
 
 def _reply(change: Message, status: RunStatus) -> Mapping[str, Any]:

@@ -1,6 +1,7 @@
 """Names of processes, as messages, keys, certificates and the command line use them."""
 
 import re
+from collections.abc import Collection
 
 MAX_UAVS = 256  # largest id of a UAV or an agent
 
@@ -20,6 +21,11 @@ _NAME = re.compile(rf"{COORDINATOR}|{PLANT}|{RECORDER}|({AGENT}|{VEHICLE})[1-9][
 def agent_name(agent: int) -> str:
     """Return the process name of an agent, such as "agent2"."""
     return f"{AGENT}{agent}"
+
+
+def agent_names(agents: Collection[int]) -> str:
+    """Return the process names of agents as text, ascending."""
+    return ", ".join(agent_name(agent) for agent in sorted(agents))
 
 
 def vehicle_name(uav: int) -> str:

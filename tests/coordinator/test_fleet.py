@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from transport.coordinator.fleet import Fleet
-from transport.coordinator.node import CoordinatorNode, State
+from transport.coordinator.machine import State
+from transport.coordinator.node import CoordinatorNode
 from transport.model.arrays import Array
 from transport.protocol.scenario.file import read_scenario
 from transport.protocol.scenario.setup import Setup
