@@ -1,20 +1,19 @@
 """The Zenoh bus: one session per process, liveliness in and out, one queue of all that arrives."""
 
-import json
 import queue
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import psutil
 import zenoh
 
 from transport.protocol.admission.gate import Accepted, Gate, Sample
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.joining import ASK_EVERY_S, Joining
+from transport.protocol.network.presence import ANSWER_S, OtherPresences, OwnPresence
+from transport.protocol.network.requests import Requests
 from transport.protocol.network.session import (
     BusError,
     fetch_answer,
@@ -23,14 +22,10 @@ from transport.protocol.network.session import (
     open_session,
 )
 from transport.protocol.network.steady_clock import SteadyClock
-from transport.protocol.wire.codec import VERSION
-from transport.protocol.wire.errors import MessageError
-from transport.protocol.wire.keys import RECORDER, Keys, Token
+from transport.protocol.wire.keys import RECORDER, Keys
 from transport.protocol.wire.messages import Bundle, Event, Presence, Request
 from transport.protocol.wire.names import COORDINATOR, PLANT, VEHICLE, agent_name, role_of
 
-# Time in which the coordinator answers a process that is about to return, s.
-_ANSWER_S = 1.0
 # Time that a process waits at the end of the run for those that leave before it, s: a busy host may
 # take seconds to read.
 LINGER_S = 10.0
@@ -118,19 +113,13 @@ class Bus:
         self, name: str, place: Place, digest: str, gate: Gate, options: BusOptions | None = None
     ) -> None:
         self.name = name
-        self.incarnation = place.incarnation
         self.gate = gate
         self.before_wait: Callable[[], None] = lambda: None
-        self.alive: dict[str, int] = {}
 
         self._place = place
-        self._digest = digest
         self._options = options or BusOptions()
         self._keys = Keys(place.run)
         self._clock = SteadyClock()
-        self._renewing = self.incarnation  # the newest incarnation, announced or about to be
-        self._asks_again_s = 0.0  # monotonic time before which the coordinator is not asked again
-        self._left: set[str] = set()  # processes that were up, and are not any more
         self._inbox: queue.SimpleQueue[tuple[int, _Item]] = queue.SimpleQueue()
         # What came for the node before this process had joined: older than all in the inbox.
         self._early: deque[tuple[int, _Item]] = deque()
@@ -138,13 +127,31 @@ class Bus:
         self._accepted: Iterator[Accepted] = iter(())
         self._arrived_ns = 0
         self._publishers: dict[str, zenoh.Publisher] = {}
-        self._tokens: list[zenoh.LivelinessToken] = []
 
         log_errors(to_output=name != RECORDER)
         self._session = open_session(
             place.endpoints, self._options.patience_s, name, self._keys, place.join_timeout_s
         )
+        self._own = OwnPresence(
+            name,
+            place.incarnation,
+            digest,
+            self._keys,
+            self._session.liveliness().declare_token,
+        )
+        self._others = OtherPresences(name, digest, self._keys, gate)
+        self._requests = Requests(name, self._keys, gate, serves=self._options.serves)
         self._declared = self._subscribe()
+
+    @property
+    def incarnation(self) -> int:
+        """Number of this start of the process, as announced."""
+        return self._own.incarnation
+
+    @property
+    def alive(self) -> Mapping[str, int]:
+        """Incarnations of the processes that are up, by name."""
+        return self._others.alive
 
     def _subscribe(self) -> list[Any]:
         """Declare all that receives.
@@ -170,10 +177,7 @@ class Bus:
 
     def announce(self) -> None:
         """Show the others that this process is there, before it is ready; once."""
-        if not self._tokens:
-            self._declare_token(
-                self._keys.alive(self.name, self.incarnation, self._digest, VERSION)
-            )
+        self._own.announce()
 
     def join(
         self,
@@ -222,7 +226,7 @@ class Bus:
             if later is not None:
                 self._early.append((at_ns, later))
 
-        self._declare_token(self._keys.ready(self.name, self.incarnation))
+        self._own.join()
         return None
 
     def _take_while_joining(
@@ -233,12 +237,14 @@ class Bus:
         Such are requests, messages, and the tokens of processes that are ready before this one.
         """
         if isinstance(item, zenoh.Query):
-            return self._answer_or_forward(item)
+            return self._requests.take(item, self.incarnation)
         if not isinstance(item, zenoh.Sample):
             return item
         key = self._keys.end(str(item.key_expr))
         if key.startswith("alive/"):
-            self._take_token(item, joins=True)
+            if item.kind == zenoh.SampleKind.PUT:
+                self._others.check(str(item.key_expr), self.incarnation)
+            self._take_token(item)
             return None
         if key.startswith(f"ready/{COORDINATOR}/"):
             joining.is_begun = True
@@ -250,64 +256,17 @@ class Bus:
         listening = ", ".join(endpoints.listen) or "nothing"
         connecting = ", ".join(endpoints.connect) or "none: others connect to it"
         # Those that have left are named if no other is missing.
-        never_seen = set(missing) - self._left
+        never_seen = set(missing) - self._others.left
         absent = ", ".join(sorted(never_seen or missing))
         within = f"no sign of {absent} within {self._place.join_timeout_s:g} s"
         return BusError(
             f"{self.name}: {within}; listening on {listening}, connecting to {connecting}"
         )
 
-    def _take_token(self, sample: zenoh.Sample, *, joins: bool = False) -> Presence | None:
-        """Return the event in a token.
-
-        A process takes part from "ready" on, is gone with "alive". Raises: BusError: as `join`.
-        """
-        key = str(sample.key_expr)
+    def _take_token(self, sample: zenoh.Sample) -> Presence | None:
+        """Return the event in a token, if it is one for the node."""
         is_there = sample.kind == zenoh.SampleKind.PUT
-        try:
-            token = self._keys.token(key)
-        except MessageError as error:
-            if is_there:
-                self.gate.rejections.add(self._keys.end(key), error)
-            return None
-
-        if token.digest is None:  # a "ready" token
-            return Presence(token.name, token.incarnation, alive=True) if is_there else None
-        if joins and is_there:
-            self._check_peer(token)
-        if token.digest != self._digest or token.version != VERSION:
-            return None  # it finds out by itself that it does not belong here
-        if is_there:
-            self._note_came(token)
-            return None
-        self._note_went(token)
-        return Presence(token.name, token.incarnation, alive=False)
-
-    def _note_came(self, token: Token) -> None:
-        """Note a process that is alive; it takes part from its "ready" token on."""
-        self.alive[token.name] = token.incarnation
-        self._left.discard(token.name)
-        self.gate.announce(token.name, token.incarnation)
-
-    def _note_went(self, token: Token) -> None:
-        """Note a process that has gone, unless a newer incarnation of it is alive."""
-        if self.alive.get(token.name) == token.incarnation:
-            del self.alive[token.name]
-            self._left.add(token.name)
-
-    def _check_peer(self, token: Token) -> None:
-        """Refuse to join beside a process that does not fit. Raises: BusError: as `join`."""
-        if token.name == self.name and token.incarnation != self.incarnation:
-            raise BusError(
-                f"{self.name} is already running in this run (incarnation {token.incarnation})"
-            )
-        if token.version != VERSION:
-            versions = f"version {token.version} of the protocol, {self.name} version {VERSION}"
-            remedy = "install the same release on all hosts"
-            raise BusError(f"{token.name} speaks {versions}: {remedy}")
-        if token.digest != self._digest:
-            remedy = "start all processes from the same file"
-            raise BusError(f"{token.name} runs another scenario: {remedy}")
+        return self._others.take(str(sample.key_expr), is_there=is_there)
 
     def _taking_part(self, expected: Collection[str]) -> set[str] | None:
         """Return the others that take part in a run that has begun, and its observers.
@@ -325,32 +284,16 @@ class Bus:
     def renew(self, incarnation: int) -> None:
         """Announce a new incarnation of this process once all is read that has come until now.
 
-        The queue itself announces it, after everything older, and only if the coordinator answers.
-        Without an answer, for which this waits, further calls try again, so seldom that this process
-        goes on reading.
-
-        The reason: a process that was stopped for long reads messages of connections that have closed
-        since, a roster without it, and then that the coordinator is gone. Announced between the two, it
-        would join the run and leave at once.
+        The queue itself announces it, after everything older, and only if the coordinator answers,
+        for which this waits (`protocol.network.presence`). Without an answer further calls try again.
         """
-        if self._renewing == incarnation or time.monotonic() < self._asks_again_s:
+        if not self._own.may_renew(incarnation, time.monotonic()):
             return
-        if self.ask(COORDINATOR, "status", timeout_s=_ANSWER_S) is None:
-            self._asks_again_s = time.monotonic() + _ANSWER_S
+        if self.ask(COORDINATOR, "status", timeout_s=ANSWER_S) is None:
+            self._own.delay_renewal(time.monotonic())
             return
-        self._renewing = incarnation
+        self._own.renew(incarnation)
         self._put(_Renewal(incarnation))
-
-    def _announce(self, incarnation: int) -> None:
-        """Replace the tokens of this process by those of a new incarnation, ready at once."""
-        old = self._tokens
-        self._tokens = []
-        self.incarnation = incarnation
-        self.gate.announce(self.name, incarnation)
-        self._declare_token(self._keys.alive(self.name, incarnation, self._digest, VERSION))
-        self._declare_token(self._keys.ready(self.name, incarnation))
-        for token in old:
-            token.undeclare()  # type: ignore[no-untyped-call]
 
     def ask(
         self, name: str, what: str, given: Mapping[str, Any] | None = None, timeout_s: float = 5.0
@@ -405,6 +348,7 @@ class Bus:
         Closing drops what they have not read.
         """
         self.put(self._keys.left(self.name), b"")
+        self._own.leave()
         deadline = time.monotonic() + LINGER_S
         while {RECORDER, *after} & set(self.alive):
             left_s = deadline - time.monotonic()
@@ -421,56 +365,9 @@ class Bus:
     def close(self) -> None:
         """Undeclare everything and close the session, within bounded time."""
         in_bounded_time(
-            *(declared.undeclare for declared in (*self._tokens, *self._declared)),
+            *(declared.undeclare for declared in (*self._own.tokens, *self._declared)),
             self._session.close,
         )
-
-    def _declare_token(self, token: str) -> None:
-        self._tokens.append(self._session.liveliness().declare_token(token))
-
-    def _answer_or_forward(self, query: zenoh.Query) -> Request | None:
-        """Return a request from the network as an event.
-
-        None if it is answered here: bad ones, and those for the health of the process.
-        """
-        key = str(query.key_expr)
-        what = key.removeprefix(self._keys.request(self.name, ""))
-
-        def reply(answer: Mapping[str, Any]) -> None:
-            query.reply(key, json.dumps(answer))
-            query.drop()  # type: ignore[no-untyped-call]
-
-        given = None
-        with suppress(ValueError, RecursionError, zenoh.ZError):
-            given = json.loads(query.payload.to_string() if query.payload else "{}")
-        if not isinstance(given, dict) or "/" in what or "*" in what:
-            error = MessageError("malformed", "not a request")
-            self.gate.rejections.add(self._keys.end(key), error)
-            reply({"error": "expected a JSON object under the key of one request"})
-            return None
-        if what == "health":
-            reply(self._health())
-            return None
-        if not self._options.serves:
-            expected = f"expected health, the only request that {self.name} answers"
-            reply({"error": f"what: {expected}, got {what[:40]!r}"})
-            return None
-        return Request(what, given, reply)
-
-    def _health(self) -> dict[str, Any]:
-        """Return the resource use of this process, and how many messages it has refused."""
-        process = psutil.Process()
-        return {
-            "name": self.name,
-            "incarnation": self.incarnation,
-            "protocol": VERSION,
-            "tick": self.gate.tick,
-            "refused": self.gate.rejections.total,
-            "memory_bytes": process.memory_info().rss,
-            "threads": process.num_threads(),
-            "open_files": process.num_fds(),
-            "cpu_s": time.process_time(),
-        }
 
     def _put(self, item: _Item) -> None:
         """Queue what arrives, with its time; on any thread."""
@@ -485,10 +382,12 @@ class Bus:
         if isinstance(item, Interrupted | Request):
             return item
         if isinstance(item, _Renewal):
-            self._announce(item.incarnation)
+            # Before the others see the tokens: they may answer at once.
+            self.gate.announce(self.name, item.incarnation)
+            self._own.begin_anew(item.incarnation)
             return None
         if isinstance(item, zenoh.Query):
-            return self._answer_or_forward(item)
+            return self._requests.take(item, self.incarnation)
 
         key = str(item.key_expr)
         if self._keys.end(key).startswith(("alive/", "ready/")):

@@ -215,6 +215,10 @@ def test_a_new_incarnation_is_announced_after_all_that_came_before(
     """
     plant, session = network
     bus = plant.bus
+    assert bus.join([]) is None
+    joined = bus.next(PATIENCE_S)  # it sees its own token
+    assert joined is not None
+    assert joined.event == Presence("plant", 0, alive=True)
     bus.renew(1)
     assert bus.next(0.1) is None
     assert bus.incarnation == 0
@@ -231,7 +235,7 @@ def test_a_new_incarnation_is_announced_after_all_that_came_before(
     assert arrival is not None
     assert arrival.event == Presence("coordinator", 0, alive=False)
     assert bus.incarnation == 0
-    own = bus.next(PATIENCE_S)  # it sees its own token
+    own = bus.next(PATIENCE_S)
     assert own is not None
     assert own.event == Presence("plant", 1, alive=True)
     assert bus.incarnation == 1

@@ -1,0 +1,158 @@
+"""Presence of a process: its own tokens by the table of its stages, and those of the others."""
+
+from dataclasses import dataclass, field
+
+import pytest
+
+from tests.support.runs import setup
+from transport.protocol.admission.gate import Gate
+from transport.protocol.network.presence import STAGES, OtherPresences, OwnPresence, Stage, Step
+from transport.protocol.network.session import BusError
+from transport.protocol.wire.codec import VERSION
+from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.messages import Presence
+
+DIGEST = "00000000000000aa"
+KEYS = Keys("r")
+
+
+@dataclass
+class Shown:
+    """Tokens that the others see, and all that happened to them."""
+
+    now: list[str] = field(default_factory=list)
+    story: list[str] = field(default_factory=list)
+
+    def declare(self, key: str) -> "Token":
+        """Show a token."""
+        self.now.append(key)
+        self.story.append(f"+ {KEYS.end(key)}")
+        return Token(self, key)
+
+
+@dataclass
+class Token:
+    """A token that can be withdrawn."""
+
+    shown: Shown
+    key: str
+
+    def undeclare(self) -> None:
+        """Withdraw it."""
+        self.shown.now.remove(self.key)
+        self.shown.story.append(f"- {KEYS.end(self.key)}")
+
+
+def own() -> tuple[OwnPresence, Shown]:
+    """Return an agent that nobody knows yet, and what the others see of it."""
+    shown = Shown()
+    return OwnPresence("agent2", 3, DIGEST, KEYS, shown.declare), shown
+
+
+def others() -> OtherPresences:
+    """Return what the plant knows of the others, of whom none is up."""
+    return OtherPresences("plant", DIGEST, KEYS, Gate("plant", KEYS, setup().shape))
+
+
+def test_a_new_incarnation_is_there_before_the_old_one_goes() -> None:
+    """No moment is without a token of the process: the others never see it gone for good."""
+    presence, shown = own()
+    presence.announce()
+    presence.announce()
+    presence.join()
+    presence.renew(4)
+    assert presence.stage is Stage.RENEWING
+    assert presence.incarnation == 3
+    presence.begin_anew(4)
+    assert presence.incarnation == 4
+    alive = f"{DIGEST}/{VERSION}"
+    assert shown.story == [
+        f"+ alive/agent2/3/{alive}",
+        "+ ready/agent2/3",
+        f"+ alive/agent2/4/{alive}",
+        "+ ready/agent2/4",
+        f"- alive/agent2/3/{alive}",
+        "- ready/agent2/3",
+    ]
+
+
+def test_a_process_that_leaves_begins_nothing() -> None:
+    """A note of a new incarnation that is still in the queue is not followed any more."""
+    presence, shown = own()
+    presence.announce()
+    presence.join()
+    presence.renew(4)
+    presence.leave()
+    before = list(shown.story)
+    presence.begin_anew(4)
+    assert shown.story == before
+    assert presence.incarnation == 3
+
+
+def test_a_new_incarnation_is_asked_for_once_and_seldom() -> None:
+    """Neither for the one that is there or noted, nor within a second of a question without answer."""
+    presence, _ = own()
+    presence.announce()
+    presence.join()
+    assert not presence.may_renew(3, 10.0)
+    assert presence.may_renew(4, 10.0)
+    presence.delay_renewal(10.0)
+    assert not presence.may_renew(4, 10.9)
+    assert presence.may_renew(4, 11.0)
+    presence.renew(4)
+    assert not presence.may_renew(4, 11.0)
+    assert presence.may_renew(5, 11.0)
+
+
+@pytest.mark.parametrize("stage", Stage)
+def test_each_stage_can_be_left(stage: Stage) -> None:
+    """A process may leave at any time, and only once; what is no step of its stage is a defect."""
+    if stage is not Stage.LEAVING:
+        assert STAGES[stage][Step.LEAVE] is Stage.LEAVING
+    presence, _ = own()
+    presence.leave()
+    with pytest.raises(RuntimeError, match="agent2 cannot leave while it is leaving"):
+        presence.leave()
+
+
+@pytest.mark.parametrize("order", [(1, 2), (2, 1)])
+def test_the_end_of_an_old_incarnation_is_not_that_of_a_newer_one(order: tuple[int, int]) -> None:
+    """Its token may disappear before or after the newer one appears."""
+    plant = others()
+    old = KEYS.alive("agent2", 1, DIGEST, VERSION)
+    new = KEYS.alive("agent2", 2, DIGEST, VERSION)
+    assert plant.take(old, is_there=True) is None
+    happens = {1: (old, False), 2: (new, True)}
+    events = [plant.take(key, is_there=there) for key, there in (happens[step] for step in order)]
+    assert [event for event in events if event] == [Presence("agent2", 1, alive=False)]
+    assert plant.alive == {"agent2": 2}
+    assert not plant.left
+
+
+def test_a_process_that_is_gone_has_left() -> None:
+    """It takes part from "ready" on, and is gone with "alive", whichever token disappears first."""
+    plant = others()
+    alive = KEYS.alive("agent2", 1, DIGEST, VERSION)
+    ready = KEYS.ready("agent2", 1)
+    assert plant.take(alive, is_there=True) is None
+    assert plant.take(ready, is_there=True) == Presence("agent2", 1, alive=True)
+    assert plant.take(ready, is_there=False) is None
+    assert plant.take(alive, is_there=False) == Presence("agent2", 1, alive=False)
+    assert plant.left == {"agent2"}
+    assert plant.alive == {}
+
+
+@pytest.mark.parametrize(
+    ("key", "text"),
+    [
+        (KEYS.alive("plant", 7, DIGEST, VERSION), "plant is already running in this run"),
+        (KEYS.alive("agent1", 0, DIGEST, VERSION + 1), "install the same release on all hosts"),
+        (KEYS.alive("agent1", 0, "11111111111111bb", VERSION), "agent1 runs another scenario"),
+    ],
+)
+def test_a_process_that_does_not_fit_is_refused(key: str, text: str) -> None:
+    """Another of this name, another protocol, another scenario; and it is not counted as up."""
+    plant = others()
+    with pytest.raises(BusError, match=text):
+        plant.check(key, 0)
+    plant.check(KEYS.alive("plant", 0, DIGEST, VERSION), 0)
