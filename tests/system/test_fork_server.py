@@ -107,7 +107,7 @@ def test_place_of_its_own(begin: Begin, server: ForkServer) -> None:
     assert command_of(str(child.process.pid)) == ["transport", *LONELY]
     assert os.getsid(child.process.pid) == child.process.pid
     assert child.process.ppid() == os.getpid()
-    parent = psutil.Process(server._process.pid)
+    parent = psutil.Process(server.pid)
     assert parent.num_threads() == 1  # required for fork
     own, servers = (
         {str(link.readlink()) for link in Path(f"/proc/{p.pid}/fd").iterdir()}
@@ -151,7 +151,7 @@ def test_orphans_end(begin: Begin, server: ForkServer) -> None:
 # Starts a server, prints its id and waits for its end.
 PARENT = (
     "import time; from transport.flight.fork_server import ForkServer; server = ForkServer();"
-    "print(server._process.pid, flush=True); time.sleep(600)"
+    "print(server.pid, flush=True); time.sleep(600)"
 )
 
 
@@ -272,7 +272,7 @@ def test_without_server(
         assert not adopts_orphans()
         monkeypatch.setattr(harness, "fork_server", lambda: elsewhere)
     elif what == "dead":
-        os.kill(server._process.pid, signal.SIGKILL)
+        os.kill(server.pid, signal.SIGKILL)
     else:  # longer than a request; Linux has 128 KiB for each variable
         for name in ("FIRST", "SECOND"):
             monkeypatch.setenv(name, "x" * 100_000)

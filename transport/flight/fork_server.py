@@ -1,10 +1,23 @@
-"""Fork server: starts the processes of a run by fork.
-
-Imports are done once and their memory is shared.
+"""Fork server: starts the processes of a run by fork, so that imports are done once and shared.
 
 A forked process equals `python -m transport agent ...`: it has its own session, output, title and
-exit code, and is a child of the process that asked for it. On systems other than Linux processes
-are started by Popen.
+exit code, and is a child of the process that asked for it. Four processes take part in its start:
+
+    caller   asks: arguments, environment, folder, two open files       (`ForkServer.start`)
+    server   prepares, forks the next, and waits for its end            (`serve`)
+    between  forks the new process, tells its id to the server, ends    (`_started`)
+    new      waits until the caller has adopted it, as the process in between has ended and the caller
+             is the reaper of its orphans; then it is the command       (`_become`)
+
+The caller's server is in one of two states, and is never started again by the same object:
+
+    SERVING   from `ForkServer()` on Linux        processes are forked
+    ABSENT    after `close`, or once the server   processes are started by Popen
+              could not be started, has not answered, or has answered without a process;
+              on other systems from the beginning
+
+A program has one server at most (`fork_server`), which ends with it: a closed one is replaced by the
+next call. Forked processes outlive the server.
 """
 
 import atexit
@@ -20,6 +33,7 @@ import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
@@ -57,22 +71,35 @@ def close_fork_server() -> None:
             _servers.pop().close()
 
 
+@dataclass(frozen=True, slots=True)
+class _Serving:
+    """A server process that imports, or waits for requests, and the socket for them."""
+
+    requests: socket.socket
+    process: subprocess.Popen[bytes]
+
+
 class ForkServer:
     """Client of the server process, which starts to import at once.
 
-    Forked processes outlive the server. Until the server is closed, all orphaned descendants of this
-    process become its children (`PR_SET_CHILD_SUBREAPER`), also those of other parts of the program.
+    While it serves, all orphaned descendants of this process become its children
+    (`PR_SET_CHILD_SUBREAPER`), also those of other parts of the program.
     """
 
     def __init__(self) -> None:
         self._turn = threading.Lock()  # the answers of the server do not name their requests
-        self._socket: socket.socket | None = None
+        self._server: _Serving | None = None
         if sys.platform != "linux" or not _adopt_orphans(True):
             return
         try:
-            self._socket, self._process = _launched()
+            self._server = _launched()
         except OSError:
             _adopt_orphans(False)  # the server only saves time: processes are started by Popen
+
+    @property
+    def pid(self) -> int:
+        """Id of the server process, 0 without one."""
+        return 0 if self._server is None else self._server.process.pid
 
     def start(
         self, arguments: Sequence[str], stdin: int, output: IO[bytes], extra: Mapping[str, str]
@@ -84,9 +111,9 @@ class ForkServer:
         environment = {**ENVIRONMENT, **os.environ, **extra}
         with self._turn:
             try:
-                if self._socket is not None:
+                if self._server is not None:
                     files = [stdin, output.fileno()]
-                    return _forked(self._socket, arguments, environment, files)
+                    return _forked(self._server.requests, arguments, environment, files)
             except (OSError, ValueError, psutil.Error):
                 # Without an answer, or a current folder, the process is started anew. One that the
                 # server has forked but not announced ends with its input.
@@ -103,16 +130,16 @@ class ForkServer:
 
     def close(self) -> None:
         """End the server process."""
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
-            self._process.kill()
-            self._process.wait()
+        server, self._server = self._server, None
+        if server is not None:
+            server.requests.close()
+            server.process.kill()
+            server.process.wait()
             _adopt_orphans(False)
 
 
-def _launched() -> tuple[socket.socket, subprocess.Popen[bytes]]:
-    """Start a server process; return the socket for its requests and the process.
+def _launched() -> _Serving:
+    """Start a server process.
 
     Raises: OSError: there is no file, no memory or no process left for it.
     """
@@ -135,7 +162,7 @@ def _launched() -> tuple[socket.socket, subprocess.Popen[bytes]]:
         except OSError:
             requests.close()
             raise
-    return requests, process
+    return _Serving(requests, process)
 
 
 def _forked(
