@@ -31,7 +31,7 @@ from tables import ROOT, place, put
 from transport.experiments.cases import ERROR, Case, Result, simulate
 from transport.experiments.workers import map_on_cores
 from transport.flight.progress import compile_models
-from transport.protocol.scenario.budget import estimate, most_workers
+from transport.protocol.scenario.budget import most_workers, size_of
 
 # Declarations by name: a table is planned only when it is needed, as that reads its scenarios.
 _EXPERIMENTS: Mapping[str, Callable[[], Measured]] = {
@@ -82,7 +82,7 @@ def fly(tasks: Sequence[Task], *, one_at_a_time: bool = False) -> Iterator[tuple
     if not one_at_a_time:
         jobs = most
         # The longest first: a long one at the end would leave cores idle.
-        numbered.sort(key=lambda entry: -expected_s(entry[1].case))
+        numbered.sort(key=lambda entry: -_work(entry[1].case))
     simulated = map_on_cores(_simulated, numbered, jobs)
     for count, (index, result) in enumerate(simulated, start=1):
         task = tasks[index]
@@ -92,12 +92,11 @@ def fly(tasks: Sequence[Task], *, one_at_a_time: bool = False) -> Iterator[tuple
         yield task, result
 
 
-def expected_s(case: Case) -> float:
-    """Return about how long a run takes, s."""
-    scenario = case.scenario
-    budget = estimate(scenario)
-    steps_s = budget.ticks * len(scenario.owned) * budget.step_s
-    return _FILTER * steps_s if scenario.controller.estimator == "kalman" else steps_s
+def _work(case: Case) -> float:
+    """Return a measure of how long a run takes."""
+    size = size_of(case.scenario)
+    work = size.agent_steps * float(size.variables)
+    return _FILTER * work if case.scenario.controller.estimator == "kalman" else work
 
 
 def _simulated(numbered: tuple[int, Task]) -> tuple[int, Result]:

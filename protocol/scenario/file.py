@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from transport.protocol.scenario.bounded_files import TooLargeError, read_text
-from transport.protocol.scenario.budget import check_budget
+from transport.protocol.scenario.budget import check_size
 from transport.protocol.scenario.errors import (
     PythonSetting,
     ScenarioError,
@@ -103,7 +103,7 @@ def with_settings(
     try:
         scenario = validate(tree, source)
         if not allow_large:
-            check_budget(scenario, source)
+            check_size(scenario, source)
         return scenario
     except ScenarioError as error:
         raise error.blaming(settings) from error.__cause__

@@ -3,7 +3,7 @@
 Each mutated scenario goes through `transport validate` in a process of its own with limits on
 memory and processor time; a scenario that is accepted is simulated in memory for a few ticks.
 Neither may end with a traceback, use more than 1 GB, or compute for 10 s without a sign. Where the
-simulation has a large team in one process, it may use what the budget allows to such a process,
+simulation has a large team in one process, it may use as much as its share of the limits on size,
 while each process of `transport run` is within 1 GB. The limits are of processor time, so the
 result does not depend on the load of the host.
 """
@@ -26,7 +26,7 @@ from tests.campaigns.harness import Result
 from tests.support.mutations import mutated
 from transport.cli.scenario import validate
 from transport.flight.memory import simulate
-from transport.protocol.scenario.budget import estimate
+from transport.protocol.scenario.budget import MOST_AGENT_STEPS, MOST_ENTRIES, size_of
 from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Message, PlantState
@@ -114,7 +114,9 @@ def _outcome(path: Path, ticks: int) -> tuple[str, str, float]:
             return (REFUSED if clear else "no clear line"), refusal, LARGEST_BYTES
         _sign()
         scenario = read_scenario(path)
-        most_bytes = max(LARGEST_BYTES, estimate(scenario).worker_bytes)
+        size = size_of(scenario)
+        share = size.agent_steps / MOST_AGENT_STEPS + size.entries / MOST_ENTRIES
+        most_bytes = LARGEST_BYTES * (1.0 + 4.0 * share)
         return *_simulated(Setup.of(scenario, str(path)), ticks), most_bytes
     except BaseException:  # noqa: BLE001  # any error here is a result
         return "traceback", traceback.format_exc(), LARGEST_BYTES

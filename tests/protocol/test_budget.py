@@ -1,20 +1,16 @@
-"""Budgets: estimates agree with the sizes of controllers, messages and logs, and limits hold."""
-
-from pathlib import Path
+"""Sizes of runs agree with those of controllers, and limits hold."""
 
 import pytest
 
-from tests.support.logs import record_run
 from transport.mpc.program.constraints import constraints_of
 from transport.mpc.program.constraints.stack import Stack
 from transport.mpc.program.decision import Decision
-from transport.protocol.scenario.budget import estimate
+from transport.protocol.scenario.budget import most_workers, size_of
 from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.team import Team, resized
 
-LAG = ["plant.motors.lag_s=0.05", "controller.motor_lag_s=0.05"]
 SHORT = "maneuver.phase=[{name='climb',duration_s=2.0,displacement_m=[0.0,0.0,-1.0]}]"
 
 TEAMS = [
@@ -45,7 +41,7 @@ def test_size_of_the_program(name: str, uavs: int, group: int) -> None:
     largest = max(setup.owned, key=len)
     decision = Decision(setup.system, setup.settings, largest)
     stack = Stack(decision, constraints_of(decision))
-    found = estimate(scenario)
+    found = size_of(scenario)
     assert found.ticks == setup.ticks
     constraints = len(scenario.controller.constraint)
     actual = decision.size + len(stack.penalties)
@@ -54,21 +50,21 @@ def test_size_of_the_program(name: str, uavs: int, group: int) -> None:
     assert actual_rows <= found.rows <= actual_rows + 7 * constraints
 
 
-@pytest.mark.parametrize(("name", "settings"), [("paper", []), ("windy", []), ("resilient", LAG)])
-def test_size_of_the_log(name: str, settings: list[str], tmp_path: Path) -> None:
-    """The log of a run is within a factor of two of its estimate."""
-    path = find_scenario(name)
-    climb = "maneuver.phase=[{name='climb',duration_s=3.0,displacement_m=[0.0,0.0,-1.0]}]"
-    scenario = read_scenario(path, [climb, *settings])
-    record_run(Setup.of(scenario, str(path)), tmp_path)
-    assert 0.5 < (tmp_path / "run.mcap").stat().st_size / estimate(scenario).log_bytes < 2.0
+def test_workers_share_one_limit() -> None:
+    """As many runs at a time as together are as large as one may be; one run at least."""
+    path = find_scenario("resilient")
+    small = read_scenario(path)
+    large = read_scenario(path, ["maneuver.phase.1.duration_s=6000.0"])
+    larger = read_scenario(path, ["maneuver.phase.1.duration_s=2e4"], allow_large=True)
+    assert most_workers([small]) > 64
+    assert [most_workers(runs) for runs in ([large, small], [larger], [])] == [2, 1, 1]
 
 
 BEYOND = [
     (
         "maneuver.phase.1.duration_s=5e8",
         "maneuver.phase",
-        "expected at most 8,000 MB of memory in total, got 351,",
+        "expected at most 1,000,000 steps of all agents, got 40,",
     ),
     (
         "plant.step_s=1e-8",
@@ -78,19 +74,19 @@ BEYOND = [
     (
         "controller.horizon=3000",
         "controller.horizon",
-        "expected at most 8,000 MB of memory in total, got 39,",
+        "expected at most 100,000,000 entries in the constraint matrices of all agents, got 1,",
     ),
     (
         "maneuver.phase.1.duration_s=2e4",
         "maneuver.phase",
-        "expected at most 8,000 MB of memory in total, got ",
+        "expected at most 1,000,000 steps of all agents, got 1,6",
     ),
 ]
 
 
 @pytest.mark.parametrize(("setting", "field", "text"), BEYOND)
 def test_large_runs_are_refused_unless_allowed(setting: str, field: str, text: str) -> None:
-    """A run beyond a limit is refused by the setting, the limit and the estimate.
+    """A run beyond a limit is refused by the setting, the limit and the size.
 
     It is read with `allow_large`.
     """
@@ -111,8 +107,8 @@ def test_the_step_of_mujoco_counts() -> None:
     ) as caught:
         read_scenario(path, settings)
     assert str(caught.value).startswith("--set plant.mujoco.step_s=1e-9: ")
-    assert estimate(read_scenario(path, settings[:1])).plant_steps == 10
-    assert estimate(read_scenario(path)).plant_steps == 5
+    assert size_of(read_scenario(path, settings[:1])).plant_steps == 10
+    assert size_of(read_scenario(path)).plant_steps == 5
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ from transport.experiments.statistics import TITLE, WIDTH, PointStatistics, conc
 from transport.experiments.sweep import Results, Swept, sweep, write_markdown
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.run_files import machine
-from transport.protocol.scenario.budget import ADMITTED, MB, MOST_TOTAL_BYTES, most_workers
+from transport.protocol.scenario.budget import ADMITTED, most_workers
 from transport.protocol.scenario.file import find_scenario, read_scenario
 from transport.protocol.scenario.schema import Scenario
 
@@ -174,8 +174,7 @@ class ExperimentOptions:
         jobs = min(len(cases), self.jobs or self.declared.jobs or joblib.cpu_count())
         most = jobs if self.allow_large else most_workers(case.scenario for case in cases)
         if jobs > most and self.jobs is not None:
-            memory = f"{MOST_TOTAL_BYTES / MB:,.0f} MB of memory in all"
-            raise refused("--jobs", f"at most {most}, which take {memory}", f"{jobs} ({ADMITTED})")
+            raise refused("--jobs", f"at most {most} runs so large", f"{jobs} ({ADMITTED})")
         return on_cores(cases, min(jobs, most))
 
 

@@ -18,7 +18,7 @@ from transport.flight.run_files import checked
 from transport.interface.scenario import Scenario
 from transport.model.state import INPUTS
 from transport.protocol.scenario.acting_alone import lacks
-from transport.protocol.scenario.budget import check_budget, estimate
+from transport.protocol.scenario.budget import check_size, size_of
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.radio_settings import slot_lengths
 from transport.protocol.scenario.relations import after_the_end
@@ -96,7 +96,7 @@ def new(
         team = f"{uavs} UAVs, {len(setup.agents)} agents, {thrusts}"
         command = f"transport run {shlex.quote(str(out))}"
         try:
-            check_budget(made.validated, str(out))
+            check_size(made.validated, str(out))
         except ScenarioError as error:
             typer.echo(str(error), err=True)
             command += " --allow-large"
@@ -160,8 +160,8 @@ def validate(
 ) -> None:
     """Check a scenario and print it with every default.
 
-    Prints an estimate of memory, log size and processor time on standard error. With --explain also
-    which limit along the reference has the least room: its UAV, its time, and a remedy.
+    Prints the size of the run on standard error. With --explain also which limit along the reference
+    has the least room: its UAV, its time, and a remedy.
 
     Example: transport validate eight --set controller.horizon=10 --explain
     """
@@ -194,7 +194,7 @@ def validate(
             typer.echo(line, err=True)
     for problem in chain(after_the_end(setup.scenario), lacks(setup.alone)):
         typer.echo(f"warning: {problem}", err=True)
-    typer.echo(f"estimate: {estimate(setup.scenario).text()}", err=True)
+    typer.echo(f"size: {size_of(setup.scenario).text()}", err=True)
 
 
 def margins(

@@ -22,7 +22,7 @@ from transport.flight import memory
 from transport.flight.run_files import checked
 from transport.log.run_log import Recorded, RunLog
 from transport.plant.engines import engine_version
-from transport.protocol.scenario.budget import check_budget
+from transport.protocol.scenario.budget import check_size
 from transport.protocol.scenario.file import (
     ScenarioError,
     find_scenario,
@@ -171,7 +171,7 @@ def cases_of(
         path = find_scenario(point.scenario)
         scenario = point.read(settings)
         if not allow_large:
-            check_budget(scenario, str(path))
+            check_size(scenario, str(path))
         if not simulated_before:
             check(scenario, path)
         cases += cases_of_point(index, scenario, path, seeds, more=more)
