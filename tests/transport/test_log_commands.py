@@ -216,8 +216,9 @@ def test_targets_and_airtime_have_tables(form: str, tmp_path: Path) -> None:
             ("export", "nowhere", "--out", "tables", "--kind", "poem"),
             f"expected one of {', '.join(KINDS)}, got 'poem'",
         ),
+        (("export", "nowhere"), "expected --out, --ros2 or both, got none"),
         (
-            ("export", "nowhere", "--foxglove", "scene.mcap", "--kind", "plan"),
+            ("export", "nowhere", "--ros2", "bag.mcap", "--kind", "plan"),
             "--kind: expected --out for the tables, got none",
         ),
         (
@@ -233,14 +234,15 @@ def test_refusals(arguments: tuple[str, ...], text: str) -> None:
     assert text in result.output
 
 
-@pytest.mark.parametrize("option", ["--ros2", "--foxglove"])
-def test_copies_are_mcap_files_by_name(
-    flight: tuple[Path, list[Message]], tmp_path: Path, option: str
-) -> None:
-    """Players tell the format by the name: another ending is refused before the log is read."""
-    result = ask("export", flight[0], option, tmp_path / "bag")
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("bag", "a file name that ends in .mcap"), ("run.mcap", "a file that does not exist yet")],
+)
+def test_the_name_of_a_bag(flight: tuple[Path, list[Message]], name: str, expected: str) -> None:
+    """Players tell the format by the ending, and nothing is overwritten: refused before the log is read."""
+    target = flight[0] / name
+    before = sorted(flight[0].iterdir())
+    result = ask("export", flight[0], "--ros2", target)
     assert result.exit_code == 2
-    assert result.stderr == (
-        f"transport: {option}: expected a file name that ends in .mcap, got {tmp_path / 'bag'}\n"
-    )
-    assert list(tmp_path.iterdir()) == []
+    assert result.stderr == f"transport: --ros2: expected {expected}, got {target}\n"
+    assert sorted(flight[0].iterdir()) == before

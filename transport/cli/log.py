@@ -141,31 +141,25 @@ class TableOptions:
 def export(
     options: TableOptions,
     path: LogArgument = None,
-    foxglove: Path | None = Option(
-        None, metavar="FILE", help="Write a copy with a 3D scene for Foxglove."
-    ),
     ros2: Path | None = Option(
-        None, metavar="FILE", help="Write a bag for ROS 2: an MCAP file with CDR messages."
+        None,
+        metavar="FILE",
+        help="Write a bag for ROS 2 and Foxglove: an MCAP file with CDR messages.",
     ),
     output: FormatOption = Format.text,
 ) -> None:
-    """Write a log as tables, for Foxglove, or as a bag for ROS 2.
+    """Write a log as tables, or as a bag for ROS 2 and Foxglove.
 
     A table for each kind of message: arrays become columns whose names end in their units;
     docs/log.md lists them.
 
     Example: transport log export runs/20260102-101500-paper --parquet --out tables
     """
-    copies = {
-        option: target
-        for option, target in (("--foxglove", foxglove), ("--ros2", ros2))
-        if target is not None
-    }
-    if options.out is None and not copies:
-        fail("expected --out, --foxglove, --ros2 or several of them, got none")
+    if options.out is None and ros2 is None:
+        fail("expected --out, --ros2 or both, got none")
     options.check()
-    for option, target in copies.items():
-        _check_copy(option, target)
+    if ros2 is not None:
+        _check_bag(ros2)
 
     file, log, setup = _open(path)
     written: list[tuple[Path, int, str]] = []  # file, number of entries, and their kind
@@ -173,12 +167,14 @@ def export(
         with blame("--out"):
             for target, count in _export_tables(log, setup, options, options.out):
                 written.append((target, count, "rows"))
-    for option, target in copies.items():
+    if ros2 is not None:
         if setup is None:
-            fail(f"{option}: {file} has no scenario, or one of another version")
-        with blame(option):
-            count = _export_scenes(log, setup, target, is_bag=option == "--ros2")
-            written.append((target, count, "ticks"))
+            fail(f"--ros2: {file} has no scenario, or one of another version")
+        from transport.report.ros2 import write_bag
+        from transport.scene.scene import SceneBuilder
+
+        with blame("--ros2"):
+            written.append((ros2, write_bag(SceneBuilder.of(setup, log), log, ros2), "ticks"))
 
     for sentence in _gaps(log, setup):
         typer.echo(f"warning: {sentence}", err=True)
@@ -187,12 +183,12 @@ def export(
     show(output, {"files": content}, *lines)
 
 
-def _check_copy(option: str, target: Path) -> None:
-    """End the command if the file of a copy does not end in .mcap or already exists."""
+def _check_bag(target: Path) -> None:
+    """End the command if the file of a bag does not end in .mcap or already exists."""
     if target.suffix != ".mcap":  # players tell the format by it
-        fail(f"{option}: expected a file name that ends in .mcap, got {target}")
+        fail(f"--ros2: expected a file name that ends in .mcap, got {target}")
     if target.exists():
-        fail(f"{option}: expected a file that does not exist yet, got {target}")
+        fail(f"--ros2: expected a file that does not exist yet, got {target}")
 
 
 def _export_tables(
@@ -221,17 +217,3 @@ def _write_parquet(target: Path, table: list[Row], metadata: Mapping[str, str]) 
 
     content = pa.table({name: [row.get(name) for row in table] for name in columns(table)})
     pq.write_table(content.replace_schema_metadata(metadata), target)
-
-
-def _export_scenes(log: RunLog, setup: Setup, out: Path, *, is_bag: bool) -> int:
-    """Write a log with its 3D scene, as a bag of ROS 2 or for Foxglove.
-
-    Returns: The number of ticks.
-    """
-    from transport.scene.scene import SceneBuilder
-
-    if is_bag:
-        from transport.report.ros2 import write_bag as write
-    else:
-        from transport.report.foxglove import write_foxglove as write
-    return write(SceneBuilder.of(setup, log), log, out)

@@ -27,7 +27,7 @@ _EXPERIMENTS = {
 _SCENARIO = {"new": ("scenario:new", "Write a scenario for a team of any size.")}
 _LOG = {
     "info": ("log:info", "Describe the content of a log, and its gaps."),
-    "export": ("log:export", "Write a log as tables, for Foxglove, or as a bag for ROS 2."),
+    "export": ("log:export", "Write a log as tables, or as a bag for ROS 2 and Foxglove."),
 }
 _LINK = {
     "set": ("operate:set_links", "Impair or repair links from the next tick on."),

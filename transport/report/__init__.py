@@ -1,1 +1,1 @@
-"""Summary, figures, animation and Foxglove copy of recorded runs."""
+"""Summary, figures, animation and bags of recorded runs."""

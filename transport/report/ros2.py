@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.writer import CompressionType, Writer
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
@@ -19,20 +20,16 @@ from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.rotations import rotation
 from transport.model.state import StateView
-from transport.report.mcap_copy import (
-    Fields,
-    Schema,
-    mcap_copy,
-    point_fields,
-    pose_fields,
-)
-from transport.report.ros2_markers import marker_fields, stamped
+from transport.protocol.scenario.whole_files import atomic_file
+from transport.report.ros2_markers import Fields, marker_fields, point_fields, pose_fields, stamped
 from transport.scene.bodies import INERTIAL
 from transport.scene.drawing import PAYLOAD, ROOT, UPSIDE_DOWN, Drawing, tree
 from transport.scene.parts import Part, Pose
 from transport.scene.scene import SceneBuilder
 
 _GEOMETRY = "geometry_msgs/msg"
+# Metadata record with the header of the log; another name than in a log, which a bag is not.
+_HEADER = "exported run"
 # Topic and type of targets.
 TARGET = "/target", f"{_GEOMETRY}/PoseStamped"
 # Values of fields that are not given; of other types 0.
@@ -229,22 +226,28 @@ def _transform(parent: str, child: str, pose: Pose, at_ns: int) -> Fields:
 
 
 def write_bag(builder: SceneBuilder, log: RunLog, out: Path) -> int:
-    """Write a recorded run as an MCAP file for ROS 2, stamped with scenario time.
+    """Write a recorded run as an MCAP file for ROS 2, stamped with scenario time, whole or not at all.
 
     Return the number of ticks.
     """
     period_ns = builder.setup.period_ns
     messages = Ros2Messages(builder, stamps_apart_ns=period_ns)
-    schemas = {}
-    for topic, kind in messages.topics.items():
-        definition = types().generate_msgdef(kind, ros_version=2)[0].encode()
-        schemas[topic] = Schema(kind, "ros2msg", definition, "cdr")
-
     ticks = sorted(builder.history.plant_states)
-    with mcap_copy(out, log.header, profile="ros2") as put:
+    with atomic_file(out) as file:
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start(profile="ros2", library="payload-transport")
+        writer.add_metadata(_HEADER, dict(log.header))
+
+        channels = {}
+        for topic, kind in messages.topics.items():
+            definition = types().generate_msgdef(kind, ros_version=2)[0].encode()
+            schema = writer.register_schema(kind, "ros2msg", definition)
+            channels[topic] = writer.register_channel(topic, "cdr", schema)
+
         for tick in ticks:
             at_ns = tick * period_ns
             scenes = messages.scenes(tick, at_ns, fixed=tick == ticks[0])
             for topic, data in chain(messages.states(tick, at_ns), scenes):
-                put(topic, schemas[topic], data, at_ns)
+                writer.add_message(channels[topic], at_ns, data, publish_time=at_ns)
+        writer.finish()  # type: ignore[no-untyped-call]
     return len(ticks)

@@ -1,13 +1,16 @@
-"""Markers of ROS 2 (visualization_msgs/msg/Marker): the parts of the drawing of a scene."""
+"""Fields of ROS 2: points, poses, colours, and markers (visualization_msgs/msg/Marker) of a drawing."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from transport.report.mcap_copy import Fields, colour_fields, point_fields, pose_fields
+from transport.model.arrays import Array
 from transport.scene.bodies import INERTIAL
-from transport.scene.parts import Label, Lines, Mesh, Part
+from transport.scene.parts import Label, Lines, Mesh, Part, quaternion
+
+# Fields of a message by name.
+Fields = dict[str, Any]
 
 # Types of markers, and the action that deletes one, of visualization_msgs/msg/Marker.
 _LINE_LIST = 5
@@ -18,6 +21,26 @@ _DELETE = 2
 _LINE_M = 0.004
 _TEXT_M = 0.12
 _NS_PER_S = 10**9
+_ORIGIN = np.zeros(3)
+_LEVEL = np.eye(3)
+_BRIGHTEST = 255.0
+
+
+def point_fields(point: Array) -> Fields:
+    """Return a point or vector, (3,), as ROS 2 has it."""
+    return dict(zip("xyz", point.tolist(), strict=True))
+
+
+def pose_fields(position: Array = _ORIGIN, R: Array = _LEVEL) -> Fields:
+    """Return a position, (3,), m, and a rotation, (3, 3), as ROS 2 has them."""
+    orientation = dict(zip("wxyz", quaternion(R).tolist(), strict=True))
+    return {"position": point_fields(position), "orientation": orientation}
+
+
+def colour_fields(colour: Iterable[float], opacity: float = 1.0) -> Fields:
+    """Return a colour, 0..255, as ROS 2 has it."""
+    red, green, blue = (float(channel) / _BRIGHTEST for channel in colour)
+    return {"r": red, "g": green, "b": blue, "a": float(opacity)}
 
 
 def stamped(at_ns: int, frame: str = INERTIAL) -> Fields:

@@ -1,4 +1,4 @@
-"""Drawing of a run in moving frames, which browser, Foxglove and figures show alike.
+"""Drawing of a run in moving frames, which browser, bags and figures show alike.
 
 Bodies are fixed in their frames; lines that change lie in frames that move with the team or the
 payload, as a browser draws their points later than poses. All frames are relative to the inertial
@@ -44,7 +44,7 @@ PAYLOAD = "payload"
 TEAM = "team"
 LOAD = "load"
 GOAL = "goal"
-# Foxglove and ROS 2 draw z up: the inertial frame, z down, is this frame turned about x.
+# ROS 2 draws z up: the inertial frame, z down, is this frame turned about x.
 ROOT = "map"
 UPSIDE_DOWN: Pose = (np.zeros(3), np.diag([1.0, -1.0, -1.0]))
 
