@@ -14,16 +14,17 @@ from typing import Any
 import numpy as np
 from msgspec.structs import replace
 
-from transport.agent.air import AirNews
-from transport.agent.alone import ALONE, AlonePlanner
-from transport.agent.clocks import Clocks
-from transport.agent.confirmation import Unconfirmed
-from transport.agent.estimation.belief import Belief
-from transport.agent.own import PROJECT, OwnPlanner
+from transport.agent.communication.air import AirNews
+from transport.agent.communication.clock_offsets import Clocks
+from transport.agent.communication.target_confirmation import Unconfirmed
+from transport.agent.estimation.filter.belief import Belief
 from transport.agent.planner import AgentPlanner, OpenStep
+from transport.agent.planning.alone_planner import ALONE, AlonePlanner
+from transport.agent.planning.mpc_planner import Planner
+from transport.agent.planning.step_report import numbers_note
 from transport.agent.received import Received
-from transport.agent.step import Planner, numbers_note
-from transport.agent.stopping import Stopping
+from transport.agent.silence.stopping import Stopping
+from transport.agent.user_class.user_planner import PROJECT, OwnPlanner
 from transport.protocol.admission.arrivals import Arrivals
 from transport.protocol.admission.carried import Place, carried_by, place_of
 from transport.protocol.admission.known_targets import KnownTargets

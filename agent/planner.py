@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Protocol, TypeVar
 
-from transport.agent.estimation.belief import Belief
+from transport.agent.estimation.filter.belief import Belief
 from transport.agent.received import Received
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Message, Plan

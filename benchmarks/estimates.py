@@ -19,8 +19,8 @@ from scipy.stats import chi2
 import transport
 from benchmarks.runs import origin, quiet, step_times
 from docs.tables import ROOT, place, put, table
-from transport.agent.estimation.belief import Belief
-from transport.agent.estimation.manifold import PER_UAV
+from transport.agent.estimation.filter.belief import Belief
+from transport.agent.estimation.filter.manifold import PER_UAV
 from transport.agent.node import AgentNode
 from transport.flight.memory import InMemoryRun
 from transport.model import state

@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from tables import ROOT, commit, put, table
 
-from transport.agent.own_run import run_of
+from transport.agent.user_class.run_for_user import run_of
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
 from transport.analysis.series import Series

@@ -15,7 +15,7 @@ from importlib import metadata
 import threadpoolctl
 from tables import ROOT
 
-from transport.agent.own import controller_versions
+from transport.agent.user_class.user_planner import controller_versions
 from transport.model import compiler, native
 from transport.plant.engines import engine_version
 from transport.protocol.scenario.schema import Scenario

@@ -18,7 +18,7 @@ from transport.model.slowing import Slowing
 from transport.model.target import Target
 
 # Instants before a target for which a track and its gains are kept: more than estimators look back
-# (`WINDOW` of agent/estimation/history.py).
+# (`WINDOW` of agent/estimation/repeated_ticks.py).
 KEPT = 128
 
 # References with targets, which all nodes of a process follow: sampled once.

@@ -30,6 +30,7 @@ LAYERS = {
 # and lower floors only.
 ROOMS = {
     "mpc": ({"program", "alone"}, {"law"}, {"margins"}),
+    "agent": ({"silence"}, {"communication"}, {"estimation"}, {"planning"}, {"user_class"}),
     "protocol": ({"wire", "radio"}, {"scenario"}, {"admission"}, {"network"}),
     "transport": (
         {"log"},
@@ -281,7 +282,7 @@ def test_the_table_shows_the_imports() -> None:
     """The table of the rooms in docs/architecture.md has each room, with the imports that do not follow from others."""
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     rows = re.findall(
-        r"^\| `(mpc|protocol|transport)/(\w+)` \|[^|]*\|([^|]*)\|$", text, re.MULTILINE
+        r"^\| `(mpc|agent|protocol|transport)/(\w+)` \|[^|]*\|([^|]*)\|$", text, re.MULTILINE
     )
     written = {(package, room): set(re.findall(r"\w+", others)) for package, room, others in rows}
     found = {

@@ -12,7 +12,7 @@ import pytest
 
 import transport
 from tests.support.runs import ALL, setup
-from transport.agent.own_run import Run, run_of
+from transport.agent.user_class.run_for_user import Run, run_of
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.wire.messages import Plan

@@ -8,7 +8,7 @@ from importlib import import_module
 
 TYPE_CHECKING = False  # as `typing` has it, whose import the command does without at its start
 if TYPE_CHECKING:
-    from transport.agent.own_returned import Step as Step
+    from transport.agent.user_class.returned_values import Step as Step
     from transport.experiments.cases import ExperimentError as ExperimentError
     from transport.flight.harness import HarnessError as HarnessError
     from transport.flight.run_files import RunError as RunError
@@ -52,7 +52,7 @@ _NAMES = {
     "transport.experiments.cases": ("ExperimentError",),
     "transport.log.run_log": ("LogError",),
     "transport.viewer.server": ("ViewerError",),
-    "transport.agent.own_returned": ("Step",),
+    "transport.agent.user_class.returned_values": ("Step",),
 }
 _MODULES = {name: module for module, names in _NAMES.items() for name in names}
 

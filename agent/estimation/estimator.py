@@ -3,15 +3,15 @@
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
-from transport.agent.announced import AnnouncedInputs
-from transport.agent.estimation.belief import Belief
+from transport.agent.communication.announced_inputs import AnnouncedInputs
 from transport.agent.estimation.disturbance import DisturbanceEstimator, MeasuredTeam
-from transport.agent.estimation.gain_reuse import MOST_TICKS, GainReuse
-from transport.agent.estimation.motion import STEPS, Failure, Motion
-from transport.agent.estimation.reports import News
-from transport.agent.estimation.states import StateEstimator
-from transport.agent.estimation.team_filter import TeamFilter
-from transport.agent.estimation.vehicle_sensors import Feedback, SensorEstimator
+from transport.agent.estimation.filter.belief import Belief
+from transport.agent.estimation.filter.gain_reuse import MOST_TICKS, GainReuse
+from transport.agent.estimation.filter.team_filter import TeamFilter
+from transport.agent.estimation.predicted_motion import STEPS, Failure, Motion
+from transport.agent.estimation.received_states import News
+from transport.agent.estimation.sensor_estimator import Feedback, SensorEstimator
+from transport.agent.estimation.state_estimator import StateEstimator
 from transport.model.arrays import Array
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Measurement, Plan

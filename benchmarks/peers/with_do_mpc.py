@@ -19,7 +19,7 @@ import do_mpc
 import numpy as np
 
 import transport
-from transport.agent.own_run import Run
+from transport.agent.user_class.run_for_user import Run
 from transport.model.arrays import Array
 from transport.model.dynamics import Symbols, motion, outputs
 from transport.mpc.program.stage_cost import Cost

@@ -5,7 +5,7 @@ import pytest
 from msgspec import structs
 
 from tests.support import runs
-from transport.agent.alone import AlonePlanner
+from transport.agent.planning.alone_planner import AlonePlanner
 from transport.agent.received import Received
 from transport.model import state
 from transport.model.arrays import Array

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from transport.agent.announced import Alignment, AnnouncedInputs, SharedLaw
-from transport.agent.handover import Silence
-from transport.agent.heard import HeardOthers
+from transport.agent.communication.announced_inputs import Alignment, AnnouncedInputs, SharedLaw
+from transport.agent.silence.age_of_information import HeardOthers
+from transport.agent.silence.hand_over_by_age import Silence
 from transport.model.arrays import Array
 from transport.model.state import input_indices
 from transport.mpc.settings import ControllerSettings, Limits

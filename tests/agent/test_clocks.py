@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from tests.support import runs
 from tests.support.runs import SHORT, plant_states, ready, recorded, setup
-from transport.agent.clocks import Clocks
+from transport.agent.communication.clock_offsets import Clocks
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.rotations import cross, euler_rates, rotation

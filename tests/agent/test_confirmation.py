@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.messages import sample
-from transport.agent.confirmation import Unconfirmed
+from transport.agent.communication.target_confirmation import Unconfirmed
 from transport.protocol.wire.messages import Target
 
 M = 4

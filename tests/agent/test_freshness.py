@@ -10,10 +10,10 @@ import pytest
 import transport
 from tests.support import runs
 from tests.support.runs import setup
-from transport.agent.freshness import Freshness, Repetition
-from transport.agent.own_run import Run
+from transport.agent.planning.mpc_planner import Planner, Step
 from transport.agent.received import Received
-from transport.agent.step import Planner, Step
+from transport.agent.silence.freshness import Freshness, Repetition
+from transport.agent.user_class.run_for_user import Run
 from transport.mpc.controller import Controller
 from transport.mpc.program.qp_solvers import QP, Solution, unsolved
 from transport.protocol.scenario.own_class import own_class

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from transport.agent.handover import SHARED, Mixture, News, NewsAge, Silence, mixed
+from transport.agent.silence.hand_over_by_age import SHARED, Mixture, News, NewsAge, Silence, mixed
 
 PERIOD_S = 0.05
 TO_ALONE_S, UNHEARD_S, TO_TEAM_S = 1.0, 0.5, 2.0  # (32d)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from transport.agent.held_forces import HeldForces
+from transport.agent.silence.integrator_states import HeldForces
 from transport.model.arrays import Array
 
 N = 4

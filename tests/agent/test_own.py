@@ -27,8 +27,8 @@ from tests.support.runs import (
     roster,
     setup,
 )
-from transport.agent.own import checked_controller
-from transport.agent.own_run import Run, run_of
+from transport.agent.user_class.run_for_user import Run, run_of
+from transport.agent.user_class.user_planner import checked_controller
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
 from transport.flight.memory import simulate

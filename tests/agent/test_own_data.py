@@ -24,7 +24,7 @@ from tests.support.runs import (
     roster,
     setup,
 )
-from transport.agent.own import checked_controller, plan_shapes
+from transport.agent.user_class.user_planner import checked_controller, plan_shapes
 from transport.analysis.comparison import Comparison
 from transport.analysis.replay import Replay
 from transport.model.state import INPUTS, REPORTED, REPORTS

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from transport.agent.sharing import Corrections, Sharing
+from transport.agent.communication.event_triggered_sharing import Corrections, Sharing
 from transport.model.arrays import Array
 from transport.protocol.scenario.schema import ControllerSection
 

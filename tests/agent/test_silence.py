@@ -11,16 +11,21 @@ from msgspec import structs
 
 from tests.support import runs
 from tests.support.runs import VEHICLE, completed, measurement
-from transport.agent.announced import AnnouncedInputs, SharedLaw, Silent, Untold
-from transport.agent.estimation.belief import Belief
+from transport.agent.communication.announced_inputs import (
+    AnnouncedInputs,
+    SharedLaw,
+    Silent,
+    Untold,
+)
 from transport.agent.estimation.estimator import sensor_estimator
-from transport.agent.estimation.gain_reuse import GainReuse
-from transport.agent.estimation.motion import Failure, Motion
-from transport.agent.estimation.team_filter import Period, Sensed, TeamFilter
-from transport.agent.estimation.vehicle_sensors import SensorEstimator
-from transport.agent.handover import LESS_THAN_OTHERS, SHARED, Ramp, Silence
+from transport.agent.estimation.filter.belief import Belief
+from transport.agent.estimation.filter.gain_reuse import GainReuse
+from transport.agent.estimation.filter.team_filter import Period, Sensed, TeamFilter
+from transport.agent.estimation.predicted_motion import Failure, Motion
+from transport.agent.estimation.sensor_estimator import SensorEstimator
 from transport.agent.node import AgentNode
-from transport.agent.step import Planner
+from transport.agent.planning.mpc_planner import Planner
+from transport.agent.silence.hand_over_by_age import LESS_THAN_OTHERS, SHARED, Ramp, Silence
 from transport.flight.memory import InMemoryRun
 from transport.model import state
 from transport.model.arrays import Array, ShapeError

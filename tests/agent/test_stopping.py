@@ -4,7 +4,7 @@ import numpy as np
 
 from tests.support import logs, runs
 from tests.support.runs import plan, setup
-from transport.agent.stopping import Stopping
+from transport.agent.silence.stopping import Stopping
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
 from transport.model.state import R0

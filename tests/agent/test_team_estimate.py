@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.support import runs
+from transport.agent.estimation.team_estimate import TeamEstimate
 from transport.agent.received import Received
-from transport.agent.team_estimate import TeamEstimate
 from transport.model.arrays import Array
 from transport.mpc.controller import Controller
 from transport.protocol.scenario.errors import requested

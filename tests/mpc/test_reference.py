@@ -5,7 +5,7 @@ import pytest
 
 from tests.model.test_flat import ROUNDING, unequal
 from tests.model.test_targets import EIGHT, target
-from transport.agent.estimation.history import WINDOW
+from transport.agent.estimation.repeated_ticks import WINDOW
 from transport.model.arrays import Array
 from transport.model.flat import FlatReference
 from transport.model.hover import hover

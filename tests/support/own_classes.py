@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from transport.agent.own_returned import Step
-from transport.agent.own_run import Run
+from transport.agent.user_class.returned_values import Step
+from transport.agent.user_class.run_for_user import Run
 from transport.model.arrays import Array
 from transport.protocol.wire.messages import Measurement, Plan
 

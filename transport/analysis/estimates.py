@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from transport.agent.estimation.payload_pose import NAMES, poses
+from transport.agent.estimation.filter.belief import NAMES, poses
 from transport.analysis.series import Series
 from transport.log.run_log import RunLog
 from transport.model import state

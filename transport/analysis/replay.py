@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import threadpoolctl
 
 from transport.agent.node import AgentNode
-from transport.agent.own import checked_controller
+from transport.agent.user_class.user_planner import checked_controller
 from transport.analysis.replayed_processes import AgentProcess, in_order_of_need, processes_of
 from transport.log.run_log import RunLog
 from transport.protocol.scenario.setup import Setup

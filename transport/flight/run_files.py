@@ -15,7 +15,7 @@ from pathlib import Path
 import psutil
 import tomli_w
 
-from transport.agent.own import checked_controller
+from transport.agent.user_class.user_planner import checked_controller
 from transport.log.run_log import LATEST, point_latest
 from transport.model import native
 from transport.plant.engines import checked_engine

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from transport.agent.announced import AnnouncedInputs
+from transport.agent.communication.announced_inputs import AnnouncedInputs
 from transport.model.arrays import Array
 from transport.model.state import StateView
 from transport.mpc.law.present_law import Regulation

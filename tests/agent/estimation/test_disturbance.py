@@ -12,10 +12,10 @@ import pytest
 from msgspec.structs import replace
 
 from tests.support.runs import measurement, plan, setup
-from transport.agent.announced import AnnouncedInputs
+from transport.agent.communication.announced_inputs import AnnouncedInputs
 from transport.agent.estimation.disturbance import DisturbanceEstimator, MeasuredTeam
-from transport.agent.estimation.motion import Motion
-from transport.agent.estimation.states import StateEstimator
+from transport.agent.estimation.predicted_motion import Motion
+from transport.agent.estimation.state_estimator import StateEstimator
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.scenario.setup import Setup

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from transport.agent.estimation.history import WINDOW, History, Recursion
+from transport.agent.estimation.repeated_ticks import WINDOW, History, Recursion
 
 TICKS = 30
 LARGE = 1_000_003  # a prime: two histories hardly agree by chance

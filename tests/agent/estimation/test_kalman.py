@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from transport.agent.estimation import kalman
-from transport.agent.estimation.kalman import Observation
+from transport.agent.estimation.filter import kalman
+from transport.agent.estimation.filter.kalman import Observation
 from transport.model.arrays import Array
 
 PERIOD_S = 0.1

@@ -6,9 +6,20 @@ import numpy as np
 import pytest
 
 from tests.support.random_systems import random_system
-from transport.agent.estimation.forces import COUNT, DRAG, MASS_ERROR, PAYLOAD_FORCE, UAV_FORCE
-from transport.agent.estimation.manifold import Manifold
-from transport.agent.estimation.noise import FirstErrors, ForceNoise, LeastSensorNoise, ModelNoise
+from transport.agent.estimation.filter.assumed_noise import (
+    FirstErrors,
+    ForceNoise,
+    LeastSensorNoise,
+    ModelNoise,
+)
+from transport.agent.estimation.filter.manifold import Manifold
+from transport.agent.estimation.filter.unknown_forces import (
+    COUNT,
+    DRAG,
+    MASS_ERROR,
+    PAYLOAD_FORCE,
+    UAV_FORCE,
+)
 from transport.model.arrays import Array
 from transport.model.hover import hover
 from transport.model.parameters import table_1

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.support import runs
-from transport.agent.announced import Silent, Untold
-from transport.agent.estimation.silent_team import SilentTeam
+from transport.agent.communication.announced_inputs import Silent, Untold
+from transport.agent.estimation.filter.silent_agents import SilentTeam
 from transport.model.arrays import Array
 from transport.mpc.alone.fail_safe import FailSafe
 

@@ -9,11 +9,11 @@ import pytest
 from msgspec.structs import replace
 
 from tests.support.runs import SHORT, measurement, plan, setup
-from transport.agent.announced import AnnouncedInputs, SharedLaw
+from transport.agent.communication.announced_inputs import AnnouncedInputs, SharedLaw
 from transport.agent.estimation.disturbance import DisturbanceEstimator, MeasuredTeam
-from transport.agent.estimation.motion import Failure, Motion
-from transport.agent.estimation.states import StateEstimator
-from transport.agent.handover import Silence
+from transport.agent.estimation.predicted_motion import Failure, Motion
+from transport.agent.estimation.state_estimator import StateEstimator
+from transport.agent.silence.hand_over_by_age import Silence
 from transport.model import motors, state
 from transport.model.arrays import Array
 from transport.model.hover import released_state

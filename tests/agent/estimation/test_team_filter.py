@@ -8,12 +8,11 @@ import pytest
 
 from tests.agent.estimation.swing import PERIOD_S, TICKS, error, filtered, in_time, moving, sensed
 from tests.support.runs import VEHICLE, setup
-from transport.agent.announced import Untold
-from transport.agent.estimation.belief import Belief
-from transport.agent.estimation.motion import STEPS
-from transport.agent.estimation.noise import ModelNoise
-from transport.agent.estimation.payload_pose import NAMES, pose_numbers, poses
-from transport.agent.estimation.team_filter import Period, TeamFilter
+from transport.agent.communication.announced_inputs import Untold
+from transport.agent.estimation.filter.assumed_noise import ModelNoise
+from transport.agent.estimation.filter.belief import NAMES, Belief, pose_numbers, poses
+from transport.agent.estimation.filter.team_filter import Period, TeamFilter
+from transport.agent.estimation.predicted_motion import STEPS
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.scenario.setup import Setup

@@ -10,7 +10,7 @@ from matplotlib.image import imread
 
 import transport
 from tests.support.results import here
-from transport.agent.own_run import Run
+from transport.agent.user_class.run_for_user import Run
 from transport.experiments import arena_tasks
 from transport.experiments.arena import arena
 from transport.experiments.arena_entries import BUILT_IN, REFERENCE, Entry, entered

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from transport.agent.announced import AnnouncedInputs, SharedLaw
+from transport.agent.communication.announced_inputs import AnnouncedInputs, SharedLaw
 from transport.agent.estimation.estimator import estimator_of
-from transport.agent.estimation.motion import Failure
-from transport.agent.handover import LESS_THAN_OTHERS, Silence
-from transport.agent.held_forces import HeldForces
-from transport.agent.law_inputs import LawInputs
+from transport.agent.estimation.law_inputs import LawInputs
+from transport.agent.estimation.predicted_motion import Failure
 from transport.agent.received import Received
+from transport.agent.silence.hand_over_by_age import LESS_THAN_OTHERS, Silence
+from transport.agent.silence.integrator_states import HeldForces
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.hover import motor_off_state, released_state

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from transport.agent.own_returned import Returned, checked, converted
-from transport.agent.own_run import Run
+from transport.agent.user_class.returned_values import Returned, checked, converted
+from transport.agent.user_class.run_for_user import Run
 from transport.protocol.scenario.own_calls import errors_of, new_object
 from transport.protocol.scenario.own_class import own_class
 from transport.protocol.wire.messages import Measurement, Plan

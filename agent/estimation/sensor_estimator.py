@@ -10,14 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from transport.agent.announced import AnnouncedInputs
-from transport.agent.estimation.belief import Belief
-from transport.agent.estimation.history import History, Recursion
-from transport.agent.estimation.motion import Failure, Motion
-from transport.agent.estimation.noise import OthersErrors
-from transport.agent.estimation.payload_pose import NAMES, pose_numbers
-from transport.agent.estimation.reports import News, Reports, UavReport, by_uav
-from transport.agent.estimation.team_filter import Filter, Period, Sensed
+from transport.agent.communication.announced_inputs import AnnouncedInputs
+from transport.agent.estimation.filter.belief import NAMES, Belief, pose_numbers
+from transport.agent.estimation.filter.team_filter import Filter, Period, Sensed
+from transport.agent.estimation.predicted_motion import Failure, Motion
+from transport.agent.estimation.received_states import News, Reports, UavReport, by_uav
+from transport.agent.estimation.repeated_ticks import History, Recursion
+from transport.agent.silence.hand_over_by_age import SHARED
 from transport.model import state
 from transport.model.arrays import Array, ShapeError
 from transport.protocol.wire.messages import Measurement, Plan
@@ -205,7 +204,7 @@ class SensorEstimator:
             forces=forces,
             untold=untold,
             K=K,
-            correlation=OthersErrors().correlation,
+            correlation=SHARED,
             silent=announced.silent(tick, before=k),
         )
 

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from transport.agent.estimation.vehicle_sensors import SensorEstimator
-from transport.agent.handover import Mixture, mixed
-from transport.agent.team_estimate import TeamEstimate
+from transport.agent.estimation.sensor_estimator import SensorEstimator
+from transport.agent.estimation.team_estimate import TeamEstimate
+from transport.agent.silence.hand_over_by_age import Mixture, mixed
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.rotations import rotation

@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from transport.agent.estimation import kalman
-from transport.agent.estimation.belief import Belief, Covariance, SavedGain
-from transport.agent.estimation.kalman import Correction
-from transport.agent.estimation.team_filter import Innovation, Period, Sensed, TeamFilter
+from transport.agent.estimation.filter import kalman
+from transport.agent.estimation.filter.belief import Belief, Covariance, SavedGain
+from transport.agent.estimation.filter.kalman import Correction
+from transport.agent.estimation.filter.team_filter import Innovation, Period, Sensed, TeamFilter
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.linearisation import Model

@@ -5,20 +5,19 @@ last lap counts nowhere.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from transport.agent.estimation.belief import Belief
-from transport.agent.estimation.motion import STEPS
-from transport.agent.freshness import Freshness
-from transport.agent.handover_inputs import HandOver
+from transport.agent.communication.event_triggered_sharing import Corrections, Sharing
+from transport.agent.estimation.filter.belief import Belief
+from transport.agent.estimation.predicted_motion import STEPS
+from transport.agent.estimation.team_estimate import Expected, TeamEstimate
+from transport.agent.planning.hand_over_inputs import HandOver
+from transport.agent.planning.step_report import NO_AGE, StageTimes, numbers_note, step_report
 from transport.agent.received import Received
-from transport.agent.sharing import Corrections, Sharing
-from transport.agent.stage_times import StageTimes
-from transport.agent.team_estimate import Expected, TeamEstimate
+from transport.agent.silence.freshness import Freshness
 from transport.model import motors
 from transport.model.arrays import Array, ShapeError, frozen
 from transport.model.discretisation import Discrete
@@ -30,16 +29,15 @@ from transport.mpc.program.prediction import Linear
 from transport.mpc.program.qp_solvers import unsolved
 from transport.mpc.program.softening import softened_problem
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.wire.messages import STAGES, Message, Note, Plan, StepReport
+from transport.protocol.wire.messages import Message, Plan, StepReport
 from transport.protocol.wire.node import Outbox
 
 # Time between the notes of an estimator for the log, s: the covariance of each tick is work.
 NOTES_EVERY_S = 1.0
 # Solver in the reports of steps without a QP: all UAVs of the agent act wholly alone.
 _ALONE = "alone"
-# In reports: no number, and no age as nothing has arrived.
+# In reports: no number.
 _NO_NUMBER = -1.0
-_NO_AGE = -1
 _NO_FORCE = np.zeros(3)
 frozen(_NO_FORCE)
 
@@ -415,57 +413,9 @@ class Planner:
             iterations=solution.iterations,
             residual=worst if math.isfinite(worst) else _NO_NUMBER,
             peers=team.peers,
-            plan_ages=tuple(_NO_AGE if plan is None else k - plan.solved_tick for plan in newest),
+            plan_ages=tuple(NO_AGE if plan is None else k - plan.solved_tick for plan in newest),
             state_ages=tuple(team.estimator.news.age(agent, k) for agent in team.peers),
-            measurement_age=_NO_AGE if measured < 0 else k - measured,
+            measurement_age=NO_AGE if measured < 0 else k - measured,
             force=force,
             times_ns=self._times.ns,
         )
-
-
-def numbers_note(
-    tick: int, agent: int, numbers: Mapping[str, float], out: Outbox, problem: str = ""
-) -> Note:
-    """Return a note of an agent, 1-based, with numbers by name, and a problem if any."""
-    return out.stamp(
-        Note,
-        tick=tick,
-        agent=agent,
-        problem=problem,
-        names=tuple(numbers),
-        values=list(numbers.values()),
-    )
-
-
-def step_report(
-    received: Received,
-    agent: int,
-    out: Outbox,
-    *,
-    peers: Sequence[int],
-    plan_ages: Sequence[int],
-    times_ns: Mapping[str, int],
-    **fields: Any,
-) -> StepReport:
-    """Return the report of an agent's step from messages, times of stages, and other fields.
-
-    Plans of peers that are off the roster are not used any more, so they have no age.
-    """
-    k = received.tick
-    ages = [
-        age if peer in received.agents else _NO_AGE
-        for peer, age in zip(peers, plan_ages, strict=True)
-    ]
-    return out.stamp(
-        StepReport,
-        tick=k,
-        agent=agent,
-        delivered=len(received.plans),
-        peers=peers,
-        plan_ages=tuple(ages),
-        lost=received.lost,
-        measurements_lost=received.measurements_lost,
-        late=sum(plan.tick < k - 1 for plan in received.plans),
-        times_ms=np.array([times_ns[stage] / 1e6 for stage in STAGES]),
-        **fields,
-    )

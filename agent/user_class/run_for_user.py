@@ -8,9 +8,9 @@ from typing import SupportsIndex
 
 import numpy as np
 
-from transport.agent.own_estimate import OwnEstimate
-from transport.agent.own_layout import Layout
 from transport.agent.received import Received
+from transport.agent.user_class.entry_names import Layout
+from transport.agent.user_class.user_estimate import OwnEstimate
 from transport.model.arrays import Array, frozen
 from transport.model.linearisation import Model
 from transport.model.parameters import System

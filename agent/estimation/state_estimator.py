@@ -10,11 +10,11 @@ decay with the lag.
 
 from collections.abc import Mapping, Sequence
 
-from transport.agent.announced import AnnouncedInputs
+from transport.agent.communication.announced_inputs import AnnouncedInputs
 from transport.agent.estimation.disturbance import DisturbanceEstimator, MeasuredTeam
-from transport.agent.estimation.history import History, Recursion
-from transport.agent.estimation.motion import Failure, Motion
-from transport.agent.estimation.reports import News, Reports, UavReport, by_uav
+from transport.agent.estimation.predicted_motion import Failure, Motion
+from transport.agent.estimation.received_states import News, Reports, UavReport, by_uav
+from transport.agent.estimation.repeated_ticks import History, Recursion
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.wire.messages import Measurement, Plan

@@ -3,7 +3,7 @@
 The class takes the place of estimator, prediction and program; docs/bring-your-own.md has its
 methods. A step that raises, or that returns anything but inputs, is data: the shifted previous plan
 is applied, as after a solve without solution, and a `Note` says why. So it does where the class returns
-the same for long although its measurements change. Plans say how old such inputs are (`agent.freshness`).
+the same for long although its measurements change. Plans say how old such inputs are (`agent.silence.freshness`).
 """
 
 import dataclasses
@@ -14,13 +14,13 @@ from math import prod
 import numpy as np
 from msgspec.structs import replace
 
-from transport.agent.estimation.reports import Reports, by_uav
-from transport.agent.freshness import Freshness, Repetition
-from transport.agent.own_object import OwnObject
-from transport.agent.own_returned import Returned
-from transport.agent.own_run import run_of
+from transport.agent.estimation.received_states import Reports, by_uav
+from transport.agent.planning.step_report import numbers_note, step_report
 from transport.agent.received import Received
-from transport.agent.step import numbers_note, step_report
+from transport.agent.silence.freshness import Freshness, Repetition
+from transport.agent.user_class.returned_values import Returned
+from transport.agent.user_class.run_for_user import run_of
+from transport.agent.user_class.user_object import OwnObject
 from transport.model.arrays import Array
 from transport.model.state import REPORTS, StateView, input_indices
 from transport.mpc.alone.fail_safe import PLAYED_S

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from transport.agent.estimation.belief import Belief
-from transport.agent.estimation.reports import Reports, by_uav
+from transport.agent.estimation.filter.belief import Belief
+from transport.agent.estimation.received_states import Reports, by_uav
+from transport.agent.planning.step_report import step_report
 from transport.agent.received import Received
-from transport.agent.step import step_report
 from transport.model import state
 from transport.model.arrays import Array
 from transport.mpc.alone.alone_law import steps_alone

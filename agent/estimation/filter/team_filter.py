@@ -17,15 +17,27 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from transport.agent.announced import Silent, Untold
-from transport.agent.estimation import forces, kalman
-from transport.agent.estimation.belief import Belief, Covariance, Postponed, SavedGain
-from transport.agent.estimation.forces import Situation, UnknownForces
-from transport.agent.estimation.kalman import Correction, Observation
-from transport.agent.estimation.level import EXACT, WIND, Level, LevelRule, followed
-from transport.agent.estimation.manifold import Manifold
-from transport.agent.estimation.noise import FirstErrors, ForceNoise, LeastSensorNoise, ModelNoise
-from transport.agent.estimation.silent_team import SilentTeam
+from transport.agent.communication.announced_inputs import Silent, Untold
+from transport.agent.estimation.filter import kalman
+from transport.agent.estimation.filter import unknown_forces as forces
+from transport.agent.estimation.filter.assumed_noise import (
+    FirstErrors,
+    ForceNoise,
+    LeastSensorNoise,
+    ModelNoise,
+)
+from transport.agent.estimation.filter.belief import Belief, Covariance, Postponed, SavedGain
+from transport.agent.estimation.filter.innovation_level import (
+    EXACT,
+    WIND,
+    Level,
+    LevelRule,
+    followed,
+)
+from transport.agent.estimation.filter.kalman import Correction, Observation
+from transport.agent.estimation.filter.manifold import Manifold
+from transport.agent.estimation.filter.silent_agents import SilentTeam
+from transport.agent.estimation.filter.unknown_forces import Situation, UnknownForces
 from transport.model import motors, state
 from transport.model.arrays import Array
 from transport.model.discretisation import Discrete, zero_order_hold

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from transport.agent.estimation.forces import PAYLOAD_FORCE, UAV_FORCE
-from transport.agent.estimation.manifold import UAV_BLOCKS
+from transport.agent.estimation.filter.manifold import UAV_BLOCKS
+from transport.agent.estimation.filter.unknown_forces import PAYLOAD_FORCE, UAV_FORCE
 from transport.model.arrays import Array
 from transport.model.parameters import System
 from transport.protocol.scenario.setup import SensorSheet
@@ -161,13 +161,3 @@ class ForceNoise:
         payload_N = system.gravity * payload_kg
         uav_N = system.gravity * uav_kg
         return np.array([payload_N, payload_N, payload_kg, uav_N, uav_N, payload_kg, uav_kg])
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OthersErrors:
-    """Errors of the estimates by which other agents act.
-
-    Agents share all measurements but the newest, so their errors are correlated.
-    """
-
-    correlation: float = 0.6

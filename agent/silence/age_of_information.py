@@ -6,8 +6,8 @@ silent. Source: docs/equations.md (32c), (63c).
 
 from collections.abc import Iterable
 
-from transport.agent.handover import NO_WAIT, News, NewsAge, Silence
-from transport.agent.plans import ReceivedPlans
+from transport.agent.received import ReceivedPlans
+from transport.agent.silence.hand_over_by_age import NO_WAIT, News, NewsAge, Silence
 from transport.protocol.wire.messages import Plan
 
 # Tick of an event that has not occurred: before the first.

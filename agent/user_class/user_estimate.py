@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from transport.agent.estimation.team_estimate import TeamEstimate
 from transport.agent.received import Received
-from transport.agent.team_estimate import TeamEstimate
 from transport.model import motors
 from transport.model.arrays import Array
 from transport.mpc.controller import Controller

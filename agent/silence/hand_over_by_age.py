@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from transport.agent.estimation.noise import OthersErrors
 from transport.model.arrays import Array
 
 # Ages of news beyond the usual one at which an agent begins to act alone, and does so wholly, s. The
@@ -41,8 +40,9 @@ _TO_TEAM_S = 2.0
 # An agent acts alone at least as much as the largest share that it hears, minus this. Without the
 # difference all would wait for each other to return.
 LESS_THAN_OTHERS = 0.2
-# Correlation of the errors of two agents, until news are older than usual.
-SHARED = OthersErrors().correlation
+# Correlation of the errors of two agents' estimates, until news are older than usual: they share all
+# measurements but the newest.
+SHARED = 0.6
 _FORGETS_S = 0.3  # time constant in which own measurements replace what both know
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from transport.agent.estimation.history import WINDOW
+from transport.agent.estimation.repeated_ticks import WINDOW
 from transport.model.arrays import Array
 from transport.mpc.law.present_law import Regulation
 

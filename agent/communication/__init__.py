@@ -1,0 +1,1 @@
+"""What agents tell each other: announced inputs, clocks, the radio, targets, plans that need no sending."""

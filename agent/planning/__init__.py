@@ -1,0 +1,1 @@
+"""The steps of an agent: by predictive control, or each UAV alone; and their reports."""

@@ -1,0 +1,1 @@
+"""A class of the user in place of the controller: its calls, what it knows, what it returns."""
