@@ -187,16 +187,12 @@ def _options_of(declared: Experiment) -> Callable[..., ExperimentOptions]:
     return partial(ExperimentOptions, declared=declared, **bound)
 
 
-def __getattr__(name: str) -> Callable[..., None]:
+def _command(declared: Experiment) -> Callable[..., None]:
     """Return the command of a declared experiment: its own options, then the common ones."""
-    if name not in EXPERIMENTS:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    declared = EXPERIMENTS[name]
 
     def command(options: ExperimentOptions, **given: Any) -> None:
-        _conduct(name, options, given)
+        _conduct(declared.name, options, given)
 
-    command.__name__ = name
     command.__doc__ = declared.build.__doc__
     common = inspect.Parameter("options", inspect.Parameter.POSITIONAL_OR_KEYWORD)
     own = [
@@ -329,3 +325,7 @@ def _content(statistics: PointStatistics) -> dict[str, Any]:
             for name, value in statistics.numbers.items()
         },
     }
+
+
+# Commands of the declared experiments by name.
+COMMANDS = {name: _command(declared) for name, declared in EXPERIMENTS.items()}

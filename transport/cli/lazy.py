@@ -38,7 +38,8 @@ _EXTRAS = {
     "rosbags": "ros2",
 }
 
-# A command: "module:function" below transport.cli, and its line in the list of commands.
+# A command: "module:function" below transport.cli, or "module:TABLE" with functions by name, and its
+# line in the list of commands.
 Entry = tuple[str, str]
 
 
@@ -173,6 +174,8 @@ class LazyGroup(TyperGroup):
         """Import the command of a name in the table."""
         module, _, function_name = self.table[name][0].partition(":")
         function = getattr(load(f"transport.cli.{module}"), function_name)
+        if isinstance(function, dict):
+            function = function[name]
         settings = getattr(function, "context_settings", None)
 
         single = typer.Typer(**_PLAIN)

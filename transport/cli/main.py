@@ -8,21 +8,21 @@ from typer import Option
 from transport.cli.lazy import lazy_group
 
 _EXPERIMENTS = {
-    "latency": ("experiment:latency", "Effect of a fixed delay on every link."),
-    "loss": ("experiment:loss", "Effect of packet loss, independent or in bursts."),
-    "jitter": ("experiment:jitter", "Effect of the distribution of random delays."),
-    "kill": ("experiment:kill", "Effect of the death of each agent."),
-    "deaths": ("experiment:deaths", "Effect of a permanent kill of a random agent."),
-    "matrix": ("experiment:matrix", "Maps of cost and completion over delay and loss."),
-    "ablation": ("experiment:ablation", "Contribution of each part of the algorithm."),
-    "horizon": ("experiment:horizon", "Effect of horizon and terminal weight."),
-    "hover": ("experiment:hover", "Stability in a long hover after the maneuver."),
-    "sharing": ("experiment:sharing", "Cost against the number of plans sent."),
-    "radio": ("experiment:radio", "Effect of the radio channel that the team itself fills."),
-    "agile": ("experiment:agile", "Fast flight: the payload's error over speed."),
-    "weather": ("experiment:weather", "Worth of the network in weather."),
+    "latency": ("experiment:COMMANDS", "Effect of a fixed delay on every link."),
+    "loss": ("experiment:COMMANDS", "Effect of packet loss, independent or in bursts."),
+    "jitter": ("experiment:COMMANDS", "Effect of the distribution of random delays."),
+    "kill": ("experiment:COMMANDS", "Effect of the death of each agent."),
+    "deaths": ("experiment:COMMANDS", "Effect of a permanent kill of a random agent."),
+    "matrix": ("experiment:COMMANDS", "Maps of cost and completion over delay and loss."),
+    "ablation": ("experiment:COMMANDS", "Contribution of each part of the algorithm."),
+    "horizon": ("experiment:COMMANDS", "Effect of horizon and terminal weight."),
+    "hover": ("experiment:COMMANDS", "Stability in a long hover after the maneuver."),
+    "sharing": ("experiment:COMMANDS", "Cost against the number of plans sent."),
+    "radio": ("experiment:COMMANDS", "Effect of the radio channel that the team itself fills."),
+    "agile": ("experiment:COMMANDS", "Fast flight: the payload's error over speed."),
+    "weather": ("experiment:COMMANDS", "Worth of the network in weather."),
     "paper": ("experiment:paper", "The paper's claim: centralized against distributed."),
-    "scaling": ("experiment:scaling", "Growth of cost, computation and messages."),
+    "scaling": ("experiment:COMMANDS", "Growth of cost, computation and messages."),
 }
 _SCENARIO = {"new": ("scenario:new", "Write a scenario for a team of any size.")}
 _LOG = {
