@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from transport.deploy.errors import DeployError
-from transport.mpc.settings import Section
+from transport.model.section import Section
 from transport.protocol.network.endpoints import DEFAULT_BASE_PORT
 from transport.protocol.scenario.errors import ScenarioError, validated
 from transport.protocol.scenario.file import read_tree

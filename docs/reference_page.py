@@ -19,6 +19,7 @@ from transport.cli.lazy import LazyGroup
 from transport.cli.main import app
 from transport.protocol.scenario.keys import key_of, meanings, section_in, unit_of, walk
 from transport.protocol.scenario.link_sections import LinkSection
+from transport.protocol.scenario.schema import Scenario
 
 KEYS, COMMANDS = ROOT / "docs" / "keys.md", ROOT / "docs" / "commands.md"
 _TABLE = re.compile(r"(<!-- keys of (\S+) -->\n).*?(\n<!-- end of keys -->)", re.DOTALL)
@@ -55,7 +56,7 @@ def keys_page() -> str:
     Raises: SystemExit: a key without a docstring, or a section without a table on the page.
     """
     rows: dict[str, list[list[str]]] = {}
-    for path, key, section, field in walk():
+    for path, key, section, field in walk(Scenario):
         of_link = path.endswith(".gilbert_elliott") or LinkSection.model_fields.get(key) is not None
         is_repeated = of_link and path.startswith("links.") and path != "links.gilbert_elliott"
         if section_in(field.annotation) or is_repeated:

@@ -1,20 +1,28 @@
-"""Settings of a controller, and the base of all sections of a scenario.
+"""Settings of a controller.
 
 Each key of the controller has its type, range, default and meaning here. Those that only a run has
 are in `protocol.scenario.schema.ControllerSection`, as are the limit of `horizon` that a message
 sets, and a `relaxation` that follows from the team ("auto").
 """
 
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from annotated_types import Interval, Len
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict
-from pydantic_core import PydanticCustomError
+from annotated_types import Interval
+from pydantic import BeforeValidator
 
 from transport.model.arrays import Array
 from transport.model.parameters import System
+from transport.model.section import (
+    LAG_S,
+    Key,
+    NotNegative,
+    Positive,
+    PositiveVector,
+    Range,
+    Section,
+    as_tuple,
+)
 
 SolverName = Literal["daqp", "clarabel"]
 PredictionName = Literal["open_loop", "closed_loop"]
@@ -25,63 +33,9 @@ class SettingsError(ValueError):
     """A setting that a controller cannot use; the text names it, with expected and actual value."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Key:
-    """Properties of a key beside type and range, in the annotation of its field."""
-
-    # Unit in SI; None where the ending of the name tells (`protocol.scenario.keys.UNITS`).
-    unit: str | None = None
-    # Smallest magnitude apart from zero, and largest: others are taken for a wrong unit and refused.
-    # None: by the ending.
-    within: tuple[float, float] | None = None
-    label: str = ""  # name on the axis of a figure; empty: the words of the key
-    shown: str = ""  # unit in figures, where it is not `unit`
-    short: str = ""  # name as a keyword argument in Python, if it has one
-    type: str = ""  # type and range in words, where a check in code decides
-    option: str = ""  # of a key of a link: option of `transport link set`
-
-
-# Magnitudes of lags and times of computation, s: longer ones are milliseconds.
-LAG_S = (1e-9, 2.0)
-
 # Defaults that the section of a scenario shares, whose ranges are others (`ControllerSection`).
 DEFAULT_HORIZON = 20
 DEFAULT_RELAXATION = 1.0
-
-
-class Section(BaseModel):
-    """Part of a scenario: unknown keys are refused, values are frozen."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-def _as_tuple(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
-
-
-def _three_numbers(value: tuple[float, ...]) -> tuple[float, ...]:
-    if len(value) != 3:
-        raise PydanticCustomError("shape", "expected 3 numbers")
-    return value
-
-
-def _growing(value: tuple[float, ...]) -> tuple[float, ...]:
-    if not value[0] < value[1]:
-        raise PydanticCustomError("range", "expected smallest < largest")
-    return value
-
-
-Positive = Annotated[float, Interval(gt=0.0)]
-NotNegative = Annotated[float, Interval(ge=0.0)]
-Vector = Annotated[tuple[float, ...], BeforeValidator(_as_tuple), AfterValidator(_three_numbers)]
-PositiveVector = Annotated[
-    tuple[Positive, ...], BeforeValidator(_as_tuple), AfterValidator(_three_numbers)
-]
-NotNegativeVector = Annotated[
-    tuple[NotNegative, ...], BeforeValidator(_as_tuple), AfterValidator(_three_numbers)
-]
-Pair = Annotated[tuple[NotNegative, ...], BeforeValidator(_as_tuple), Len(2, 2)]
-Range = Annotated[Pair, AfterValidator(_growing)]
 
 
 def _weight_key(unit: str | None = None, label: str = "") -> Key:
@@ -365,8 +319,8 @@ class ControllerSettings(Section):
     tilt: Tilt | None = None
     tension: Tension | None = None
     alone: AloneGains | None = None
-    constraint: Annotated[tuple[Constraint, ...], BeforeValidator(_as_tuple)] = ()
-    cost: Annotated[tuple[CostTerm, ...], BeforeValidator(_as_tuple)] = ()
+    constraint: Annotated[tuple[Constraint, ...], BeforeValidator(as_tuple)] = ()
+    cost: Annotated[tuple[CostTerm, ...], BeforeValidator(as_tuple)] = ()
 
     @property
     def alone_gains(self) -> AloneGains:

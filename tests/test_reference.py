@@ -10,6 +10,7 @@ import pytest
 
 from transport.protocol.scenario.keys import fields, section_in, unit_of
 from transport.protocol.scenario.link_sections import LinkSection
+from transport.protocol.scenario.schema import Scenario
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -42,7 +43,7 @@ def test_every_key_is_on_the_page() -> None:
             name, *cells = (cell.strip() for cell in row.strip("|").split(" |"))
             rows[f"{path}.{name.strip('`')}".removeprefix("scenario.")] = cells
     like_links = re.compile(r"links\.(measurement|actuation|override|change)\.")
-    for key, field in fields().items():
+    for key, field in fields(Scenario).items():
         repeated = like_links.match(key) and key.rpartition(".")[2] in {
             *LinkSection.model_fields,
             "enter",

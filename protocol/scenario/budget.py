@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from transport.model.state import INPUTS
+from transport.protocol.scenario.clock_section import ROUNDING
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.schema import Scenario
 
@@ -15,10 +16,6 @@ MOST_AGENT_STEPS = 1_000_000
 MOST_ENTRIES = 100_000_000
 
 ADMITTED = "--allow-large admits more"
-
-# Rounding of a number of periods or steps, absolute, and relative for the duration of a run: a whole
-# number must not become one more.
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,12 +76,7 @@ def ticks_of(scenario: Scenario) -> int:
     """Return the number of sampling instants of a run: t_k < duration of the maneuver."""
     duration_s = sum(phase.duration_s for phase in scenario.maneuver.phase)
     periods = duration_s / scenario.controller.sampling_period_s
-    return max(1, math.ceil(periods - _ROUNDING * periods))
-
-
-def first_tick(at_s: float, period_s: float) -> int:
-    """Return the first tick not before a time of the run."""
-    return math.ceil(at_s / period_s - _ROUNDING)
+    return max(1, math.ceil(periods - ROUNDING * periods))
 
 
 def check_size(scenario: Scenario, source: str) -> None:
@@ -133,4 +125,4 @@ def _plant_steps(scenario: Scenario) -> int:
     """Return the number of equal integration steps of a sampling period."""
     plant = scenario.plant
     step_s = plant.mujoco.step_s if plant.engine == "mujoco" else plant.step_s
-    return math.ceil(scenario.controller.sampling_period_s / step_s - _ROUNDING)
+    return math.ceil(scenario.controller.sampling_period_s / step_s - ROUNDING)

@@ -1,21 +1,43 @@
 """Objects of the model that the sections of a scenario describe."""
 
 import math
+from collections.abc import Callable
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
-from transport.model.arrays import ArrayLike
+from transport.model.arrays import ArrayLike, ShapeError
 from transport.model.curves import Curve
 from transport.model.maneuver import Maneuver
 from transport.model.obstacles import Obstacle, Solid
-from transport.model.parameters import Kind, Payload, System, Uav
+from transport.model.parameters import Kind, ParameterError, Payload, System, Uav
 from transport.model.phase import Phase
-from transport.protocol.scenario.errors import building
+from transport.mpc.program.feedback_law import FeedbackError
+from transport.mpc.settings import SettingsError
+from transport.protocol.scenario.errors import RequestError, ScenarioError
 from transport.protocol.scenario.maneuver_sections import ObstacleSection, PhaseSection
 from transport.protocol.scenario.schema import Scenario, UavSection
 
+T = TypeVar("T")
+
 _WALL_M = 1e5  # width of the walls beside a gap: no path comes near their ends
+
+
+def building(
+    source: str,
+    field: str,
+    build: Callable[[], T],
+    error_class: type[ScenarioError] = ScenarioError,
+) -> T:
+    """Return a model object built from a scenario's values.
+
+    Raises: ScenarioError: of that field and class, for the errors of the model.
+    """
+    try:
+        return build()
+    except (FeedbackError, ParameterError, RequestError, SettingsError, ShapeError) as error:
+        raise error_class(source, field, str(error)) from error
 
 
 def system_of(scenario: Scenario, source: str) -> System:

@@ -16,7 +16,7 @@ import numpy as np
 from transport.model.flight import LEAST_TENSION
 from transport.model.hover import Hover, hover
 from transport.model.parameters import ParameterError, Payload, System, Uav
-from transport.protocol.scenario.errors import building
+from transport.protocol.scenario.built import building
 from transport.protocol.scenario.file import validate
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.team import given_values

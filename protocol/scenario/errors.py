@@ -1,16 +1,12 @@
 """Errors of scenarios: one line with source, field, expected and got."""
 
 import difflib
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from transport.model.arrays import ShapeError
-from transport.model.parameters import ParameterError
-from transport.mpc.program.feedback_law import FeedbackError
-from transport.mpc.settings import SettingsError
 from transport.protocol.scenario.keys import (
     milliseconds,
     names_of,
@@ -23,7 +19,6 @@ from transport.protocol.scenario.origins import Origin, source_of
 from transport.protocol.wire.errors import MessageError, TransportError
 from transport.protocol.wire.exit_codes import EXIT_SCENARIO
 
-T = TypeVar("T")
 S = TypeVar("S", bound=BaseModel)
 
 # Keys whose name has changed, by their old one.
@@ -102,22 +97,6 @@ class PythonSetting(str):
     """A setting given in Python: it has its value, and errors name no command-line option."""
 
     value: Any
-
-
-def building(
-    source: str,
-    field: str,
-    build: Callable[[], T],
-    error_class: type[ScenarioError] = ScenarioError,
-) -> T:
-    """Return a model object built from a scenario's values.
-
-    Raises: ScenarioError: of that field and class, for the errors of the model.
-    """
-    try:
-        return build()
-    except (FeedbackError, ParameterError, RequestError, SettingsError, ShapeError) as error:
-        raise error_class(source, field, str(error)) from error
 
 
 def dotted_key(setting: str) -> str:
@@ -204,7 +183,7 @@ def _problem_text(problem: Mapping[str, Any], section: type[BaseModel]) -> str:
     kind = problem["type"]
     if kind == "extra_forbidden":
         name = str(problem["loc"][-1])
-        full = short_names().get(name)
+        full = short_names(section).get(name)
         if full is not None and len(problem["loc"]) == 1:  # a short name of Python
             return f"unknown key; did you mean {full!r}?"
         return f"unknown key; {hint(name, names_of(section))}"

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from transport.model.parameters import Payload
-from transport.protocol.scenario.budget import first_tick
+from transport.protocol.scenario.clock_section import first_tick
 from transport.protocol.scenario.schema import FaultSection, Scenario
 from transport.protocol.wire.messages import Measurement, Message, Tick
 

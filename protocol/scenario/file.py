@@ -151,7 +151,7 @@ def _child(section: Any, path: Sequence[str], below: str, setting: str) -> Any:
     part = path[-1]
     if isinstance(section, list):
         return section[_index(section, part, setting)]
-    if part not in section and below.isdecimal() and is_list(path):
+    if part not in section and below.isdecimal() and is_list(Scenario, path):
         expected = f"expected a list that the file gives, got {part!r} left out"
         raise ScenarioError(option(setting), "", f"{expected}: set the whole list")
 

@@ -1,4 +1,4 @@
-"""Keys of a scenario, as its sections describe them: paths, units, ranges, labels, meanings."""
+"""Keys of sections, as their fields describe them: paths, units, ranges, labels, meanings."""
 
 import ast
 import inspect
@@ -11,8 +11,7 @@ from typing import Any, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from transport.mpc.settings import Key
-from transport.protocol.scenario.schema import Scenario
+from transport.model.section import Key
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +86,7 @@ def names_of(section: type[BaseModel]) -> dict[str, str]:
 
 
 def walk(
-    section: type[BaseModel] = Scenario, path: str = ""
+    section: type[BaseModel], path: str = ""
 ) -> Iterator[tuple[str, str, type[BaseModel], FieldInfo]]:
     """Yield every key and section below a section.
 
@@ -103,10 +102,10 @@ def walk(
             yield from walk(inner, _joined(path, key))
 
 
-def is_list(path: Iterable[str]) -> bool:
-    """Return whether a key is that of a list; its path may have numbers of entries."""
+def is_list(section: type[BaseModel], path: Iterable[str]) -> bool:
+    """Return whether a key below a section is that of a list; its path may have numbers of entries."""
     key = ".".join(part for part in path if not part.isdecimal())
-    field = fields().get(key)
+    field = fields(section).get(key)
     return field is not None and _has_entries(field.annotation)
 
 
@@ -117,15 +116,15 @@ def _has_entries(annotation: Any) -> bool:
     return any(_has_entries(argument) for argument in get_args(annotation))
 
 
-def fields() -> dict[str, FieldInfo]:
-    """Return the fields of all keys and sections by dotted key, without numbers of list entries."""
-    return {_joined(path, key): field for path, key, _, field in walk()}
+def fields(section: type[BaseModel]) -> dict[str, FieldInfo]:
+    """Return all keys and sections below a section by dotted key, without numbers of list entries."""
+    return {_joined(path, key): field for path, key, _, field in walk(section)}
 
 
-def short_names() -> dict[str, str]:
-    """Return the dotted keys that have a short name in Python, by that name."""
+def short_names(section: type[BaseModel]) -> dict[str, str]:
+    """Return the dotted keys below a section that have a short name in Python, by that name."""
     keys: dict[str, str] = {}
-    for key, field in fields().items():
+    for key, field in fields(section).items():
         short = key_of(field).short
         if short:
             # Links from and to the plant have the keys of `links`, which come first, again.

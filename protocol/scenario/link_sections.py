@@ -15,7 +15,7 @@ from pydantic import (
     model_validator,
 )
 
-from transport.mpc.settings import Key, NotNegative, Positive, Section
+from transport.model.section import Key, NotNegative, Positive, Section
 from transport.protocol.scenario.named_files import TableError, delays_of, trace_of
 from transport.protocol.wire.names import PLANT
 

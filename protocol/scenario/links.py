@@ -8,7 +8,7 @@ from operator import attrgetter, itemgetter
 from typing import Any
 
 from transport.model.arrays import Array
-from transport.protocol.scenario.budget import first_tick
+from transport.protocol.scenario.clock_section import first_tick
 from transport.protocol.scenario.draws import Draw, Streams, draw_key
 from transport.protocol.scenario.keys import UNITS
 from transport.protocol.scenario.link_sections import (

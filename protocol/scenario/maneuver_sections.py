@@ -10,7 +10,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from transport.model.curves import Curve, ShapeKind
 from transport.model.phase import PhaseKind, Profile
-from transport.mpc.settings import Key, NotNegative, Positive, PositiveVector, Section, Vector
+from transport.model.section import Key, NotNegative, Positive, PositiveVector, Section, Vector
 from transport.protocol.scenario.named_files import TableError, way_of
 from transport.protocol.scenario.path_instants import WayPointError, check_way_points
 from transport.protocol.wire.messages import MAX_POINTS

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval
 
-from transport.mpc.settings import (
+from transport.model.section import (
     LAG_S,
     Key,
     NotNegative,

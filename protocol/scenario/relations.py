@@ -7,7 +7,8 @@ from itertools import pairwise
 from operator import attrgetter
 
 from transport.protocol.radio.standard import STANDARDS
-from transport.protocol.scenario.budget import first_tick, ticks_of
+from transport.protocol.scenario.budget import ticks_of
+from transport.protocol.scenario.clock_section import first_tick
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.fault_relations import Problems, fault_problems, processes_of
 from transport.protocol.scenario.maneuver_sections import PhaseSection

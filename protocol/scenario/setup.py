@@ -26,7 +26,7 @@ from transport.mpc.reference import Reference
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.acting_alone import check_design, hands_over, may_act_alone
 from transport.protocol.scenario.budget import ticks_of
-from transport.protocol.scenario.built import maneuver_of, obstacle_of, system_of
+from transport.protocol.scenario.built import building, maneuver_of, obstacle_of, system_of
 from transport.protocol.scenario.checks import (
     Problems,
     blocked,
@@ -36,7 +36,7 @@ from transport.protocol.scenario.checks import (
     too_close_at_hover,
     touching_at_hover,
 )
-from transport.protocol.scenario.errors import HoverError, ScenarioError, building
+from transport.protocol.scenario.errors import HoverError, ScenarioError
 from transport.protocol.scenario.faults import Fault, failures, scripted
 from transport.protocol.scenario.links import Link
 from transport.protocol.scenario.schema import Scenario

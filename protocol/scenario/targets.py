@@ -3,7 +3,7 @@
 from operator import itemgetter
 
 from transport.model.target import Target
-from transport.protocol.scenario.budget import first_tick
+from transport.protocol.scenario.clock_section import first_tick
 from transport.protocol.scenario.errors import RequestError
 from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.planned_run import PlannedRun

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from transport.model.parameters import table_1
-from transport.mpc.settings import Key, Pair, Positive, Section
+from transport.model.section import Key, Pair, Positive, Section
 from transport.protocol.scenario.errors import HoverError, ScenarioError, validated
 from transport.protocol.scenario.file import find_ready, read_tree, validate
 from transport.protocol.scenario.origins import Origin, origins_in

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval
 
-from transport.mpc.settings import Key, Positive, Section, Vector
+from transport.model.section import Key, Positive, Section, Vector
 
 # UDP port of the link to the autopilot of UAV 1, then UAV 2, ..., where none is given.
 DEFAULT_VEHICLE_PORT = 14550

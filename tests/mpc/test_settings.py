@@ -8,9 +8,10 @@ import pytest
 
 from tests.support.systems import changed
 from transport.model.parameters import table_1
+from transport.model.section import Section
 from transport.model.state import StateView
 from transport.mpc.program.user_expressions import UserCosts
-from transport.mpc.settings import ControllerSettings, Limits, Section, Weights
+from transport.mpc.settings import ControllerSettings, Limits, Weights
 
 BAD: list[tuple[type[Section], dict[str, Any]]] = [
     (Limits, {"thrust_N": (-1.0, 45.0)}),

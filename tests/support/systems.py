@@ -15,8 +15,9 @@ from transport.model.linearisation import Model
 from transport.model.maneuver import Maneuver
 from transport.model.parameters import Payload, System, Uav, table_1
 from transport.model.phase import Phase
+from transport.model.section import Section
 from transport.mpc.controller import Controller, Horizon, StepResult
-from transport.mpc.settings import ControllerSettings, Section
+from transport.mpc.settings import ControllerSettings
 
 S = TypeVar("S", bound=Section)
 

@@ -20,6 +20,7 @@ from transport.cli.options import newest_runs
 from transport.cli.setting_words import complete_setting
 from transport.log.run_log import point_latest
 from transport.protocol.scenario.keys import fields, section_in
+from transport.protocol.scenario.schema import Scenario
 
 ONE_LINE = {
     "valdate paper": "no such command 'valdate'. Did you mean 'validate'? (transport --help)",
@@ -159,7 +160,7 @@ def test_every_key_is_completed() -> None:
     """Each value of a scenario is a key that the shell completes to, lists with the number 1."""
     context = typer.Context(TyperCommand("run"), info_name="run")
     words = {re.sub(r"\.1\b", "", word) for word in complete_setting(context, "")}
-    known = fields()
+    known = fields(Scenario)
     assert words == {key for key, field in known.items() if section_in(field.annotation) is None}
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from transport.log.run_log import Recorded, RunLog
-from transport.protocol.scenario.budget import first_tick
+from transport.protocol.scenario.clock_section import first_tick
 from transport.protocol.scenario.link_changes import scripted_changes
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire import messages

@@ -42,7 +42,7 @@ from transport.protocol.network.endpoints import (
 from transport.protocol.network.process import Journal, run_node
 from transport.protocol.network.steady_clock import wall_offset_ns
 from transport.protocol.scenario.built import kinds_of
-from transport.protocol.scenario.schema import LONGEST_WAIT_S
+from transport.protocol.scenario.clock_section import LONGEST_WAIT_S
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.keys import ROUTER, Keys
 from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER, agent_name, vehicle_name

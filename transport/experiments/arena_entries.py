@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from transport.experiments.cases import ExperimentError
-from transport.mpc.settings import Section
+from transport.model.section import Section
 from transport.protocol.scenario.errors import ScenarioError, dotted_key, validated
 from transport.protocol.scenario.own_calls import OwnClassError, errors_of
 from transport.protocol.scenario.own_class import own_class, version_of

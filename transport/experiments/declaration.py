@@ -59,8 +59,8 @@ def axis(column: str) -> Axis:
     if column in _COLUMNS:
         return Axis(column, *_COLUMNS[column])
 
-    key = short_names().get(column, column)
-    field_of_key = fields().get(key)
+    key = short_names(Scenario).get(column, column)
+    field_of_key = fields(Scenario).get(key)
     names_plans = key.startswith(_OTHER_LINKS)
     if field_of_key is None or not key_of(field_of_key).label or names_plans:
         ending = ending_of(key)

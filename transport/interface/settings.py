@@ -67,7 +67,7 @@ class ShortSettings(TypedDict, total=False):
     gust_mps: Sequence[float]
 
 
-KEY_OF: Mapping[str, str] = short_names()  # keys of the scenario
+KEY_OF: Mapping[str, str] = short_names(Scenario)  # keys of the scenario
 _SECTIONS = frozenset(field.alias or name for name, field in Scenario.model_fields.items())
 
 

@@ -15,7 +15,7 @@ from matplotlib.textpath import text_to_path
 from matplotlib.transforms import ScaledTranslation
 
 from transport.log.run_log import RunLog
-from transport.protocol.scenario.budget import first_tick
+from transport.protocol.scenario.clock_section import first_tick
 from transport.protocol.scenario.contacts import first_contact
 from transport.protocol.scenario.link_changes import scripted_changes
 from transport.protocol.scenario.setup import Setup

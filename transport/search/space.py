@@ -11,7 +11,7 @@ from annotated_types import Interval, Len
 from pydantic import AfterValidator, BeforeValidator
 
 from transport.model.arrays import Array
-from transport.mpc.settings import NotNegative, Section
+from transport.model.section import NotNegative, Section
 from transport.protocol.scenario.errors import ScenarioError, validated
 from transport.protocol.scenario.file import read_tree
 from transport.protocol.scenario.schema import Scenario
