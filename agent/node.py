@@ -212,7 +212,8 @@ class AgentNode(Participant):
             self._learn(target)
         received = self._received(measurement, now_ns)
         notes = self._hear_targets(received.plans)
-        for target in self._unconfirmed.confirmed(received.agents, self._membership.since):
+        since = self._membership.since
+        for target in self._unconfirmed.confirmed(self._tick, received.agents, since):
             self._learn(target)
         self._keep_pace(received)
         self._step = self._planner.begin(received)

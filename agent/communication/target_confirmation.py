@@ -1,8 +1,8 @@
 """Targets that wait until all agents on the roster are known to have them (`controller.targets`).
 
 An agent notes at which tick each agent got a target, as far as plans tell: they carry these ticks, so that
-they go round a cut link as the target does. Once all on the roster have it, the target is followed
-from the tick at which the last of them got it, the same for all: docs/equations.md (76).
+they go round a cut link as the target does. An agent that knows that all on the roster have it follows
+it from that tick on and says so in its plans; of two such ticks the earlier one counts: docs/equations.md (76).
 """
 
 from collections.abc import Collection, Mapping
@@ -39,20 +39,18 @@ class Unconfirmed:
         for got in self._got.values():
             got[self._agent] = max(got[self._agent], tick)
 
-    def confirmed(self, members: Collection[int], since: Mapping[int, int]) -> list[Target]:
-        """Return the targets that all members have, with their first tick, oldest first; forget these.
+    def confirmed(
+        self, tick: int, members: Collection[int], since: Mapping[int, int]
+    ) -> list[Target]:
+        """Return the targets that all members have by a tick, their first one, oldest first; forget these.
 
         A member that got a target before it was on the roster, `since`, was another process then.
         """
         found = []
         for place in sorted(self._targets):
             got = self._got[place]
-            ticks = [got.get(member, -1) for member in members]
-            if all(
-                tick >= since.get(member, 0) for tick, member in zip(ticks, members, strict=True)
-            ):
-                # B = max_j H_j, at least 1: 0 is none.
-                found.append(replace(self._targets[place], begins=max(*ticks, 1)))
+            if all(got.get(member, -1) >= since.get(member, 0) for member in members):
+                found.append(replace(self._targets[place], begins=max(tick, 1)))  # 0 is none
         for target in found:
             self.forget(place_of(target))
         return found

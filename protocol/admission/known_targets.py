@@ -33,7 +33,7 @@ class KnownTargets:
     def add(self, target: Target) -> bool:
         """Take in a target; return whether the path is a new one.
 
-        Of two first ticks, as agents may find where the roster changes meanwhile, the earlier one counts.
+        Of two first ticks of a target, the earlier one counts.
         """
         place = place_of(target)
         known = self._known.get(place)
@@ -45,9 +45,11 @@ class KnownTargets:
 
         before = self._followed
         self._followed = self._not_replaced()
-        if self._followed == before:
+        firsts = [(place_of(one), one.first_tick) for one in self._followed]
+        firsts_before = [(place_of(one), one.first_tick) for one in before]
+        if firsts == firsts_before:
             return False
-        if self._followed == [*before, target] and not self._slowings:
+        if firsts == [*firsts_before, (place, target.first_tick)] and not self._slowings:
             self.setup = self.setup.led_to(target)
         else:
             self._renew()

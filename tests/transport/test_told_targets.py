@@ -138,8 +138,31 @@ def test_confirmed_targets_wait_for_an_agent_that_cannot_hear_or_is_off_the_rost
     settings = (alone % 20, death, "clock.on_agent_loss='continue'", CONFIRMED)
     log = flown("resilient", HOVER % 9, targets(to(1)), *settings)
     assert first_followed(log).keys() == {1, 2, 3}
-    # The agents on the roster had it long before.
-    assert {begins for _, begins in first_followed(log).values()} == {TOLD_TICK + 1}
+    # The agents on the roster had it long before, and begin once they know that these are all.
+    assert {begins for _, begins in first_followed(log).values()} == {61}
+
+
+@pytest.mark.parametrize("ticks", [0, 1, 2])
+def test_a_silence_while_a_target_is_confirmed_does_not_make_the_path_jump(ticks: int) -> None:
+    """All have it a tick after it was told, and know that one tick later: a silence then leaves no agent behind.
+
+    The motion begins when the first agent knows that all have it, not when the last one got it.
+    """
+    from_s = TOLD_S + 0.05 * ticks
+    cuts = ",".join(
+        f"{{between=['agent{agent}'],start_s={from_s},end_s={from_s + 4.0}}}" for agent in (1, 2, 3)
+    )
+    settings = (targets(to(1, x=2.0)), f"links.partition=[{cuts}]", CONFIRMED)
+    log = flown("precise", HOVER % 11, *settings)
+    begins = {begins for _, begins in first_followed(log).values()}
+    silent = round(from_s / 0.05)
+    assert begins == ({TOLD_TICK + 2} if ticks == 2 else {silent + 80 + (2 if ticks == 0 else 1)})
+    assert abs(positions(log)[-1][0] - 2.0) < REACHED_M
+    to_all = flown("precise", HOVER % 11, targets(to(x=2.0)))
+    largest_m, given_m = (np.abs(np.diff(positions(one)[:, 0])).max() for one in (log, to_all))
+    assert (
+        largest_m < 1.05 * given_m
+    )  # no faster than the target's motion; three times as fast with a jump
 
 
 def test_two_told_at_the_same_tick_end_at_the_same_target() -> None:
