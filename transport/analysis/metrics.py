@@ -64,7 +64,7 @@ def summarise(run: AnalysedRun) -> dict[str, Any]:
         "rejections": rejections(log),
         "solver": _solver(setup, reports),
         "faults": events(setup, log, control),
-        "targets": targets(setup, series),
+        "targets": targets(setup, series, log),
         "versions": _versions(log),
         "engine": log.header.get("engine", setup.scenario.plant.engine),
         "machine": log.header.get("machine", ""),
