@@ -30,15 +30,15 @@ class DrawnRanges:
 
     uavs: tuple[int, int] = (3, 8)
     uav_mass_kg: Bounds = (0.8, 2.0)
-    uav_gyration_m: Bounds = (0.11, 0.16)  # radius of gyration about roll and pitch
+    uav_gyration_m: Bounds = (0.08, 0.18)  # radius of gyration about roll and pitch
     uav_yaw_inertia: Bounds = (1.5, 2.0)  # over that about roll
     rod_length_m: Bounds = (2.0, 3.7)
-    spacing_m: Bounds = (0.5, 0.8)  # of neighbours in the ring from which attachments are moved
-    angle: Bounds = (-0.3, 0.3)  # of an attachment, as a share of the angle between neighbours
-    radius: Bounds = (0.6, 1.4)  # of an attachment, over that of the ring
-    height_m: Bounds = (0.05, 0.25)  # of attachments above the centre of mass
-    load: Bounds = (0.35, 0.65)  # mass of the payload over that of all UAVs
-    load_inertia: Bounds = (0.15, 1.2)  # over mass times square of the ring's radius
+    spacing_m: Bounds = (0.5, 1.0)  # of neighbours in the ring from which attachments are moved
+    angle: Bounds = (-0.4, 0.4)  # of an attachment, as a share of the angle between neighbours
+    radius: Bounds = (0.5, 1.5)  # of an attachment, over that of the ring
+    height_m: Bounds = (0.0, 0.3)  # of attachments above the centre of mass
+    load: Bounds = (0.3, 0.9)  # mass of the payload over that of all UAVs
+    load_inertia: Bounds = (0.08, 0.5)  # over mass times square of the ring's radius
     share_of_drag: float = 0.5  # teams that have drag, and know it
     uav_drag: Bounds = (0.2, 0.5)  # in the plane of the rotors, over the mass, 1/s
     load_drag_kgps: Bounds = (0.0, 0.5)
