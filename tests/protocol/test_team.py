@@ -90,10 +90,10 @@ def test_the_payload_keeps_its_shape(uavs: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("uavs", "template"),
-    [*((uavs, "resilient") for uavs in SIZES), (3, "paper"), (3, "centralized"), (6, "paper")],
+    [(FEWEST, "resilient"), (16, "resilient"), (3, "paper"), (6, "centralized")],
 )
-def test_every_size_is_valid(uavs: int, template: str) -> None:
-    """Every size builds, also from other scenarios.
+def test_sizes_are_valid(uavs: int, template: str) -> None:
+    """Small and large teams build, also from other scenarios.
 
     The start is an equilibrium with the same thrust for all.
     """

@@ -60,15 +60,14 @@ def test_a_landing_after_the_end_is_refused() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("settings", [(), ("controller.disturbance.estimate=true",)])
-def test_the_team_comes_down_and_rests(settings: tuple[str, ...]) -> None:
+def test_the_team_comes_down_and_rests() -> None:
     """With a ground it carries the load, with a part of its weight, and the UAVs stand still above it.
 
     Forces that the agents estimate are those of before: of the ground's force they would make an error
     of the mass, and take the thrust away until the UAVs fall over.
     """
     target = "maneuver.target=[{at_s=1.0,land=true,land_at_m=[0.3,0.0]}]"
-    run = ready("precise", *LOW, HOVER, *GROUND, *settings, target)
+    run = ready("precise", *LOW, HOVER, *GROUND, "controller.disturbance.estimate=true", target)
     x, thrusts_N = landed(run)
     np.testing.assert_allclose(x[:3], [0.3, 0.0, resting_height(run.system, 0.0)], atol=0.02)
     assert np.abs(x[state.V0]).max() < 0.01
