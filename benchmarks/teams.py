@@ -1,6 +1,6 @@
 """Drawn teams: `python -m benchmarks.teams` counts which of them hold silences and deaths.
 
-Each case is flown by the drawn teams of `protocol.scenario.drawn_team` with seeds 0, 1, ..: their own
+Each case is flown by the drawn teams of `protocol.scenario.teams.drawn_team` with seeds 0, 1, ..: their own
 geometry, periods, horizons, vehicles and late networks. The instant of the silence is drawn from the
 seed, too. A line for each case, `--runs` for each run; `--case TEXT` selects cases. `--kept FOLDER`
 keeps runs, and flies only those not kept there, in a drawn order of all cases and teams: those kept by an
@@ -30,12 +30,12 @@ from transport.model.state import StateView
 from transport.mpc.margins.actual_plant import Mismatch
 from transport.mpc.margins.design_of_gains_alone import DECAY_PER_S, FAMILY
 from transport.mpc.margins.sampled_loop import margins
-from transport.protocol.scenario.drawn_team import NOISE, drawn
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.file import find_scenario, read_scenario, validate
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.whole_files import write_whole
+from transport.protocol.scenario.files.atomic_writing import write_whole
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario, validate
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.drawn_team import NOISE, drawn
 from transport.protocol.wire.messages import Message, PlantState
 
 TEMPLATE = "precise"

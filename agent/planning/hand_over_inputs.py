@@ -14,7 +14,7 @@ from transport.mpc.alone.alone_law import steps_alone
 from transport.mpc.alone.motion_by_own_sensors import OwnSensors
 from transport.mpc.alone.uav_motion import Motion, ahead, motion_of, turned_by_inputs
 from transport.mpc.program.prediction import Linear
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 
 # Time over which the thrust of the team, that the integral begins with, is averaged, s.
 _PRELOAD_S = 1.0

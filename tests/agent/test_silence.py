@@ -32,10 +32,10 @@ from transport.model.arrays import Array, ShapeError
 from transport.model.hover import motor_off_state
 from transport.model.linearisation import Model
 from transport.mpc.controller import Controller
-from transport.protocol.scenario.drawn_team import drawn
-from transport.protocol.scenario.file import find_scenario, read_scenario
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.drawn_team import drawn
 from transport.protocol.wire.messages import Message, Note, Plan, PlantState, StepReport
 
 ALL = tuple(range(5))

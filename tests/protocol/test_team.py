@@ -9,10 +9,10 @@ import pytest
 
 from tests.support.runs import PAPER, SCENARIOS
 from transport.model.arrays import Array
-from transport.protocol.scenario.file import ScenarioError, read_scenario
-from transport.protocol.scenario.schema import Scenario, SystemSection
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import (
+from transport.protocol.scenario.scenario_file import ScenarioError, read_scenario
+from transport.protocol.scenario.sections.schema import Scenario, SystemSection
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.team_of_any_size import (
     FEWEST,
     MOST,
     AirframeSection,

@@ -8,8 +8,8 @@ import pytest
 from tests.support.commands import SHORT, processes_of, settings, transport
 from transport.flight.memory import simulate
 from transport.log.run_log import read_log
-from transport.protocol.scenario.file import find_scenario, read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, Plan, PlantState, Roster
 
 CONTINUE = "clock.on_agent_loss=continue"

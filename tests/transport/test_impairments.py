@@ -13,7 +13,7 @@ from tests.support.runs import SHORT, plant_states, recorded, reproducible, setu
 from tests.support.shuffled import fly_shuffled
 from tests.support.troubles import FAULTS, HEAVY, ITERATIONS, NEXT_TICK, RESILIENT
 from transport.model import state
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import Measurement, Message, Plan, StepReport, agent_name
 

@@ -7,10 +7,14 @@ from tests.support.runs import completed, plant_states, ready, setup
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.parameters import resting_height
-from transport.protocol.scenario.errors import RequestError, ScenarioError, requested
-from transport.protocol.scenario.maneuver_sections import TargetSection
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.target_planning import target_fields
+from transport.protocol.scenario.sections.maneuver_sections import TargetSection
+from transport.protocol.scenario.sections.scenario_errors import (
+    RequestError,
+    ScenarioError,
+    requested,
+)
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.targets.target_timing import target_fields
 
 GROUND = ("plant.engine=mujoco", "plant.ground_m=0.0")
 LOW = ("maneuver.start_m=[0.0,0.0,-1.0]",)

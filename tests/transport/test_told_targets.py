@@ -19,14 +19,18 @@ from transport.model.arrays import Array
 from transport.model.state import R0
 from transport.protocol.admission.carried import carried_by, check_carried, place_of
 from transport.protocol.admission.known_targets import KnownTargets
-from transport.protocol.scenario.errors import RequestError, ScenarioError, requested
-from transport.protocol.scenario.maneuver_sections import TargetSection
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.target_planning import target_fields
+from transport.protocol.scenario.sections.maneuver_sections import TargetSection
+from transport.protocol.scenario.sections.scenario_errors import (
+    RequestError,
+    ScenarioError,
+    requested,
+)
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.targets.target_timing import target_fields
 from transport.protocol.wire.codec import decode, encode
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import Note, Plan, PlantState, Target
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 HOVER = "maneuver.phase=[{name='hover',duration_s=%g,displacement_m=[0,0,0]}]"
 TOLD_S, TOLD_TICK = 1.0, 20

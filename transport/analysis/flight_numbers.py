@@ -16,7 +16,7 @@ from transport.model.arrays import Array
 from transport.model.state import R0
 from transport.model.target import Target
 from transport.protocol.admission.carried import carried_by
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import messages
 
 # Time after which a target counts as reached or missed, s.

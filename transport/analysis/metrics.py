@@ -21,7 +21,7 @@ from transport.analysis.own_constraints import own_constraints
 from transport.analysis.series import Series
 from transport.analysis.spread import percentiles
 from transport.log.run_log import RunLog
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import messages
 
 _NS_PER_S = 1e9

@@ -25,9 +25,9 @@ from transport.flight.run import simulate
 from transport.flight.run_files import new_folder
 from transport.mpc.settings import AloneGains
 from transport.protocol.network.endpoints import process_names
-from transport.protocol.scenario.acting_alone import lacks
-from transport.protocol.scenario.relations import after_the_end
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.checks.relations import after_the_end
+from transport.protocol.scenario.setup.acting_alone import lacks
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
 from transport.protocol.wire.names import COORDINATOR
 from transport.viewer.process import ViewerBeside

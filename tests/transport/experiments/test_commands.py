@@ -11,7 +11,7 @@ from tests.support.runs import ticks
 from transport.experiments.cases import NUMBERS
 from transport.experiments.statistics import WIDTH
 from transport.flight import memory
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Control
 
 DONE, USAGE, SCENARIO, LOST, CASES = 0, 2, 3, 4, 7
