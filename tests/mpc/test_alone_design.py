@@ -9,7 +9,14 @@ import pytest
 
 from tests.support import runs
 from transport.mpc.margins.actual_plant import Mismatch
-from transport.mpc.margins.design_of_gains_alone import DECAY_PER_S, FAMILY, REQUIRED, TeamAlone
+from transport.mpc.margins.design_of_gains_alone import (
+    DECAY_PER_S,
+    FAMILY,
+    REQUIRED,
+    SOFT_FAMILY,
+    TeamAlone,
+)
+from transport.mpc.margins.sampled_loop import GROWTH
 from transport.mpc.settings import AloneGains
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
@@ -30,6 +37,8 @@ READY = (
 )
 DRAWN = range(13)  # `python -m benchmarks.teams --margins` has sixty
 LARGE = 12  # a drawn team of eight
+SOFT = 57  # needs the soft family
+UNHELD = 9032  # decays, without margins
 
 
 @lru_cache
@@ -67,6 +76,34 @@ def test_the_family_is_needed() -> None:
         loop = setup.team_alone(next_tick=setup.scenario.clock.next_tick).loop(FAMILY[0])
         grows.append(loop.growth(Mismatch()) > 0.0)
     assert any(grows)
+
+
+def test_soft_gains_hold_a_team_that_no_stiff_ones_hold() -> None:
+    """Inputs that act a period of 0.1 s later, and a payload that turns fast, need soft gains with swing."""
+    setup = team(SOFT)
+    assert setup.alone is not None
+    assert setup.alone.holds
+    assert setup.alone.gains in SOFT_FAMILY
+    loop = setup.team_alone(next_tick=True).loop(setup.alone.gains)
+    assert loop.growth(Mismatch()) < -DECAY_PER_S
+    assert all(loop.growth(plant) < 0.0 for plant in REQUIRED)
+
+
+def test_where_no_gains_hold_those_with_the_most_margin_are_taken() -> None:
+    """Of the gains with which deviations decay: those that let them grow the least with a delay or a lag."""
+    setup = team(UNHELD)
+    assert setup.alone is not None
+    assert not setup.alone.holds
+    assert not setup.alone.is_unstable
+
+    alone = setup.team_alone(next_tick=True)
+    possible = [*alone._possible(FAMILY), *alone._possible(SOFT_FAMILY)]
+    grows = {}
+    for gains in possible:
+        loop = alone.loop(gains)
+        if loop.growth(Mismatch()) <= GROWTH:
+            grows[gains.model_dump_json()] = max(loop.growth(plant) for plant in REQUIRED)
+    assert grows[setup.alone.gains.model_dump_json()] == min(grows.values())
 
 
 def test_the_design_follows_from_values() -> None:
