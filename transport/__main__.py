@@ -33,7 +33,12 @@ import sys
 from contextlib import suppress
 from types import FrameType
 
-from transport.protocol.network.parent import FORK_SERVER, ending_signals
+from transport.protocol.network.parent import (
+    ENVIRONMENT,
+    FORK_SERVER,
+    ending_signals,
+    wake_with_its_end,
+)
 
 TYPE_CHECKING = False  # as `typing` has it, whose import takes as long as all others
 if TYPE_CHECKING:
@@ -74,23 +79,21 @@ def _leave_on_signals() -> None:
 
 def _code_of_command() -> int:
     """Run the command of the arguments and return its exit code."""
-    from transport.protocol.network.parent import wake_with_its_end
-
     wake_with_its_end()
-    if sys.argv[1:2] == ["run"] and not {"-h", "--help"} & set(sys.argv):
-        from transport.flight.fork_server import fork_server
-
-        fork_server()  # imports for the processes of the run while this process imports for itself
+    if sys.argv[1:2] == ["run"]:
+        # The processes of the run are forked from this one, whose imports take over some of these.
+        for name, value in ENVIRONMENT.items():
+            os.environ.setdefault(name, value)
 
     from transport.flight.signals import raise_interrupts, take_interrupt
 
     try:
-        from transport.cli.main import app
+        from transport.cli.main import command
         from transport.cli.streams import standard_streams
 
         with standard_streams():
             raise_interrupts()
-            app(prog_name="transport")
+            command()(prog_name="transport")
     except BaseException as error:  # noqa: BLE001  # any error has an exit code
         # Code that was interrupted may have turned the interrupt into another error.
         is_interrupted = take_interrupt() or isinstance(error, KeyboardInterrupt)
@@ -109,27 +112,12 @@ def _code_of_error(error: BaseException) -> int:
 
 
 def _serve() -> "NoReturn":
-    """Be the fork server (`transport.flight.fork_server`), whose processes begin with `main`."""
+    """Be the fork server of another program, whose processes begin with `main`."""
     import socket
 
-    from transport.protocol.network.parent import wake_with_its_end
+    from transport.cli.processes import serve_processes
 
-    wake_with_its_end()
-    from transport.cli.lazy import load
-    from transport.flight.fork_server import serve
-
-    for name in (
-        "transport.cli.main",
-        "transport.cli.streams",
-        "transport.cli.processes",
-        "transport.agent.node",
-        "transport.coordinator.node",
-        "transport.plant.node",
-    ):
-        load(name)
-    from transport.cli.processes import Prepared
-
-    serve(socket.socket(fileno=int(sys.argv[2])), Prepared().prepare, main)
+    serve_processes(socket.socket(fileno=int(sys.argv[2])), main)
     os._exit(0)  # the processes that it forked run their exit functions, not the server
 
 

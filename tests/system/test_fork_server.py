@@ -21,7 +21,7 @@ from transport.cli.options import read_setup
 from transport.cli.processes import Prepared
 from transport.flight import fork_server, harness
 from transport.flight.fork_server import ForkServer
-from transport.flight.harness import Child, start_child
+from transport.flight.harness import Child, ToStart, start_children
 from transport.mpc.law.present_law import Regulation
 from transport.protocol.network.parent import FORK_SERVER
 
@@ -72,7 +72,7 @@ def begin(server: ForkServer, children: list[Child], tmp_path: Path) -> Begin:
     """Return a function that starts a command with a log of a given name."""
 
     def start(log: str, *arguments: str) -> Child:
-        children.append(start_child("test", arguments, tmp_path / log))
+        children.extend(start_children([ToStart("test", arguments, tmp_path / log)]))
         return children[-1]
 
     return partial(start)
@@ -138,6 +138,35 @@ def test_orphans_are_adopted_until_the_server_is_closed(server: ForkServer) -> N
     assert not adopts_orphans()
 
 
+def test_a_fork_that_fails_in_the_server_starts_programs(
+    server: ForkServer, children: list[Child], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Processes that the server could not fork are started as programs, in their places."""
+    forked = fork_server._forked
+    monkeypatch.setattr(
+        fork_server, "_forked", lambda requests, starts, given: forked(requests, starts[:1], given)
+    )
+    logs = [tmp_path / f"{number}.log" for number in range(3)]
+    children += start_children([ToStart(log.stem, ["--version"], log) for log in logs])
+    assert [is_forked(child) for child in children] == [True, False, False]
+    assert [child.wait(60.0) for child in children] == [0, 0, 0]
+    assert len({log.read_text() for log in logs}) == 1
+
+
+def test_a_command_is_forked_into_its_server() -> None:
+    """The server has the imports of the command, one thread, no file of it, and ends with it."""
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", BRANCHED], stdin=pipe, stdout=pipe) as parent:
+        assert parent.stdout is not None
+        pid, has_module = parent.stdout.readline().split()
+        assert has_module == b"True"
+        assert wait_for(lambda: command_of(pid.decode()) == ["transport", FORK_SERVER])
+        found = psutil.Process(int(pid))
+        assert found.num_threads() == 1
+        assert {str(Path(f"/proc/{found.pid}/fd/{k}").readlink()) for k in range(3)} == {os.devnull}
+    assert wait_for(lambda: status(found.pid) == psutil.STATUS_ZOMBIE, 20.0)
+
+
 def test_orphans_end(begin: Begin, server: ForkServer) -> None:
     """Forked processes end when their parent's pipe closes, also after the end of the server."""
     child = begin("agent.log", *LONELY)
@@ -153,6 +182,27 @@ PARENT = (
     "import time; from transport.flight.fork_server import ForkServer; server = ForkServer();"
     "print(server.pid, flush=True); time.sleep(600)"
 )
+
+
+# Forks itself into a server, which tells by its first process whether it has a module of this program.
+BRANCHED = """
+import os, sys
+import colorsys
+from transport.flight import fork_server
+from transport.flight.fork_server import Start
+
+def tell():
+    os.write(1, str("colorsys" in sys.modules).encode())
+    os._exit(0)
+
+fork_server.fork_into_server(lambda requests: fork_server.serve(requests, lambda _: None, tell))
+server = fork_server.fork_server()
+os.write(1, f"{server.pid} ".encode())
+[process] = server.start([Start([], 0, 1)], {})
+process.wait(20.0)
+os.write(1, b"\\n")
+sys.stdin.read()
+"""
 
 
 def status(pid: int) -> str:
@@ -181,8 +231,8 @@ def test_a_stopped_server_ends_with_its_parent() -> None:
                 os.kill(pid, signal.SIGKILL)
 
 
-# Starts a process as the server does, with a process in between that ends late. The new process
-# prints whether its parent is this program, and this program prints its id, in any order.
+# Starts two processes as the server does, with a process in between that ends late. The new ones
+# print whether their parent is this program, and this program prints their ids, in any order.
 STARTED = """
 import os, sys, time
 from transport.flight import fork_server
@@ -195,12 +245,13 @@ def end_late(code, end=os._exit):
 os._exit = end_late
 fork_server._adopt_orphans(True)
 own = os.getpid()
-request = {"arguments": [], "environment": {}}
+request = {"arguments": [[], []], "environment": {}}
 # A write for each line: two processes write at the same time.
 say = lambda word: os.write(1, f"{word}\\n".encode())
-pid = fork_server._started(request, [0, 1], lambda: say("own" if os.getppid() == own else "other"))
-say(pid)
-if pid:
+is_own = lambda: say("own" if os.getppid() == own else "other")
+ids = fork_server._started(request, [0, 1, 0, 1], is_own)
+say(ids)
+for pid in ids:
     os.waitpid(pid, 0)
 """
 # The same, where no process is left for the new one.
@@ -226,14 +277,14 @@ def output_of(code: str) -> tuple[list[str], str]:
 def test_a_process_begins_as_a_child_of_the_one_that_asked() -> None:
     """It does not watch the process in between, whose end would continue it if it had been stopped."""
     words, errors = output_of(STARTED)
-    assert "own" in words
+    assert words.count("own") == 2
     assert "other" not in words
     assert errors == ""
 
 
 def test_a_fork_that_fails_gives_no_process() -> None:
     """The process in between ends; only the server goes on."""
-    assert output_of(NONE_LEFT) == (["0"], "")
+    assert output_of(NONE_LEFT) == (["[]"], "")
 
 
 def test_threads_share_a_server(monkeypatch: pytest.MonkeyPatch) -> None:

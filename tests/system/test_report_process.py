@@ -9,7 +9,7 @@ import pytest
 from tests.support import runs
 from tests.support.commands import command_of, wait_for
 from tests.support.logs import record_run
-from transport.cli.run import ReportProcess
+from transport.cli.local_run import ReportProcess
 from transport.report.report import write_report
 
 pytestmark = pytest.mark.skipif(
@@ -44,7 +44,7 @@ def test_equal_reports(tmp_path: Path) -> None:
 def test_ends_with_its_parent(tmp_path: Path) -> None:
     """A process that stands by ends when its parent is killed."""
     code = (
-        "import time\nfrom pathlib import Path\nfrom transport.cli.run import ReportProcess\n"
+        "import time\nfrom pathlib import Path\nfrom transport.cli.local_run import ReportProcess\n"
         "reporter = ReportProcess(Path('/none'))\nreporter.prepare()\nprint(reporter._child.process.pid, flush=True)\n"
         "time.sleep(60)\n"
     )

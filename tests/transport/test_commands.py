@@ -86,12 +86,16 @@ def test_processes_of_a_run_import_only_what_they_need(role: str) -> None:
 
 
 def test_a_run_imports_viewer_and_report_when_needed() -> None:
-    """The start of `transport run` imports neither the viewer nor figures.
+    """The start of `transport run` imports neither the viewer nor figures, nor an agent.
 
-    The processes of the run wait for it.
+    The processes of the run wait for it. Before it is forked into their server it imports no recorder
+    and no console either, which they do not need.
     """
-    names = imported('import_module("transport.cli.run")')
+    before = imported('import_module("transport.cli.run")')
+    names = imported('import_module("transport.cli.local_run")')
     assert not names & {"transport.cli.view", "transport.cli.plot", *FOREIGN - {"mcap"}}
+    assert "transport.agent.node" not in names
+    assert not before & {"rich", "mcap"}
 
 
 def test_docs_list_every_command() -> None:

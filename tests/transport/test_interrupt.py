@@ -96,7 +96,7 @@ def test_the_command_tells_what_is_kept(
     def report(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("transport.cli.run.simulate", simulate)
+    monkeypatch.setattr("transport.cli.local_run.simulate", simulate)
     monkeypatch.setattr("transport.cli.plot.report", report)
     result = CliRunner().invoke(app, ["run", "paper", "--no-figures", "--out", str(folder)])
     assert result.exit_code == EXIT_INTERRUPTED
@@ -113,7 +113,7 @@ def test_a_run_interrupted_before_its_log_says_so(
     def simulate(*_: Any) -> Finished:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("transport.cli.run.simulate", simulate)
+    monkeypatch.setattr("transport.cli.local_run.simulate", simulate)
     result = CliRunner().invoke(
         app, ["run", "paper", "--no-figures", "--out", str(tmp_path / "run")]
     )

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, get_origin
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 
 _PLAIN: dict[str, Any] = {
     "add_completion": False,
@@ -66,6 +66,12 @@ class Command(TyperCommand):
         if self.help:
             self.help = self.help.replace(_EXAMPLE, _UNWRAPPED_EXAMPLE)
 
+    def build_parsers(self) -> None:
+        """Build the parsers of the options, which are otherwise built when the command is called."""
+        for parameter in self.params:
+            if isinstance(parameter, TyperArgument | TyperOption):
+                parameter.get_runtime_param()
+
     def invoke(self, ctx: Any) -> Any:
         """Run the command; other errors are bugs and keep their traceback."""
         from transport.protocol.wire.errors import TransportError
@@ -92,7 +98,7 @@ class Command(TyperCommand):
 
 def _blamed(error: Exception, settings: Sequence[str]) -> str:
     """Return the text of an error, which names the settings that caused it."""
-    from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+    from transport.protocol.scenario.errors import ScenarioError
 
     return str(error.blaming(settings) if isinstance(error, ScenarioError) else error)
 
@@ -127,6 +133,7 @@ class LazyGroup(TyperGroup):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
+        self._loaded: dict[str, Any] = {}
         commands: dict[str, Any] = {
             name: TyperCommand(name, short_help=line) for name, (_, line) in self.table.items()
         }
@@ -171,7 +178,10 @@ class LazyGroup(TyperGroup):
         return name, command, rest
 
     def load(self, name: str) -> Any:
-        """Import the command of a name in the table."""
+        """Import the command of a name in the table, once."""
+        if name in self._loaded:
+            return self._loaded[name]
+
         module, _, function_name = self.table[name][0].partition(":")
         function = getattr(load(f"transport.cli.{module}"), function_name)
         if isinstance(function, dict):
@@ -180,7 +190,8 @@ class LazyGroup(TyperGroup):
 
         single = typer.Typer(**_PLAIN)
         single.command(name, cls=Command, context_settings=settings)(function)
-        return typer.main.get_command(single)
+        self._loaded[name] = typer.main.get_command(single)
+        return self._loaded[name]
 
     def format_commands(self, _: Any, formatter: Any) -> None:
         """Write a list of commands under each heading, with equal columns."""

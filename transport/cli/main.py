@@ -1,6 +1,8 @@
 """Command `transport`: the tables of its commands, and its answer without one."""
 
+from functools import cache
 from importlib import metadata
+from typing import Any
 
 import typer
 from typer import Option
@@ -125,6 +127,12 @@ app = lazy_group(
     "9 a check failed (doctor), "
     "10 not recorded, 11 collided, 130 interrupted.",
 )
+
+
+@cache
+def command() -> Any:
+    """Return the command `transport`, built once: processes forked later have it."""
+    return typer.main.get_command(app)
 
 
 def _version(is_given: bool) -> None:

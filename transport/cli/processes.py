@@ -8,17 +8,18 @@ Each imports only its own role: the processes of a run start with these commands
 import itertools
 import re
 import signal
+import socket
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 from typer import Option
 
-from transport.cli.lazy import with_options
+from transport.cli.lazy import load, with_options
 from transport.cli.options import (
     RUNS,
     FiguresOption,
@@ -31,6 +32,7 @@ from transport.cli.options import (
     read_setup,
 )
 from transport.cli.output import Format, blame, fail
+from transport.flight.fork_server import serve
 from transport.model.compiled import needs_compilation
 from transport.protocol.network.bus import Place
 from transport.protocol.network.endpoints import (
@@ -39,12 +41,13 @@ from transport.protocol.network.endpoints import (
     process_names,
     security_of,
 )
-from transport.protocol.network.node_process import Journal, run_node
+from transport.protocol.network.parent import wake_with_its_end
+from transport.protocol.network.process import Journal, run_node, use_one_thread
 from transport.protocol.network.steady_clock import wall_offset_ns
-from transport.protocol.scenario.sections.clock_section import LONGEST_WAIT_S
-from transport.protocol.scenario.setup.model_objects import kinds_of
-from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.key_expressions import ROUTER, Keys
+from transport.protocol.scenario.built import kinds_of
+from transport.protocol.scenario.clock_section import LONGEST_WAIT_S
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.keys import ROUTER, Keys
 from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER, agent_name, vehicle_name
 
 if TYPE_CHECKING:
@@ -142,7 +145,7 @@ def check_endpoints(listen: Sequence[str] | None, connect: Sequence[str] | None)
 class Prepared:
     """Model and control law of a run, computed once: the processes forked after share their memory.
 
-    The fork server (`transport.__main__`) calls `prepare` before each fork. The law's results are
+    The fork server calls `prepare` before each fork. The law's results are
     shared as long as it is kept: `model.identity`.
     """
 
@@ -166,6 +169,23 @@ class Prepared:
             messages()  # half a second of import, which a vehicle that returns would fly without
         self.law = Regulation(setup.model, setup.hover, setup.settings, setup.reference.sampled)
         self.law.fail_safe.warm_up()
+
+
+def serve_processes(requests: socket.socket, command: Callable[[], NoReturn]) -> None:
+    """Be the fork server (`transport.flight.fork_server`): fork processes that run the command."""
+    wake_with_its_end()
+    import_processes()
+    serve(requests, Prepared().prepare, command)
+
+
+def import_processes() -> None:
+    """Do once what agent, plant and coordinator do first, for the processes that are forked later."""
+    load("transport.cli.streams")
+    commands = load("transport.cli.main").command()
+    for role in ("agent", "coordinator", "plant"):
+        load(f"transport.{role}.node")
+        commands.load(role).build_parsers()
+    use_one_thread()
 
 
 @with_options(ProcessOptions)
@@ -229,7 +249,7 @@ def plant(options: ProcessOptions) -> None:
     else:
         from transport.plant.autopilot.node import PlayedPlant
         from transport.plant.autopilot.processes import Autopilots
-        from transport.protocol.scenario.sections.vehicles_section import DEFAULT_VEHICLE_PORT
+        from transport.protocol.scenario.vehicles_section import DEFAULT_VEHICLE_PORT
 
         port = setup.scenario.network.vehicle_port or DEFAULT_VEHICLE_PORT
         autopilots = Autopilots(setup, port)

@@ -5,7 +5,7 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,10 +13,10 @@ from typing import IO
 
 import psutil
 
-from transport.flight.fork_server import fork_server
+from transport.flight.fork_server import Start, fork_server
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.parent import PARENT_PIPE, STANDBY
-from transport.protocol.scenario.sections.clock_section import LONGEST_WAIT_S
+from transport.protocol.scenario.clock_section import LONGEST_WAIT_S
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.protocol.wire.names import (
@@ -141,22 +141,34 @@ class Child:
             self.stdin.close()
 
 
-def start_child(
-    name: str, arguments: Sequence[str], log: Path, incarnation: int = 0, *, standby: bool = False
-) -> Child:
-    """Start `transport` with arguments and a file for its output; it ends with this process."""
+@dataclass(frozen=True, slots=True)
+class ToStart:
+    """A process to be started: `transport` with arguments, and the file for its output."""
+
+    name: str
+    arguments: Sequence[str]
+    log: Path
+    incarnation: int = 0
+
+
+def start_children(wanted: Sequence[ToStart], *, standby: bool = False) -> list[Child]:
+    """Start processes, which end with this one."""
     extra = {PARENT_PIPE: "1", STANDBY: "1" if standby else ""}
-    with log.open("wb") as output:
-        reads, writes = os.pipe()
-        stdin = os.fdopen(writes, "wb", 0)
-        try:
-            process = fork_server().start(arguments, reads, output, extra)
-        except BaseException:
-            stdin.close()
-            raise
-        finally:
-            os.close(reads)
-    return Child(name, process, stdin, log, incarnation)
+    starts = []
+    inputs = []
+    with ExitStack() as started, ExitStack() as failed:
+        for process in wanted:
+            output = started.enter_context(process.log.open("wb"))
+            reads, writes = os.pipe()
+            started.callback(os.close, reads)
+            inputs.append(failed.enter_context(os.fdopen(writes, "wb", 0)))
+            starts.append(Start(process.arguments, reads, output.fileno()))
+        processes = fork_server().start(starts, extra)
+        failed.pop_all()  # the inputs stay open
+    return [
+        Child(one.name, process, stdin, one.log, one.incarnation)
+        for one, process, stdin in zip(wanted, processes, inputs, strict=True)
+    ]
 
 
 @dataclass(slots=True)
@@ -206,12 +218,17 @@ class Harness:
         for child in self.children:
             child.close()
 
-    def start(self, name: str, incarnation: int = 0) -> None:
-        """Start a process of the mesh."""
-        arguments = self._arguments(name, incarnation)
-        log = self.logs / (f"{name}.log" if incarnation == 0 else f"{name}-{incarnation}.log")
-        log.parent.mkdir(parents=True, exist_ok=True)
-        self.children.append(start_child(name, arguments, log, incarnation))
+    def start(self, names: Iterable[str], incarnation: int = 0) -> None:
+        """Start processes of the mesh."""
+        self.logs.mkdir(parents=True, exist_ok=True)
+        ending = ".log" if incarnation == 0 else f"-{incarnation}.log"
+        wanted = [
+            ToStart(
+                name, self._arguments(name, incarnation), self.logs / f"{name}{ending}", incarnation
+            )
+            for name in names
+        ]
+        self.children += start_children(wanted)
 
     def _arguments(self, name: str, incarnation: int) -> list[str]:
         """Return the arguments of `transport` that make a process of the mesh."""

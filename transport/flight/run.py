@@ -38,10 +38,10 @@ from transport.protocol.network.bus import Place
 from transport.protocol.network.endpoints import Endpoints, mesh, process_names
 from transport.protocol.network.security import Security
 from transport.protocol.network.session import check_usable
-from transport.protocol.scenario.sections.vehicles_section import DEFAULT_VEHICLE_PORT
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.vehicles_section import DEFAULT_VEHICLE_PORT
 from transport.protocol.wire import exit_codes as codes
-from transport.protocol.wire.key_expressions import RECORDER, Keys
+from transport.protocol.wire.keys import RECORDER, Keys
 from transport.protocol.wire.names import COORDINATOR
 
 _ORDERLY_ENDS = {
@@ -146,7 +146,9 @@ def simulate(
             endpoints=addresses.recorder,
             join_timeout_s=setup.scenario.clock.join_timeout_s,
         )
+        # The recorder opens its session while the fork server prepares the other processes.
         recorder = stack.enter_context(_recorded(place, made, header, progress, harness))
+        harness.start(harness.mesh)
 
         with _marked_active(folder, addresses):
             ready()  # no tick passes meanwhile: the coordinator waits for the recorder, which joins now
@@ -194,7 +196,7 @@ def _harness(
     external: Collection[str],
     progress: RunProgress,
 ) -> Iterator[Harness]:
-    """Start the processes of a run that are not external, and end them with the context."""
+    """Yield the harness of the processes that are not external, and end them with the context."""
     own = {name: place for name, place in addresses.processes.items() if name not in external}
     scenario_file = folder / "scenario.toml"
     harness = Harness(addresses.run, scenario_file, own, folder / "logs", own_keys_folder)
@@ -206,8 +208,6 @@ def _harness(
     elif scenario.has_vehicles:
         harness.vehicle_port = scenario.network.vehicle_port or DEFAULT_VEHICLE_PORT
     try:
-        for name in own:
-            harness.start(name)
         yield harness
     finally:
         harness.end(progress.say)

@@ -15,14 +15,14 @@ from pathlib import Path
 import psutil
 import tomli_w
 
-from transport.agent.user_class.user_planner import checked_controller
 from transport.log.run_log import LATEST, point_latest
 from transport.model import native
 from transport.plant.engines import checked_engine
 from transport.protocol.network.security import SHARED
-from transport.protocol.scenario.files.atomic_writing import write_whole
-from transport.protocol.scenario.sections.schema import Scenario
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.radio_settings import is_class
+from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.whole_files import write_whole
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.protocol.wire.names import PLANT, agent_name
@@ -192,10 +192,17 @@ def checked(setup: Setup, external: Collection[str] = ()) -> dict[str, str]:
 
     Raises: ScenarioError: one of them cannot be made.
     """
-    agents_are_external = all(agent_name(agent) in external for agent in setup.agents)
+    controller = ", ".join(dict.fromkeys(setup.scenario.controllers))
+    if all(agent_name(agent) in external for agent in setup.agents):
+        controller = "external"
+    elif any(map(is_class, setup.scenario.controllers)):
+        # Imports all of an agent, which this process does not need otherwise.
+        from transport.agent.user_class.user_planner import checked_controller
+
+        controller = checked_controller(setup)
     return {
         "engine": "external" if PLANT in external else checked_engine(setup),
-        "controller": "external" if agents_are_external else checked_controller(setup),
+        "controller": controller,
     }
 
 

@@ -1,1 +1,0 @@
-"""Checks of a whole scenario: relations between fields, limits, obstacles and feasibility along the reference."""

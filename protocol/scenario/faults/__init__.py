@@ -1,1 +1,0 @@
-"""Scripted faults of processes and UAVs, and the relations between them."""

@@ -1,1 +1,0 @@
-"""Files: read within bounds, written whole, and those that a scenario names."""

@@ -1,1 +1,0 @@
-"""Links: delay, jitter, loss and other impairments of each, and their changes during a run."""
