@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from benchmarks import shares, solvers
+from benchmarks import shares, solvers, start
 from benchmarks.runs import (
     CLIMB,
     BenchmarkError,
@@ -190,6 +190,7 @@ SECTIONS: Mapping[str, Callable[[], str]] = {
     "step": step,
     "widths": widths,
     "shares": shares.measure,
+    "start": start.measure,
     "solvers": solvers.measure,
     "parts": parts,
     "loop": loop,
@@ -207,14 +208,14 @@ def main() -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends started processes
     for name in parser.parse_args().only or SECTIONS:
         place(DOCUMENT, f"bench: {name}")  # refused before minutes are spent
-        load, start = os.getloadavg()[0], time.monotonic()
+        load, begun_s = os.getloadavg()[0], time.monotonic()
         try:
             text = SECTIONS[name]()
         except BenchmarkError as error:
             sys.stderr.write(f"benchmarks: {error}\n")
             return 1
         put(DOCUMENT, f"bench: {name}", f"{text}\n\n*{origin()}; load before: {load:.1f}.*")
-        sys.stderr.write(f"{name}: {time.monotonic() - start:.0f} s\n")
+        sys.stderr.write(f"{name}: {time.monotonic() - begun_s:.0f} s\n")
     return 0
 
 

@@ -21,6 +21,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from benchmarks.runs import digits, origin
+from benchmarks.start import instants
 from docs.tables import ROOT, table
 
 # Processor time of a run in memory, s: the least of some, after one that fills the caches.
@@ -79,20 +80,13 @@ def with_processes(tree: Path, environment: Mapping[str, str]) -> dict[str, floa
     with tempfile.TemporaryDirectory(prefix="against-") as parent:
         folder = Path(parent) / "run"
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        begun_s = time.monotonic()
-        subprocess.run(
-            command(tree, "run", "paper", "--out", str(folder)),
-            check=True, capture_output=True, env=environment,
-        )  # fmt: skip
-        whole_s = time.monotonic() - begun_s
+        at_s = instants(command(tree, "run", "paper"), folder, environment)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        summary = json.loads((folder / "summary.json").read_bytes())
     used_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    started_s, flown_s = summary["startup_s"], summary["wall_time_s"]
     return {
         "`transport run paper`, s of processor time": used_s,
-        "command to first tick, s": started_s,
-        "last tick to prompt, s": whole_s - started_s - flown_s,
+        "command to first tick, s": at_s["first tick"],
+        "last tick to prompt, s": at_s["prompt"] - at_s["last tick"],
     }
 
 

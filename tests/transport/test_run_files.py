@@ -4,14 +4,18 @@ import errno
 import os
 import platform
 import re
+import subprocess
+import sys
+import time
 from pathlib import Path
 
-import psutil
 import pytest
 
 from tests.support.runs import SHORT, setup
-from transport.flight.run_files import RunError, new_run_folder, own_keys, run_header
+from transport.flight.run_files import RunError, new_run_folder, own_keys, run_header, started_ns
 from transport.protocol.wire.exit_codes import EXIT_USAGE
+
+CLOCK_TICK_NS = 10**7  # of the times of processes
 
 
 def run_with_log(folder: Path, at_s: float) -> Path:
@@ -112,7 +116,19 @@ def test_the_header_describes_run_and_machine() -> None:
     assert header.keys() == {*told, "versions", "machine", "command_started_ns"}
 
     started_s = int(header["command_started_ns"]) / 1e9
-    assert started_s == pytest.approx(psutil.Process().create_time(), abs=1e-3)
+    assert started_s == pytest.approx(started_ns() / 1e9, abs=1e-3)
     cores = len(os.sched_getaffinity(0))
     system = re.escape(f"{platform.system()} {platform.release()}")
     assert re.fullmatch(rf".+, {cores} cores?, {system}", header["machine"])
+
+
+def test_the_start_of_a_process_is_told_to_its_clock_tick() -> None:
+    """It lies between the call that starts a process and the first line that it executes."""
+    code = (
+        "import time; first_ns = time.time_ns();"
+        "from transport.flight.run_files import started_ns; print(started_ns(), first_ns)"
+    )
+    called_ns = time.time_ns()
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    found_ns, first_ns = map(int, ran.stdout.split())
+    assert called_ns - CLOCK_TICK_NS <= found_ns <= first_ns + CLOCK_TICK_NS
