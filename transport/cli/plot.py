@@ -1,8 +1,10 @@
 """Command `transport plot`, and the report of a run.
 
-Summary and figures are written to the folder of the run, the summary is printed, too.
+Summary and figures are written to the folder of the run, the summary is printed, too. The process that
+only prints it imports no more than that takes.
 """
 
+import gc
 from pathlib import Path
 
 import orjson
@@ -16,7 +18,6 @@ from transport.log.run_log import LogError, open_run
 from transport.protocol.network.parent import is_standby, stand_by
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE, EXIT_UNRECORDED
-from transport.report.report import report_run, write_report
 from transport.report.summary_table import summary_table, warnings
 
 
@@ -36,8 +37,10 @@ def plot(
     Example: transport plot runs/20260102-101500-paper --animate flight.gif
     """
     folder = run_folder(given)
+    reports = load("transport.report.report")
     if is_standby():  # the preparations come before the wait
         load("transport.report.figures").warm_up()
+        gc.disable()  # the process ends with its report
     if not stand_by():  # started by `transport run`, which has ended
         raise typer.Exit(EXIT_UNREACHABLE)
 
@@ -53,7 +56,7 @@ def plot(
         fail(f"{folder / 'run.mcap'}: {problem}")
     try:
         also = [kind for kind, wanted in (("svg", svg), ("pdf", pdf)) if wanted]
-        report_run(run, forks=True, also=also)
+        reports.report_run(run, forks=True, also=also)
     except KeyboardInterrupt:
         hint = f"the report is not complete, make it with: transport plot {folder}"
         fail(f"interrupted; {hint}", EXIT_INTERRUPTED)
@@ -76,7 +79,7 @@ def report(
     """
     try:
         if not is_written:
-            write_report(folder, figures=figures, setup=setup)
+            load("transport.report.report").write_report(folder, figures=figures, setup=setup)
         show_report(folder, output)
     except OSError as error:
         fail(_unwritten(folder, error), EXIT_UNRECORDED)

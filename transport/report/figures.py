@@ -36,27 +36,35 @@ _OVER_TIME: dict[str, Callable[..., list[Axes]]] = {
 
 
 def draw(
-    run: AnalysedRun, folder: Path, *, forks: bool = False, also: Collection[str] = ()
+    run: AnalysedRun,
+    folder: Path,
+    *,
+    forks: bool = False,
+    also: Collection[str] = (),
+    meanwhile: Callable[[], None] = lambda: None,
 ) -> list[Path]:
     """Draw `FIGURES` of a run as PNG, and also as "svg" or "pdf", as far as its log goes.
 
     With `forks`, which only processes of one thread may do, a forked process draws the first two,
-    half of the work.
+    half of the work, and `meanwhile` is called beside it.
 
     Returns: The PNG files, without those that have no data. Raises: ChildProcessError: the forked
         process failed.
     """
     if not len(run.series.ticks):
+        meanwhile()
         return []
 
     folder.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(RC):
         if not forks:
+            meanwhile()
             return _write(run, FIGURES, folder, also)
 
         arguments = (run, FIGURES[:_BESIDE], folder, also)
         process = get_context("fork").Process(target=_write, args=arguments, daemon=True)
         process.start()
+        meanwhile()
         others = _write(run, FIGURES[_BESIDE:], folder, also)
         process.join()
     if process.exitcode:

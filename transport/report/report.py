@@ -34,7 +34,8 @@ def report_run(
 ) -> dict[str, Any]:
     """Write or replace summary.json, steps.csv and the figures of a recorded run.
 
-    Figures take most of the time; with `forks` on two cores half of it. They are PNG, and also "svg"
+    Figures take most of the time; with `forks` on two cores half of it, beside the table of steps. They
+    are PNG, and also "svg"
     or "pdf". Return the summary.
     """
     folder = run.folder
@@ -42,13 +43,18 @@ def report_run(
     summary = summarise(analysed)
     content = orjson.dumps(summary, option=orjson.OPT_INDENT_2)
     write_whole(folder / "summary.json", content + b"\n")
-    write_csv(folder / "steps.csv", steps_rows(analysed), steps_columns(analysed.setup))
-    if figures:
+
+    def write_steps() -> None:
+        write_csv(folder / "steps.csv", steps_rows(analysed), steps_columns(analysed.setup))
+
+    if not figures:
+        write_steps()
+    else:
         # Loads matplotlib, 0.3 s that runs without figures save.
         from transport.report.figures import draw
 
         _remove_figures(folder / "figures")
-        draw(analysed, folder / "figures", forks=forks, also=also)
+        draw(analysed, folder / "figures", forks=forks, also=also, meanwhile=write_steps)
     return summary
 
 
