@@ -191,7 +191,7 @@ def run_header(
 
 def started_ns() -> int:
     """Return the time at which this process started, ns since 1970, to 10 ms."""
-    started_s = psutil.Process().create_time()
+    started_s: float = psutil.Process().create_time()
     if sys.platform == "linux":
         # It is counted from the start of the system, which psutil knows to a second.
         system_s = time.time() - time.clock_gettime(time.CLOCK_BOOTTIME)
