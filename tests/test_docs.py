@@ -51,7 +51,7 @@ OTHER_PARTS: list[tuple[str, str, tuple[str, ...]]] = [
     (
         "docs/performance.md",
         "benchmarks/__main__.py",
-        ("step", "widths", "shares", "solvers", "parts", "loop"),
+        ("step", "widths", "shares", "start", "solvers", "parts", "loop"),
     ),
     ("docs/performance.md", "benchmarks/peers/__main__.py", ("bench: peers",)),
     ("docs/python.md", "tests/test_getting_started.py", ("series",)),
