@@ -29,7 +29,7 @@ from transport.protocol.admission.arrivals import Arrivals
 from transport.protocol.admission.carried import Place, carried_by, place_of
 from transport.protocol.admission.known_targets import KnownTargets
 from transport.protocol.admission.participant import Participant
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import (
     Airtime,

@@ -5,9 +5,9 @@ from typing import Protocol, TypeVar
 
 from transport.agent.estimation.filter.belief import Belief
 from transport.agent.received import Received
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, Plan
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 
 class OpenStep(Protocol):

@@ -36,7 +36,7 @@ from docs.tables import ROOT, place, put, table
 from transport.model import native
 from transport.model.arrays import Array
 from transport.plant.node import PlantNode
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.codec import decode, encode
 from transport.protocol.wire.messages import STAGES, Plan
 

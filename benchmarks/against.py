@@ -28,9 +28,9 @@ from docs.tables import ROOT, table
 IN_MEMORY = """
 import gc, sys, time
 from transport.flight.memory import simulate
-from transport.protocol.scenario.file import find_scenario, read_scenario
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import Team, resized
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.team_of_any_size import Team, resized
 
 name, uavs, runs = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
 path = find_scenario(name)

@@ -26,7 +26,7 @@ from transport.flight.memory import InMemoryRun
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.compiled import compile_functions
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import STAGES, Message, Plan, PlantState
 
 # The sensors of a small autopilot with satellite navigation.

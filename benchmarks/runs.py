@@ -22,9 +22,9 @@ from transport.model import native
 from transport.model.arrays import Array
 from transport.mpc.controller import Controller
 from transport.mpc.program.qp_solvers import QP
-from transport.protocol.scenario.file import find_scenario, read_scenario
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import Team, resized
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.team_of_any_size import Team, resized
 from transport.protocol.wire.messages import Message, StepReport
 
 # Calls that are not counted, while caches fill and modules load.

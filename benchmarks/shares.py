@@ -36,8 +36,8 @@ LIBRARIES = {
 IN_MEMORY = """
 import sys
 from transport.flight.memory import simulate
-from transport.protocol.scenario.file import find_scenario, read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 
 path = find_scenario(sys.argv[1])
 setup = Setup.of(read_scenario(path), path.name)

@@ -30,8 +30,8 @@ from transport.flight.memory import simulate
 from transport.flight.progress import compile_models
 from transport.model.arrays import Array
 from transport.model.state import R0, THETA0
-from transport.protocol.scenario.file import find_scenario, read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, Note, PlantState
 
 # The sensors of a small autopilot with satellite navigation, forces estimated, plans 100 ms late.

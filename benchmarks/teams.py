@@ -1,9 +1,10 @@
 """Drawn teams: `python -m benchmarks.teams` counts which of them hold silences and deaths.
 
-Each case is flown by the drawn teams of `protocol.scenario.drawn_team` with seeds 0, 1, ..: their own
+Each case is flown by the drawn teams of `protocol.scenario.teams.drawn_team` with seeds 0, 1, ..: their own
 geometry, periods, horizons, vehicles and late networks. The instant of the silence is drawn from the
 seed, too. A line for each case, `--runs` for each run; `--case TEXT` selects cases. `--kept FOLDER`
-keeps runs, and flies only those not kept there: several commands can share a folder.
+keeps runs, and flies only those not kept there, in a drawn order of all cases and teams: those kept by an
+interrupted command are a fair sample. Two commands share a folder if one goes `--backwards`.
 
 `--margins` prints the slowest decay and the margins of the law of UAVs alone of each team instead.
 `--write` renews both tables in docs/guarantees.md.
@@ -29,12 +30,12 @@ from transport.model.state import StateView
 from transport.mpc.margins.actual_plant import Mismatch
 from transport.mpc.margins.design_of_gains_alone import DECAY_PER_S, FAMILY
 from transport.mpc.margins.sampled_loop import margins
-from transport.protocol.scenario.drawn_team import NOISE, drawn
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.file import find_scenario, read_scenario, validate
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.whole_files import write_whole
+from transport.protocol.scenario.files.atomic_writing import write_whole
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario, validate
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.drawn_team import NOISE, drawn
 from transport.protocol.wire.messages import Message, PlantState
 
 TEMPLATE = "precise"
@@ -43,6 +44,8 @@ UPSET_DEG = 15.0  # attitude of the payload beyond which a run does not count as
 _FROM_S = (2.0, 8.0)  # range of the instant at which the silence begins
 _AFTER_S = 1.0  # from the begin of the silence to the death in it
 _STAYS_S = 4.0  # after the silence, to the end of the run
+_FOR_GOOD_FLOWN_S = 40.0  # of a silence for good, at least
+_ORDER = 0  # seed of the order in which runs are flown
 _DELAY_MS, _LAG_MS = 20.0, 25.0  # wanted margins
 
 
@@ -155,8 +158,8 @@ def flown_scenario(case: Case, seed: int) -> Scenario:
         ]
         phases = tree["maneuver"]["phase"]
         total_s = math.fsum(phase["duration_s"] for phase in phases)
-        if case.silent_s < FOR_GOOD_S:
-            phases[-1]["duration_s"] += max(0.0, math.ceil(end_s + _STAYS_S - total_s))
+        flown_s = min(end_s + _STAYS_S, start_s + _FOR_GOOD_FLOWN_S)
+        phases[-1]["duration_s"] += max(0.0, math.ceil(flown_s - total_s))
     if case.death:
         tree["clock"]["on_agent_loss"] = "continue"
         fault = {"at_s": start_s + _AFTER_S, "do": "kill", "target": f"agent{dying}"}
@@ -198,20 +201,38 @@ def fly(case: Case, seed: int) -> Flown:
     )
 
 
-def _kept(case: Case, seed: int, folder: Path | None, *, is_flying: bool) -> Flown | None:
-    """Return a run, flown or kept; None where it is neither."""
-    if folder is None:
-        return fly(case, seed)
-    path = (
-        folder
-        / f"{case.name.replace(' ', '-').replace('%', 'percent').replace(',', '')}-{seed}.json"
-    )
-    if not path.exists():
-        if not is_flying:
-            return None
-        folder.mkdir(parents=True, exist_ok=True)
-        write_whole(path, json.dumps(asdict(fly(case, seed))).encode())
-    return Flown(**json.loads(path.read_bytes()))
+def _runs(options: argparse.Namespace) -> dict[tuple[str, int], Flown]:
+    """Return the runs of the selected cases by case and team, kept or flown."""
+    wanted = [(case, seed) for case in CASES for seed in seeds(case)]
+    in_order = [wanted[i] for i in np.random.default_rng(_ORDER).permutation(len(wanted))]
+    if options.backwards:
+        in_order.reverse()
+
+    runs: dict[tuple[str, int], Flown] = {}
+    for case, seed in in_order:
+        if options.case not in case.name:
+            continue
+        path = None if options.kept is None else options.kept / _file_name(case, seed)
+        if path is not None and path.exists():
+            run = Flown(**json.loads(path.read_bytes()))
+        elif options.no_fly:
+            continue
+        else:
+            run = fly(case, seed)
+            if path is not None:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_whole(path, json.dumps(asdict(run)).encode())
+        if options.runs or not run.is_held:
+            sys.stdout.write(f"{case.name}: {run}\n")
+            sys.stdout.flush()
+        runs[case.name, seed] = run
+    return runs
+
+
+def _file_name(case: Case, seed: int) -> str:
+    """Return the file of a kept run."""
+    words = case.name.replace("%", "percent").replace(",", "").replace(" ", "-")
+    return f"{words}-{seed}.json"
 
 
 HEADINGS = ("drawn teams", "complete", "within 15 deg", "median attitude", "largest", "refused")
@@ -230,19 +251,10 @@ def cells(case: Case, runs: Sequence[Flown]) -> list[str]:
 
 def count(options: argparse.Namespace) -> list[list[str]]:
     """Fly the cases, print their lines, and return their rows."""
+    flown = _runs(options)
     rows = []
     for case in CASES:
-        if options.case not in case.name:
-            continue
-        runs = []
-        for seed in list(seeds(case))[options.first :]:
-            run = _kept(case, seed, options.kept, is_flying=not options.no_fly)
-            if run is None:
-                continue
-            runs.append(run)
-            if options.runs or not run.is_held:
-                sys.stdout.write(f"{case.name}: {run}\n")
-                sys.stdout.flush()
+        runs = [run for (name, _), run in flown.items() if name == case.name]
         if runs:
             rows.append(cells(case, runs))
             sys.stdout.write(" | ".join(rows[-1]) + "\n")
@@ -294,7 +306,7 @@ def main(given: Sequence[str] | None = None) -> None:
     """Fly the cases, or compute the margins."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.teams", description=__doc__)
     parser.add_argument("--case", default="", help="text in the names of the cases to fly")
-    parser.add_argument("--first", type=int, default=0, help="skip so many teams of each case")
+    parser.add_argument("--backwards", action="store_true", help="fly the last ones first")
     parser.add_argument("--runs", action="store_true", help="print a line for each run")
     parser.add_argument("--kept", type=Path, help="folder of runs")
     parser.add_argument("--no-fly", action="store_true", help="count kept runs alone")

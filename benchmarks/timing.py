@@ -18,9 +18,9 @@ from docs.tables import ROOT, put, table
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
 from transport.experiments.cases import run_in_memory
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.file import find_scenario, read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.laws import ACTUATIONS
 from transport.report.margins import HoverMargins, hover_margins, range_text
 

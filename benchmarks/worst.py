@@ -22,7 +22,7 @@ from rich.console import Console
 from benchmarks.runs import origin
 from docs.tables import ROOT, put, table
 from transport.experiments.workers import Workers
-from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.search.candidate import Base, Candidate
 from transport.search.evaluation import Problem
 from transport.search.events import Death, Event, Silence

@@ -5,11 +5,11 @@ from collections.abc import Collection
 from collections.abc import Set as AbstractSet
 
 from transport.model.arrays import Array
-from transport.protocol.scenario.radio_section import RadioSection
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team_radio import TeamRadio
+from transport.protocol.scenario.radio.team_radio import TeamRadio
+from transport.protocol.scenario.sections.radio_section import RadioSection
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Airtime, Plan, PlantState
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 _STATES_KEPT = 3
 

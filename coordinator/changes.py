@@ -7,12 +7,12 @@ from itertools import permutations
 from typing import Any
 
 from transport.coordinator.roster import TeamRoster
-from transport.protocol.scenario.errors import RequestError
-from transport.protocol.scenario.link_changes import changed_in_words, link_change, words_of
-from transport.protocol.scenario.maneuver_sections import TargetSection
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.target_planning import target_fields
-from transport.protocol.scenario.targets import scripted, target_in_words
+from transport.protocol.scenario.links.link_changes import changed_in_words, link_change, words_of
+from transport.protocol.scenario.sections.maneuver_sections import TargetSection
+from transport.protocol.scenario.sections.scenario_errors import RequestError
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.targets.target_messages import scripted, target_in_words
+from transport.protocol.scenario.targets.target_timing import target_fields
 from transport.protocol.wire.messages import (
     MAX_TARGETS,
     MAX_TEXT,
@@ -22,7 +22,7 @@ from transport.protocol.wire.messages import (
     Target,
 )
 from transport.protocol.wire.names import PLANT
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 
 class Changes:

@@ -10,9 +10,9 @@ from itertools import combinations
 
 import numpy as np
 
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Schedule, VehicleStatus
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 # Time between two words to the vehicles before tick 0, and from the decision to tick 0, ns.
 _EVERY_NS = 200_000_000

@@ -18,8 +18,8 @@ from transport.coordinator.open_tick import OpenTick
 from transport.coordinator.requests import RunStatus, answer_request
 from transport.coordinator.roster import TeamRoster
 from transport.coordinator.verdict import Verdict
-from transport.protocol.scenario.contacts import Contacts
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.collisions import Contacts
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.exit_codes import (
     EXIT_COLLIDED,
@@ -41,7 +41,7 @@ from transport.protocol.wire.messages import (
     VehicleStatus,
 )
 from transport.protocol.wire.names import COORDINATOR, PLANT, agent_names, vehicle_name
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 # Outcomes of runs that are not aborted, by exit code; a run with another code was aborted.
 _OUTCOMES = {

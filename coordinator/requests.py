@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from transport.coordinator.changes import Changes
-from transport.protocol.scenario.errors import RequestError, requested
-from transport.protocol.scenario.maneuver_sections import TargetSection
+from transport.protocol.scenario.sections.maneuver_sections import TargetSection
+from transport.protocol.scenario.sections.scenario_errors import RequestError, requested
 from transport.protocol.wire.messages import Message, Request, Target
 
 

@@ -4,11 +4,11 @@ from collections import deque
 from collections.abc import Collection, Mapping
 from collections.abc import Set as AbstractSet
 
-from transport.protocol.scenario.faults import failures
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.faults.scripted_faults import failures
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, Roster
 from transport.protocol.wire.names import agent_name, agent_names
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 
 class TeamRoster:

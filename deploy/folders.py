@@ -8,15 +8,14 @@ from typing import Any
 
 import tomli_w
 
-from transport.deploy.errors import DeployError
-from transport.deploy.inventory import Host, Inventory
+from transport.deploy.inventory import DeployError, Host, Inventory
 from transport.deploy.placements import Placement, placements
 from transport.deploy.units import ETC, PROGRAM, TEMPLATES, unit
 from transport.protocol.network.endpoints import process_names
 from transport.protocol.network.security import AUTHORITY
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.whole_files import write_whole
-from transport.protocol.wire.keys import OPERATOR, WATCHER
+from transport.protocol.scenario.files.atomic_writing import write_whole
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.wire.key_expressions import OPERATOR, WATCHER
 from transport.protocol.wire.names import COORDINATOR
 
 

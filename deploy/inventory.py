@@ -7,15 +7,22 @@ from typing import Annotated
 
 from pydantic import Field
 
-from transport.deploy.errors import DeployError
 from transport.model.section import Section
 from transport.protocol.network.endpoints import DEFAULT_BASE_PORT
-from transport.protocol.scenario.errors import ScenarioError, validated
-from transport.protocol.scenario.file import read_tree
-from transport.protocol.wire.keys import RECORDER, ROUTER
+from transport.protocol.scenario.scenario_file import read_tree
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError, validated
+from transport.protocol.wire.errors import TransportError
+from transport.protocol.wire.key_expressions import RECORDER, ROUTER
 
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,40}$")]
 Address = Annotated[str, Field(pattern=r"^[A-Za-z0-9.:_-]{1,253}$")]
+
+
+class DeployError(TransportError, ValueError):
+    """An inventory, keys or folders that cannot be used.
+
+    The text has file or option, expected and got.
+    """
 
 
 class Host(Section):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from transport.deploy.inventory import Host, Inventory
 from transport.protocol.network.endpoints import Endpoints
-from transport.protocol.wire.keys import RECORDER, ROUTER
+from transport.protocol.wire.key_expressions import RECORDER, ROUTER
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,8 @@ from string import Template
 from transport.deploy.inventory import Inventory
 from transport.deploy.placements import Placement
 from transport.protocol.network.parent import ENVIRONMENT
-from transport.protocol.scenario.vehicles_section import DEFAULT_VEHICLE_PORT
-from transport.protocol.wire.keys import RECORDER, ROUTER
+from transport.protocol.scenario.sections.vehicles_section import DEFAULT_VEHICLE_PORT
+from transport.protocol.wire.key_expressions import RECORDER, ROUTER
 from transport.protocol.wire.names import AGENT, COORDINATOR, VEHICLE, role_of
 
 # Paths on a host, as install.sh makes them.

@@ -32,8 +32,8 @@ from transport.experiments.cases import run_in_memory
 from transport.flight.run_files import machine
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
-from transport.protocol.scenario.file import find_scenario, read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import PlantState
 from transport.report.column import Room, column_panels, head
 from transport.report.style import CURVES, DIVERGED, MARKER, RC, save

@@ -31,7 +31,7 @@ from tables import ROOT, place, put
 from transport.experiments.cases import ERROR, Case, Result, simulate
 from transport.experiments.workers import map_on_cores
 from transport.flight.progress import compile_models
-from transport.protocol.scenario.budget import most_workers, size_of
+from transport.protocol.scenario.sections.run_size import most_workers, size_of
 
 # Declarations by name: a table is planned only when it is needed, as that reads its scenarios.
 _EXPERIMENTS: Mapping[str, Callable[[], Measured]] = {

@@ -18,7 +18,7 @@ from tables import ROOT
 from transport.agent.user_class.user_planner import controller_versions
 from transport.model import compiler, native
 from transport.plant.engines import engine_version
-from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.sections.schema import Scenario
 
 # Sources that decide the numbers of a run in memory.
 SOURCES = (

@@ -17,9 +17,15 @@ from typer.cli import get_docs_for_click
 
 from transport.cli.lazy import LazyGroup
 from transport.cli.main import app
-from transport.protocol.scenario.keys import key_of, meanings, section_in, unit_of, walk
-from transport.protocol.scenario.link_sections import LinkSection
-from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.sections.link_sections import LinkSection
+from transport.protocol.scenario.sections.scenario_keys import (
+    key_of,
+    meanings,
+    section_in,
+    unit_of,
+    walk,
+)
+from transport.protocol.scenario.sections.schema import Scenario
 
 KEYS, COMMANDS = ROOT / "docs" / "keys.md", ROOT / "docs" / "commands.md"
 _TABLE = re.compile(r"(<!-- keys of (\S+) -->\n).*?(\n<!-- end of keys -->)", re.DOTALL)

@@ -11,8 +11,8 @@ from tables import ROOT, table
 from transport.analysis.series import series_of
 from transport.experiments.cases import Case, Point, Result, cases_of_point
 from transport.log.run_log import RunLog
-from transport.protocol.scenario.file import find_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import find_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 
 
 class Run(NamedTuple):

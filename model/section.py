@@ -15,7 +15,7 @@ LAG_S = (1e-9, 2.0)
 class Key:
     """Properties of a key beside type and range, in the annotation of its field."""
 
-    # Unit in SI; None where the ending of the name tells (`protocol.scenario.keys.UNITS`).
+    # Unit in SI; None where the ending of the name tells (`protocol.scenario.sections.scenario_keys.UNITS`).
     unit: str | None = None
     # Smallest magnitude apart from zero, and largest: others are taken for a wrong unit and refused.
     # None: by the ending.

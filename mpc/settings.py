@@ -1,7 +1,7 @@
 """Settings of a controller.
 
 Each key of the controller has its type, range, default and meaning here. Those that only a run has
-are in `protocol.scenario.schema.ControllerSection`, as are the limit of `horizon` that a message
+are in `protocol.scenario.sections.schema.ControllerSection`, as are the limit of `horizon` that a message
 sets, and a `relaxation` that follows from the team ("auto").
 """
 

@@ -21,8 +21,8 @@ from transport.model.arrays import Array
 from transport.model.parameters import System
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.settings import ControllerSettings
-from transport.protocol.scenario.plant_sections import MotorsSection, RotorsSection
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.sections.plant_sections import MotorsSection, RotorsSection
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Plan
 
 # Sources of an input that is not from a plan (`PlantState.plan_ticks`).

@@ -16,11 +16,16 @@ from transport.model.parameters import System
 from transport.model.state import StateView
 from transport.plant.actuators import checked_firmware
 from transport.plant.environment import Environment, about
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.own_calls import OwnClassError, errors_of, new_object, real_array
-from transport.protocol.scenario.own_class import own_class, version_of
-from transport.protocol.scenario.plant_sections import PlantSection
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.sections.plant_sections import PlantSection
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.user_class.user_errors import (
+    OwnClassError,
+    errors_of,
+    new_object,
+    real_array,
+)
+from transport.protocol.scenario.user_class.user_import import own_class, version_of
 
 # An interval of a whole number of steps, but for rounding, takes that number.
 _ROUNDING = 1e-9

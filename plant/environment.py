@@ -18,9 +18,9 @@ from transport.model.linearisation import Model
 from transport.model.parameters import Payload, System, Uav
 from transport.model.rotations import rotation
 from transport.model.state import OMEGA0, R0, SENSED, SENSORS, THETA0, V0, StateView, is_measured
-from transport.protocol.scenario.draws import Streams, draw_key
-from transport.protocol.scenario.plant_sections import UavFactorsSection
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.links.draws import Streams, draw_key
+from transport.protocol.scenario.sections.plant_sections import UavFactorsSection
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.names import PLANT
 
 # Gusts are drawn at these intervals, so that the wind is the same at any sampling period.

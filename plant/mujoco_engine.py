@@ -12,7 +12,7 @@ from transport.model.hover import RELEASED_MASS_KG
 from transport.model.parameters import System, Uav, payload_half_size
 from transport.model.rotations import euler_angles, rotation
 from transport.model.state import StateView
-from transport.protocol.scenario.plant_sections import PlantSection
+from transport.protocol.scenario.sections.plant_sections import PlantSection
 
 # Radius of the sphere with which a UAV touches the ground, m.
 _UAV_RADIUS_M = 0.1

@@ -23,8 +23,8 @@ from transport.plant.environment import Environment, Sensors
 from transport.protocol.admission.carried import Place, carried_by, place_of
 from transport.protocol.admission.known_targets import KnownTargets
 from transport.protocol.admission.participant import Participant
-from transport.protocol.scenario.faults import OF_PLANT, Fault
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.faults.scripted_faults import OF_PLANT, Fault
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import (
     ActualInputs,
     Measurement,

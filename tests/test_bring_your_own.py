@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tests.support.runs import SCENARIOS, plant_states, recorded, ticks
-from transport.protocol.scenario.file import read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Plan
 
 # The engine of the document and the one here, both far below what a controller notices.

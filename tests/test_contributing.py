@@ -45,8 +45,8 @@ SEEN = re.compile(r"`(\w+)`")
 IMPAIRMENT = """
 from typer.testing import CliRunner
 from transport.cli.main import app
-from transport.protocol.scenario.file import find_scenario, read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.flight.memory import simulate
 
 path = find_scenario("resilient")
@@ -70,8 +70,8 @@ CONSTRAINT = """
 import numpy as np
 from transport.flight.memory import simulate
 from transport.model.state import THETA0
-from transport.protocol.scenario.file import find_scenario, read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import PlantState
 
 MOVE = "{name='move',duration_s=2.4,displacement_m=[1.2,0,0]}"
@@ -102,8 +102,8 @@ assert largest_deg("eight", *gusts, *limits) != free
 MESSAGE = """
 from transport.protocol.wire.codec import decode, encode
 from transport.protocol.wire.messages import Battery, MessageError
-from transport.protocol.wire.keys import Keys, matches
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.key_expressions import Keys, matches
+from transport.protocol.wire.node_interface import Outbox
 from tests.support.messages import sample
 
 keys = Keys("run")
@@ -131,7 +131,7 @@ from typer.testing import CliRunner
 from transport.experiments.network_experiments import reorder
 from transport.experiments.declaration import EXPERIMENTS
 from transport.cli.main import app
-from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 
 shown = CliRunner().invoke(app, ["experiment", "--help"]).output
 assert "Effect of plans that are held back." in shown, shown

@@ -18,8 +18,8 @@ from typer.core import TyperGroup
 
 from tests.support.command_tree import Command, below, command_of, every_command, root
 from tests.support.runs import PAPER
-from transport.protocol.scenario.file import find_scenario, read_scenario, validate
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario, validate
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors import Reason
 
 ROOT = Path(__file__).resolve().parent.parent

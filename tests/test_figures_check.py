@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from transport.experiments.cases import Result, simulate
-from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 
 ROOT = Path(__file__).resolve().parent.parent
 SHORT = ("maneuver.phase=[{name='climb',duration_s=0.5,displacement_m=[0,0,-0.1]}]",)

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from transport.protocol.scenario.keys import fields, section_in, unit_of
-from transport.protocol.scenario.link_sections import LinkSection
-from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.sections.link_sections import LinkSection
+from transport.protocol.scenario.sections.scenario_keys import fields, section_in, unit_of
+from transport.protocol.scenario.sections.schema import Scenario
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from transport.interface.worst import Worst as Worst
     from transport.interface.worst import worst as worst
     from transport.log.run_log import LogError as LogError
-    from transport.protocol.scenario.errors import ScenarioError as ScenarioError
+    from transport.protocol.scenario.sections.scenario_errors import ScenarioError as ScenarioError
     from transport.protocol.wire.errors import TransportError as TransportError
     from transport.viewer.server import ViewerError as ViewerError
 
@@ -46,7 +46,7 @@ _NAMES = {
     "transport.interface.series": ("RunSeries",),
     "transport.protocol.wire.errors": ("TransportError",),
     "transport.interface.settings": ("ArgumentError",),
-    "transport.protocol.scenario.errors": ("ScenarioError",),
+    "transport.protocol.scenario.sections.scenario_errors": ("ScenarioError",),
     "transport.flight.run_files": ("RunError",),
     "transport.flight.harness": ("HarnessError",),
     "transport.experiments.cases": ("ExperimentError",),

@@ -23,7 +23,7 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.admission.participant import Participant
 from transport.protocol.admission.ticking import Ticking
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import (
     Measurement,
     Message,

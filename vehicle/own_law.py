@@ -7,7 +7,7 @@ from transport.mpc.alone.motion_by_own_sensors import OwnSensors
 from transport.mpc.alone.uav_motion import Motion
 from transport.mpc.law.laws_of_uavs_alone import AloneTeam
 from transport.mpc.law.present_law import Regulation
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 
 
 class OwnLaw:

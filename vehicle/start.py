@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from transport.protocol.network.mavlink import Endpoint, LinkError, MavlinkLink, read_key
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.exit_codes import EXIT_CHECK_FAILED
 from transport.vehicle.dialects import DIALECTS
 from transport.vehicle.mavlink_driver import MavlinkAutopilot, MavlinkSettings

@@ -7,7 +7,7 @@ import numpy as np
 
 from transport.agent.silence.hand_over_by_age import LESS_THAN_OTHERS
 from transport.model.arrays import Array
-from transport.protocol.scenario.schema import ControllerSection
+from transport.protocol.scenario.sections.schema import ControllerSection
 
 # At most this much below a whole number of periods, by rounding, a heartbeat counts as that number.
 _ROUNDING = 1e-9

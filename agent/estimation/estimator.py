@@ -13,7 +13,7 @@ from transport.agent.estimation.received_states import News
 from transport.agent.estimation.sensor_estimator import Feedback, SensorEstimator
 from transport.agent.estimation.state_estimator import StateEstimator
 from transport.model.arrays import Array
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Measurement, Plan
 
 

@@ -21,7 +21,7 @@ from transport.mpc.controller import Controller
 from transport.mpc.law.laws_of_uavs_alone import AloneTeam
 from transport.mpc.program.prediction import Prediction
 from transport.mpc.program.program_along_reference import Course
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 
 _NO_UAVS: frozenset[int] = frozenset()
 

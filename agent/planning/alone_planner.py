@@ -21,9 +21,9 @@ from transport.mpc.alone.motion_by_own_sensors import OwnSensors
 from transport.mpc.alone.uav_motion import Motion, ahead, motion_of, turned_by_inputs
 from transport.mpc.law.laws_of_uavs_alone import AloneTeam
 from transport.mpc.law.present_law import Regulation
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import STAGES, Measurement, Message, Plan
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 ALONE = "alone"  # the name of this controller in a scenario
 

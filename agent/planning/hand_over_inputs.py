@@ -1,6 +1,6 @@
 """Inputs of an agent between those of the team and those of its UAVs alone, smooth both ways: (32d), (32e)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -12,9 +12,9 @@ from transport.model.arrays import Array
 from transport.model.rotations import rotation
 from transport.mpc.alone.alone_law import steps_alone
 from transport.mpc.alone.motion_by_own_sensors import OwnSensors
-from transport.mpc.alone.uav_motion import Motion, motion_of, turned_by_inputs
+from transport.mpc.alone.uav_motion import Motion, ahead, motion_of, turned_by_inputs
 from transport.mpc.program.prediction import Linear
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 
 # Time over which the thrust of the team, that the integral begins with, is averaged, s.
 _PRELOAD_S = 1.0
@@ -83,40 +83,60 @@ class HandOver:
         return np.asarray(ahead + fading[:, None] * deviation)
 
     def _motion(self, uav: int, k: int, start: int, linear: Linear) -> Motion:
-        """Return the motion of a UAV at tick `start` by its own sensors.
+        """Return the motion of a UAV at tick `start` by its own sensors: (31d), (31e).
 
-        Without all measurements of tick k: by the estimate at that tick. The inputs in force until then are
-        those before it.
+        Without all measurements of tick k: by the estimate. The inputs in force until `start` are those
+        before it. The estimate at a later tick is a prediction with the others, whose motion is not known
+        in silence: at periods of 0.1 s its errors make the payload turn ever further.
         """
-        x, before = linear.x0, linear.u0[state.input_slice(uav)]
         system, estimator = self._setup.system, self._team.estimator
-        if not isinstance(estimator, SensorEstimator):
-            return motion_of(system, uav, x)
 
         def reference(tick: int) -> Motion:
             return self._team.alone(uav, tick)[1].motion
 
+        if isinstance(estimator, SensorEstimator):
+            motion = self._by_sensors(uav, k, start, estimator, reference)
+        else:
+            x = estimator.past(k)
+            now = None if x is None else motion_of(system, uav, x)
+            motion = None if now is None else ahead(now, k, start, reference, self._period_s)
+        if motion is None:
+            return motion_of(system, uav, linear.x0)
+        if start == k:
+            return motion
+        before = linear.u0[state.input_slice(uav)]
+        driven = before[1:] - self._team.alone(uav, k)[1].turning
+        return turned_by_inputs(motion, reference(start), system, uav, driven, self._period_s)
+
+    def _by_sensors(
+        self,
+        uav: int,
+        k: int,
+        start: int,
+        estimator: SensorEstimator,
+        reference: Callable[[int], Motion],
+    ) -> Motion | None:
+        """Return the motion at tick `start` by the vehicle's sensors, observed to tick k.
+
+        The turn by the inputs until then is left out. None without all measurements of tick k.
+        """
         since = k
         if uav not in self._sensors:
             tension_N = float(self._setup.hover.tensions[uav])
             ages = self._setup.sensors.ages
-            self._sensors[uav] = OwnSensors(system, uav, tension_N, ages, self._period_s)
+            self._sensors[uav] = OwnSensors(
+                self._setup.system, uav, tension_N, ages, self._period_s
+            )
             since = max(0, k - round(_PRELOAD_S / self._period_s))
         sensors = self._sensors[uav]
-        motion = motion_of(system, uav, x)
         for tick in range(since, k + 1):
             told = estimator.told(tick, uav)
             if told is None or told.inputs is None or told.missing:
                 continue
             sensors.observe(told.values, float(told.inputs[0]), tick, reference)
             if tick == k:
-                motion = sensors.motion(told.values, k, start, reference)
-                if start > k:
-                    driven = before[1:] - self._team.alone(uav, k)[1].turning
-                    motion = turned_by_inputs(
-                        motion, reference(start), system, uav, driven, self._period_s
-                    )
-        return motion
+                return sensors.motion(told.values, k, start, reference)
+        return None
 
     def _preload(self, uav: int, k: int) -> Array:
         """Return the force with which the integral begins: the mean by which the team's thrust differs from the law."""

@@ -28,9 +28,9 @@ from transport.mpc.program.horizon_cost import CostToGo
 from transport.mpc.program.prediction import Linear
 from transport.mpc.program.qp_solvers import unsolved
 from transport.mpc.program.softening import softened_problem
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, Plan, StepReport
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 # Time between the notes of an estimator for the log, s: the covariance of each tick is work.
 NOTES_EVERY_S = 1.0

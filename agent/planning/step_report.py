@@ -7,7 +7,7 @@ import numpy as np
 
 from transport.agent.received import Received
 from transport.protocol.wire.messages import STAGES, Note, StepReport
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 # Stages counted as computation, not waiting or publishing.
 COMPUTATION = ("estimate", "linearise", "discretise", "condense", "solve")

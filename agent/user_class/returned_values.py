@@ -9,7 +9,7 @@ import numpy as np
 
 from transport.agent.user_class.run_for_user import Run
 from transport.model.arrays import Array
-from transport.protocol.scenario.own_calls import OwnClassError, real_array
+from transport.protocol.scenario.user_class.user_errors import OwnClassError, real_array
 from transport.protocol.wire.messages import MAX_NAME, MAX_NAMES
 
 

@@ -15,7 +15,7 @@ from transport.model.arrays import Array, frozen
 from transport.model.linearisation import Model
 from transport.model.parameters import System
 from transport.mpc.settings import ControllerSettings
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import MAX_DATA, Plan
 
 

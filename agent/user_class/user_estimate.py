@@ -7,7 +7,7 @@ from transport.agent.received import Received
 from transport.model import motors
 from transport.model.arrays import Array
 from transport.mpc.controller import Controller
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Plan
 
 _STEPS = 2  # of the integration over a sampling period, as the estimator's own

@@ -5,8 +5,8 @@ from typing import Any
 
 from transport.agent.user_class.returned_values import Returned, checked, converted
 from transport.agent.user_class.run_for_user import Run
-from transport.protocol.scenario.own_calls import errors_of, new_object
-from transport.protocol.scenario.own_class import own_class
+from transport.protocol.scenario.user_class.user_errors import errors_of, new_object
+from transport.protocol.scenario.user_class.user_import import own_class
 from transport.protocol.wire.messages import Measurement, Plan
 
 METHODS = ("start", "step", "stop")  # of a class of the user

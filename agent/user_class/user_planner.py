@@ -24,14 +24,14 @@ from transport.agent.user_class.user_object import OwnObject
 from transport.model.arrays import Array
 from transport.model.state import REPORTS, StateView, input_indices
 from transport.mpc.alone.fail_safe import PLAYED_S
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.own_calls import OwnClassError
-from transport.protocol.scenario.own_class import own_class, version_of
-from transport.protocol.scenario.radio_settings import PlanShape, is_class
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.radio.radio_parameters import PlanShape, is_class
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.user_class.user_errors import OwnClassError
+from transport.protocol.scenario.user_class.user_import import own_class, version_of
 from transport.protocol.wire.messages import STAGES, Measurement, Message, Note, Plan, PlanStatus
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 PROJECT = "mpc"  # the controller of the project
 

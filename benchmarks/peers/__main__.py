@@ -20,8 +20,8 @@ import numpy as np
 from benchmarks.runs import WARM_UP, BenchmarkError, digits, messages, origin, quiet, setup
 from docs.tables import place, put, table
 from transport.model.arrays import Array
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.stage_cost import StageCost
+from transport.protocol.scenario.setup.cost_of_run import StageCost
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import STAGES, PlantState, StepReport
 
 HERE = Path(__file__).resolve().parent

@@ -31,7 +31,7 @@ from transport.model.dynamics import Symbols, motion, outputs
 from transport.model.linearisation import Model
 from transport.model.state import INPUTS
 from transport.mpc.program.stage_cost import Cost
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 
 _FILE = Path(__file__).resolve()
 

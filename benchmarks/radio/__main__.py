@@ -9,7 +9,7 @@ from benchmarks.radio.cases import Case, cases, team
 from benchmarks.radio.results import Numbers, Quantile, differences, numbers
 from benchmarks.runs import origin
 from docs.tables import ROOT, put, table
-from transport.protocol.radio.standard import STANDARDS
+from transport.protocol.radio.standards_80211 import STANDARDS
 
 DOCUMENT = ROOT / "docs" / "radio.md"
 HEADINGS = ("case", "delivered, %", "", "p50, ms", "", "p99, ms", "", "within")

@@ -19,7 +19,7 @@ from benchmarks.runs import digits, origin, quiet, setup
 from docs.tables import put, table
 from transport.coordinator.air import TeamAir
 from transport.flight import memory
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 
 TICKS = {4: 200, 16: 60}  # by the number of UAVs
 TURNS = 8

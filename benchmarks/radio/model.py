@@ -2,10 +2,10 @@
 
 from benchmarks.radio.cases import PERIOD_NS, Case, end_ns, sends
 from benchmarks.radio.reference import Arrivals
-from transport.protocol.radio.channel import Channel, ChannelParameters, ChannelState
 from transport.protocol.radio.frames import Frame, Result
+from transport.protocol.radio.medium_access import Channel, ChannelParameters, ChannelState
 from transport.protocol.radio.propagation import Propagation, milliwatts, noise_mw, ratio
-from transport.protocol.radio.standard import STANDARDS
+from transport.protocol.radio.standards_80211 import STANDARDS
 
 
 def parameters(case: Case, *, draws: bool) -> ChannelParameters:

@@ -19,7 +19,7 @@ from docs.tables import put, table
 from transport.agent.node import AgentNode
 from transport.flight.memory import simulate
 from transport.model.arrays import Array
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.codec import encode, encoded_length
 from transport.protocol.wire.messages import Message, Plan, PlantState
 

@@ -3,7 +3,8 @@
 At the modes of the load on its rods (2 to 7 rad/s) the lag of an attitude loop turns the feedback of velocity,
 by up to a quarter turn at 6 rad/s: what damps the load of a ring of equal UAVs feeds that of an irregular team.
 No single choice serves all. Stiff gains come first, which hold the load best in wind; then those without the
-feedback of swing, softer ones, and slower attitude loops for long periods and delays.
+feedback of swing, softer ones, and slower attitude loops for long periods and delays. Where none of them holds,
+mostly with inputs that act a period of 0.1 s later, soft gains with the feedback of swing follow.
 Source: docs/equations.md (31h).
 """
 
@@ -52,19 +53,33 @@ _STIFFNESSES = (
 )
 # Frequency of the attitude loop on moments, rad/s, and largest gain from attitude to body rates, 1/s.
 _ATTITUDES = ((6.0, 10.0), (9.0, 8.0), (12.0, 6.0), (7.5, 5.0), (6.75, 4.0))
-FAMILY = tuple(
-    AloneGains(
-        position=position,
-        velocity=velocity,
-        integral=integral,
-        swing=swing,
-        attitude_rads=attitude_rads,
-        rates=rates,
+# The same of gains for teams that no member of the family holds.
+_SOFT_STIFFNESSES = ((2.0, 2.2, 0.3, 0.3), (0.9, 2.5, 0.15, 0.3), (0.7, 1.7, 0.15, 0.22))
+_SOFT_ATTITUDES = ((6.75, 7.5), (5.5, 5.5), (4.75, 4.0), (8.0, 3.0))
+
+
+def _family(
+    stiffnesses: Sequence[tuple[float, float, float, float]],
+    attitudes: Sequence[tuple[float, float]],
+) -> tuple[AloneGains, ...]:
+    """Return the gains of each stiffness with each attitude loop."""
+    return tuple(
+        AloneGains(
+            position=position,
+            velocity=velocity,
+            integral=integral,
+            swing=swing,
+            attitude_rads=attitude_rads,
+            rates=rates,
+        )
+        for (position, velocity, integral, swing), (attitude_rads, rates) in product(
+            stiffnesses, attitudes
+        )
     )
-    for (position, velocity, integral, swing), (attitude_rads, rates) in product(
-        _STIFFNESSES, _ATTITUDES
-    )
-)
+
+
+FAMILY = _family(_STIFFNESSES, _ATTITUDES)
+SOFT_FAMILY = _family(_SOFT_STIFFNESSES, _SOFT_ATTITUDES)
 _KEPT = 64  # designs of one process
 
 
@@ -120,8 +135,9 @@ class TeamAlone:
     def design(self) -> AloneDesign:
         """Return the gains of the first member of the family that holds, once for equal values.
 
-        Holding: as `AloneDesign.holds`, of which the first one that also has the margins `WANTED` is taken.
-        If none holds: the one whose deviations grow the least, or decay the fastest.
+        Holding: as `AloneDesign.holds`, of which the first one that also has the margins `WANTED` is taken;
+        of the soft family only if none of the stiff one holds. If none at all holds: of those whose deviations
+        decay the one whose deviations grow the least with `REQUIRED`, else the one of the slowest growth.
         """
         numbers = (self.settings.sampling_period_s, self.settings.motor_lag_s, self.next_tick)
         limits = self.settings.upper(1)
@@ -139,27 +155,41 @@ class TeamAlone:
     def _designed(self) -> AloneDesign:
         """Return the design, anew; gains that are given are only judged."""
         given = self.settings.alone
-        family = FAMILY if given is None else (given,)
-        holding: AloneDesign | None = None
+        if given is not None:
+            return self._judged(given, self._loops(given))[0]
+
         best: AloneDesign | None = None
-        known = Mismatch(lag_s=self.settings.motor_lag_s)
-        for gains in self._possible(family):
-            loops = [self.loop(gains, system) for system in (self.system, *self.left)]
-            growth = max(loop.growth(known) for loop in loops)
-            decays = growth < -DECAY_PER_S
-            holds = decays and self._decay(loops, REQUIRED) and self._is_mixed(gains)
-            design = AloneDesign(gains=gains, growth_per_s=growth, holds=holds)
-            if holds and (given is not None or self._decay(loops, WANTED)):
-                return design
-            if holds and holding is None:
-                holding = design
-            if best is None or growth < best.growth_per_s:
-                best = design
-        if holding is not None:
-            return holding
+        best_rank = (math.inf, math.inf)
+        for family in (FAMILY, SOFT_FAMILY):
+            holding: AloneDesign | None = None
+            for gains in self._possible(family):
+                loops = self._loops(gains)
+                design, with_required = self._judged(gains, loops)
+                if design.holds and self._growth(loops, WANTED) < 0.0:
+                    return design
+                if design.holds and holding is None:
+                    holding = design
+
+                rank = (max(design.growth_per_s, GROWTH), with_required)
+                if best is None or rank < best_rank:
+                    best, best_rank = design, rank
+            if holding is not None:
+                return holding
         if best is None:
             raise ValueError("expected gains to choose from, got none")
         return best
+
+    def _judged(self, gains: AloneGains, loops: Sequence[AloneLoop]) -> tuple[AloneDesign, float]:
+        """Return the design of gains, and the largest growth with `REQUIRED`, 1/s; infinite if any grows without."""
+        growth = self._growth(loops, (Mismatch(),))
+        with_required = math.inf if growth > GROWTH else self._growth(loops, REQUIRED)
+        decays = growth < -DECAY_PER_S and with_required < 0.0
+        holds = decays and self._is_mixed(gains)
+        return AloneDesign(gains=gains, growth_per_s=growth, holds=holds), with_required
+
+    def _loops(self, gains: AloneGains) -> list[AloneLoop]:
+        """Return the loops of the whole team and of those left after each release."""
+        return [self.loop(gains, system) for system in (self.system, *self.left)]
 
     def _possible(self, family: Sequence[AloneGains]) -> Iterator[AloneGains]:
         """Yield the members that the moments allow, different for the inputs of the team; the first always."""
@@ -175,11 +205,11 @@ class TeamAlone:
                 turnings.add(stiffness)
                 yield gains
 
-    def _decay(self, loops: Sequence[AloneLoop], plants: Sequence[Mismatch]) -> bool:
-        """Return whether all deviations decay with each of some plants; lags are beyond the known one."""
+    def _growth(self, loops: Sequence[AloneLoop], plants: Sequence[Mismatch]) -> float:
+        """Return the largest growth of deviations with any of some plants, 1/s; lags are beyond the known one."""
         lag_s = self.settings.motor_lag_s
         actual = [replace(one, lag_s=lag_s + one.lag_s) for one in plants]
-        return all(loop.growth(plant) < 0.0 for plant, loop in product(actual, loops))
+        return max(loop.growth(plant) for plant, loop in product(actual, loops))
 
     def _is_mixed(self, gains: AloneGains) -> bool:
         """Return whether no mixture with the team's law lets deviations grow, in a hand-over.

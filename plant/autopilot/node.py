@@ -11,7 +11,7 @@ from typing import Protocol
 from transport.model.arrays import Array
 from transport.plant.node import Integrated, Period, PlantNode
 from transport.protocol.admission.ticking import Ticking
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, Schedule
 
 # Most steps in one turn, so that messages are read between them.

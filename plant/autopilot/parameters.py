@@ -3,8 +3,8 @@
 import math
 
 from transport.model.parameters import Uav
-from transport.protocol.scenario.plant_sections import RotorsSection
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.sections.plant_sections import RotorsSection
+from transport.protocol.scenario.setup.run_setup import Setup
 
 # Integral over proportional gain of roll, pitch and yaw, 1/s.
 _INTEGRAL = (0.5, 0.5, 0.1)

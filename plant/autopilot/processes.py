@@ -28,8 +28,8 @@ from transport.model.state import INPUTS, SENSED
 from transport.plant.actuators import Rotors
 from transport.plant.autopilot.parameters import parameters
 from transport.plant.firmware.tuning import rotors_of
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.setup.run_setup import Setup
 
 PROGRAM = "ARDUCOPTER"  # environment variable
 # Folder for the files of the autopilots, one folder each; a temporary one without the variable.

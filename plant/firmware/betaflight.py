@@ -39,9 +39,9 @@ from transport.plant.firmware.tuning import (
     rotors_of,
     tuning,
 )
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.plant_sections import RotorsSection
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.sections.plant_sections import RotorsSection
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.setup.run_setup import Setup
 
 # Loss of the throttle on its way to the outputs, us, as the firmware truncates several times: 0.8
 # to 2.8 about hover, by `test_the_throttle_makes_up_for_truncation`. Without this term the thrust

@@ -7,8 +7,8 @@ import numpy as np
 from transport.model.arrays import Array
 from transport.model.parameters import Uav
 from transport.plant.actuators import Rotors
-from transport.protocol.scenario.plant_sections import RotorsSection
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.sections.plant_sections import RotorsSection
+from transport.protocol.scenario.setup.run_setup import Setup
 
 # Output of the motors when armed, and the channel of the throttle from which it rises, us.
 IDLE = 0.055

@@ -13,7 +13,7 @@ from transport.protocol.wire.codec import decode
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import MAX_TARGETS, Plan, Target
 from transport.protocol.wire.names import COORDINATOR
-from transport.protocol.wire.node import RunShape
+from transport.protocol.wire.node_interface import RunShape
 
 # Tick and number of a target: the newest of a run is the one with the largest, for all agents.
 Place = tuple[int, int]

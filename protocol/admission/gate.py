@@ -21,7 +21,7 @@ from typing import NamedTuple
 from transport.protocol.admission.plausibility import check_plausible
 from transport.protocol.wire.codec import Header, decode, header_of
 from transport.protocol.wire.errors import MessageError, Reason
-from transport.protocol.wire.keys import Keys, matches
+from transport.protocol.wire.key_expressions import Keys, matches
 from transport.protocol.wire.messages import (
     MAX_KEY,
     MAX_TEXT,
@@ -43,7 +43,7 @@ from transport.protocol.wire.names import (
     role_of,
     vehicle_name,
 )
-from transport.protocol.wire.node import Outbox, RunShape
+from transport.protocol.wire.node_interface import Outbox, RunShape
 
 # Time between two batches of `Rejected` messages, ns.
 _EVERY_NS = 1_000_000_000

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from transport.model.slowing import Slowing
 from transport.protocol.admission.carried import Place, place_of
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import MAX_CARRIED, MAX_TARGETS, Target

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from transport.protocol.admission.arrivals import Arrivals
-from transport.protocol.scenario.link_changes import LinkChanges
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.targets import check_target
+from transport.protocol.scenario.links.link_changes import LinkChanges
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.targets.target_messages import check_target
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import (
     Control,
@@ -28,7 +28,7 @@ from transport.protocol.wire.names import (
     role_of,
     vehicle_name,
 )
-from transport.protocol.wire.node import Outbox, end_without_coordinator
+from transport.protocol.wire.node_interface import Outbox, end_without_coordinator
 
 _KEPT = 1024  # plans kept for a roster to come: a few ticks of a large team
 _EMPTY: dict[str, Any] = {"agents": (), "incarnations": (), "off": (), "released": (), "reason": ""}

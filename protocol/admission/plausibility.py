@@ -20,7 +20,7 @@ from transport.protocol.wire.messages import (
     Target,
     Tick,
 )
-from transport.protocol.wire.node import RunShape
+from transport.protocol.wire.node_interface import RunShape
 
 _OFF_UNIT = 0.2  # deviation of a rod direction's length from 1 that sensor noise can cause
 # Fields with ids of agents and of UAVs.

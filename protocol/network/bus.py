@@ -22,7 +22,7 @@ from transport.protocol.network.session import (
     open_session,
 )
 from transport.protocol.network.steady_clock import SteadyClock
-from transport.protocol.wire.keys import RECORDER, Keys
+from transport.protocol.wire.key_expressions import RECORDER, Keys
 from transport.protocol.wire.messages import Bundle, Event, Presence, Request
 from transport.protocol.wire.names import COORDINATOR, PLANT, VEHICLE, agent_name, role_of
 

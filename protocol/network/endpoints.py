@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Literal
 
 from transport.protocol.network.security import Security, SecurityError
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.wire.keys import RECORDER
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.wire.key_expressions import RECORDER
 from transport.protocol.wire.messages import agent_name
 from transport.protocol.wire.names import COORDINATOR, PLANT, vehicle_name
 

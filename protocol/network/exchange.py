@@ -6,12 +6,12 @@ receives two.
 
 from collections.abc import Callable, Mapping, Set
 
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import messages as wire
 from transport.protocol.wire.codec import encode
-from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.names import AGENT, COORDINATOR, PLANT
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 Put = Callable[[str, bytes], None]  # sends an encoded message under a key
 Entry = tuple[str, bytes]  # key without the prefix of the run, encoded message

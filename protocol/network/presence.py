@@ -27,7 +27,7 @@ from transport.protocol.admission.gate import Gate
 from transport.protocol.network.session import BusError
 from transport.protocol.wire.codec import VERSION
 from transport.protocol.wire.errors import MessageError
-from transport.protocol.wire.keys import Keys, Token
+from transport.protocol.wire.key_expressions import Keys, Token
 from transport.protocol.wire.messages import Presence
 
 # Time in which the coordinator answers a process that is about to return, and after which it is asked

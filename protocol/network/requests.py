@@ -12,7 +12,7 @@ import zenoh
 from transport.protocol.admission.gate import Gate
 from transport.protocol.wire.codec import VERSION
 from transport.protocol.wire.errors import MessageError
-from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.messages import Request
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.session import open_session
-from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.key_expressions import Keys
 
 _NODE = "transport"
 _QOS = "::,10:,:,:,,"  # all as by default: reliable, volatile, keep the last 10

@@ -14,7 +14,7 @@ from typing import Any
 
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_SCENARIO
-from transport.protocol.wire.keys import ACTING, OPERATOR, READING, ROUTER, WATCHER, Keys
+from transport.protocol.wire.key_expressions import ACTING, OPERATOR, READING, ROUTER, WATCHER, Keys
 
 AUTHORITY = "ca.pem"  # of a folder of keys; besides it NAME.pem and NAME.key for each name
 SHARED = "secret.txt"  # the one secret of a run: a line "user:password", as Zenoh reads it
@@ -120,7 +120,7 @@ def _check_certificate(name: str, authority: Path, certificate: Path, key: Path)
 
 
 def access_control(names: Sequence[str], prefix: str) -> dict[str, Any]:
-    """Return Zenoh's access control: each name has the key expressions of `protocol.wire.keys`.
+    """Return Zenoh's access control: each name has the key expressions of `protocol.wire.key_expressions`.
 
     Outgoing messages are not checked: the rights of the receiver were checked when it subscribed.
     """

@@ -16,7 +16,7 @@ from transport.protocol.network.security import Security
 from transport.protocol.wire.codec import MAX_BYTES
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
-from transport.protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
+from transport.protocol.wire.key_expressions import ACTING, OPERATOR, ROUTER, WATCHER, Keys
 
 _RETRY_S = 0.05  # pause between attempts of a client to reach its router
 CLOSE_S = 2.0  # how long closing may take: it blocks while a peer does not read (zenoh issue 2675)

@@ -9,9 +9,9 @@ from transport.agent.planning.alone_planner import AlonePlanner
 from transport.agent.received import Received
 from transport.model import state
 from transport.model.arrays import Array
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Plan
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 AGENT = 2
 ROUNDING = 1e-12

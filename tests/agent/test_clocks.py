@@ -10,7 +10,7 @@ from transport.agent.communication.clock_offsets import Clocks
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.rotations import cross, euler_rates, rotation
-from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.wire.messages import Plan
 
 PERIOD_S, GRAVITY = 0.05, 9.81

@@ -16,7 +16,7 @@ from transport.agent.silence.freshness import Freshness, Repetition
 from transport.agent.user_class.run_for_user import Run
 from transport.mpc.controller import Controller
 from transport.mpc.program.qp_solvers import QP, Solution, unsolved
-from transport.protocol.scenario.own_class import own_class
+from transport.protocol.scenario.user_class.user_import import own_class
 from transport.protocol.wire.messages import Measurement, Plan, PlantState
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"

@@ -9,7 +9,7 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.mpc.controller import Controller, Horizon
 from transport.mpc.program.prediction import Linear
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, Plan, Presence, StepReport
 
 SHORT_HORIZON = "controller.horizon=5"  # a step of a millisecond: these tests are about messages

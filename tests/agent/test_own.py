@@ -34,8 +34,8 @@ from transport.analysis.metrics import summarise
 from transport.flight.memory import simulate
 from transport.model.arrays import Array
 from transport.plant.engines import checked_engine
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Measurement, Message, Note, Plan, StepReport
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"

@@ -28,8 +28,8 @@ from transport.agent.user_class.user_planner import checked_controller, plan_sha
 from transport.analysis.comparison import Comparison
 from transport.analysis.replay import Replay
 from transport.model.state import INPUTS, REPORTED, REPORTS
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.radio_settings import PlanShape
+from transport.protocol.scenario.radio.radio_parameters import PlanShape
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import MAX_DATA, Measurement, Message, Note, Plan
 

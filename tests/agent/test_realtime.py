@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.nodes import AgentNode
 from tests.support.runs import measurement, plan, roster, setup
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, Plan, StepReport
 
 S, MS = 10**9, 10**6  # ns

@@ -5,7 +5,7 @@ import pytest
 
 from transport.agent.communication.event_triggered_sharing import Corrections, Sharing
 from transport.model.arrays import Array
-from transport.protocol.scenario.schema import ControllerSection
+from transport.protocol.scenario.sections.schema import ControllerSection
 
 STEPS, RANGE = 4, 8.0
 

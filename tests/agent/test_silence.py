@@ -32,7 +32,10 @@ from transport.model.arrays import Array, ShapeError
 from transport.model.hover import motor_off_state
 from transport.model.linearisation import Model
 from transport.mpc.controller import Controller
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.drawn_team import drawn
 from transport.protocol.wire.messages import Message, Note, Plan, PlantState, StepReport
 
 ALL = tuple(range(5))
@@ -466,6 +469,24 @@ def test_a_team_that_never_hears_each_other_acts_alone_soon() -> None:
         whole = min(tick for tick, share in shares.items() if share == 1.0)
         assert 0.5 < whole * run.settings.sampling_period_s < 1.5
         assert all(share == 1.0 for tick, share in shares.items() if tick > whole)
+
+
+def test_uavs_alone_whose_inputs_act_later_do_not_turn_the_payload() -> None:
+    """Each goes on by its own motion and inputs to the instant at which new ones act: (31e), (31h).
+
+    By a prediction with the others, whose motion no message tells, the payload of this team, of little inertia,
+    turns ever further at a period of 0.1 s: by 25 deg after half a minute.
+    """
+    path = find_scenario("precise")
+    tree = drawn(57, read_scenario(path), str(path)).tree()
+    tree["links"] = {"loss": 1.0}
+    tree["plant"] |= {"sensors": "state", "noise": {}, "wind": {"gust_mps": [1.0, 1.0, 1.0]}}
+    tree["controller"]["estimator"] = "measured"
+    tree["maneuver"]["phase"][-1]["duration_s"] = 25.0
+    run = Setup.of(Scenario.model_validate(tree), "team 57")
+    assert run.scenario.clock.next_tick
+    assert run.settings.sampling_period_s == 0.1
+    assert largest_attitude(completed(run)) < 0.5 * ATTITUDE_DEG
 
 
 def test_law_keeps_the_law() -> None:

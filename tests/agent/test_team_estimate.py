@@ -10,12 +10,12 @@ from transport.agent.estimation.team_estimate import TeamEstimate
 from transport.agent.received import Received
 from transport.model.arrays import Array
 from transport.mpc.controller import Controller
-from transport.protocol.scenario.errors import requested
-from transport.protocol.scenario.maneuver_sections import TargetSection
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.target_planning import target_fields
+from transport.protocol.scenario.sections.maneuver_sections import TargetSection
+from transport.protocol.scenario.sections.scenario_errors import requested
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.targets.target_timing import target_fields
 from transport.protocol.wire.messages import Target
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 AGENT, UAV = 1, 0
 FORCES = "controller.disturbance.estimate=true"

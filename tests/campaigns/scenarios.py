@@ -26,9 +26,9 @@ from tests.campaigns.harness import Result
 from tests.support.mutations import mutated
 from transport.cli.scenario import validate
 from transport.flight.memory import simulate
-from transport.protocol.scenario.budget import MOST_AGENT_STEPS, MOST_ENTRIES, size_of
-from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
+from transport.protocol.scenario.sections.run_size import MOST_AGENT_STEPS, MOST_ENTRIES, size_of
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, PlantState
 
 READY = ("paper", "centralized", "resilient", "precise", "windy", "collision")

@@ -29,7 +29,7 @@ from tests.support.keyrings import keyring
 from tests.support.logs import record_run
 from tests.support.runs import ready
 from transport.protocol.network.endpoints import process_names
-from transport.protocol.wire.keys import RECORDER, Keys
+from transport.protocol.wire.key_expressions import RECORDER, Keys
 from transport.report.report import write_report
 
 # The last messages are sent well before the end, so that they arrive during the run, also on a busy

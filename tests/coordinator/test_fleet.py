@@ -10,8 +10,8 @@ from transport.coordinator.fleet import Fleet
 from transport.coordinator.machine import State
 from transport.coordinator.node import CoordinatorNode
 from transport.model.arrays import Array
-from transport.protocol.scenario.file import read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import (
     Message,
     Presence,
@@ -20,7 +20,7 @@ from transport.protocol.wire.messages import (
     Tick,
     VehicleStatus,
 )
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 SCENARIO = Path(__file__).resolve().parents[2] / "scenarios" / "flight.toml"
 MS, S = 10**6, 10**9

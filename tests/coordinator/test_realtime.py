@@ -8,7 +8,7 @@ import pytest
 from tests.support.coordinator_clock import CONTINUE, MS, START_NS, S, kinds, ready, started, tell
 from tests.support.nodes import CoordinatorNode
 from tests.support.runs import ALL, plan, plant_state, setup, ticks
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Control, Message, Plan, PlantState, Roster, Tick
 
 REALTIME = ("clock.mode=realtime", "clock.speed=1")

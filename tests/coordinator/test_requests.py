@@ -19,7 +19,7 @@ from tests.support.coordinator_clock import (
 )
 from tests.support.coordinator_clock import ready as is_ready
 from tests.support.nodes import CoordinatorNode
-from transport.protocol.scenario.link_changes import PERFECT
+from transport.protocol.scenario.links.link_changes import PERFECT
 from transport.protocol.wire.messages import LinkChange, Message, Request, Roster
 
 

@@ -9,8 +9,8 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from transport.deploy.errors import DeployError
-from transport.deploy.keys import AUTHORITY_KEY, LOOPBACK, make_certificates
+from transport.deploy.certificates import AUTHORITY_KEY, LOOPBACK, make_certificates
+from transport.deploy.inventory import DeployError
 from transport.protocol.network.endpoints import first_exposed
 from transport.protocol.network.security import AUTHORITY, Security, SecurityError
 

@@ -14,7 +14,7 @@ from transport.model.arrays import Array
 from transport.model.integration import StepLimits, integrate
 from transport.model.linearisation import Model
 from transport.model.state import StateView
-from transport.protocol.scenario.plant_sections import PlantSection
+from transport.protocol.scenario.sections.plant_sections import PlantSection
 
 PERIOD_S, PERIODS = 0.05, 2
 DEFAULT = PlantSection()

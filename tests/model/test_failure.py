@@ -18,9 +18,9 @@ from transport.model.hover import (
 from transport.model.linearisation import Model
 from transport.model.parameters import ParameterError, System, table_1
 from transport.model.state import INPUTS, StateView
-from transport.protocol.scenario.file import read_scenario
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import Team, resized
+from transport.protocol.scenario.scenario_file import read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.team_of_any_size import Team, resized
 
 DEAD = 2  # UAV 3; UAV 1 is opposite, UAVs 2 and 4 are its neighbours
 OPPOSITE, NEIGHBOURS = 0, (1, 3)

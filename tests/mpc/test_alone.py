@@ -20,7 +20,7 @@ from transport.mpc.alone.uav_motion import Motion, Setpoint, motion_of, setpoint
 from transport.mpc.controller import Controller
 from transport.mpc.law.tangent import tangent
 from transport.mpc.margins.actual_plant import Mismatch
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 
 SYSTEM = table_1()
 RATES = System(payload=SYSTEM.payload, uavs=SYSTEM.uavs, rate_gains=[25.0, 25.0, 10.0])

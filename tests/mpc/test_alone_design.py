@@ -18,11 +18,11 @@ from transport.mpc.margins.design_of_gains_alone import (
 )
 from transport.mpc.margins.sampled_loop import GROWTH
 from transport.mpc.settings import AloneGains
-from transport.protocol.scenario.drawn_team import drawn
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.file import find_scenario, read_scenario
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.drawn_team import drawn
 
 READY = (
     "alone",

@@ -11,7 +11,7 @@ from transport.model.arrays import Array
 from transport.mpc.alone.uav_motion import motion_of
 from transport.mpc.law.laws_of_uavs_alone import AloneTeam
 from transport.mpc.law.present_law import Regulation
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 
 TICK = 40
 

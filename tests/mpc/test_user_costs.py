@@ -10,7 +10,7 @@ from transport.model.arrays import Array
 from transport.mpc.controller import Controller
 from transport.mpc.program.prediction import Prediction
 from transport.mpc.settings import ControllerSettings, CostTerm, Weights
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, PlantState
 
 OWNED = [(0,), (1, 3), (0, 1, 2, 3)]

@@ -24,9 +24,9 @@ from transport.plant.actuators import Rotors, checked_firmware
 from transport.plant.firmware import betaflight, process
 from transport.plant.firmware.betaflight import Betaflight
 from transport.plant.firmware.tuning import SETTINGS, rotors_of
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.file import read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import read_scenario
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import PlantState
 
 STEP_S = 1e-3

@@ -15,8 +15,8 @@ from transport.flight.memory import simulate
 from transport.model.arrays import Array
 from transport.plant.engines import Engine, checked_engine, engine_version
 from transport.plant.environment import Environment
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.exit_codes import EXIT_DIVERGED
 from transport.protocol.wire.messages import Control, Message
 

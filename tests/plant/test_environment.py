@@ -9,7 +9,7 @@ from transport.model.arrays import Array
 from transport.model.rotations import rotation
 from transport.model.state import StateView
 from transport.plant.environment import Environment
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 
 MEAN = "plant.wind.speed_mps=[3.0,-1.0,0.5]"
 GUSTS = "plant.wind.gust_mps=[2.0,1.0,0.5]"

@@ -11,7 +11,7 @@ from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, VEHICLE, plan, roster, setup, tick
 from transport.model import state
 from transport.plant.actuators import MOTOR_OFF
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Measurement, Message, PlantState
 
 TICKS = 6

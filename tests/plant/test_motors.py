@@ -9,8 +9,8 @@ from tests.support.runs import ALL, plan, plant_states, recorded, roster, setup,
 from transport.model import state
 from transport.model.arrays import Array
 from transport.plant.actuators import Motors, Rotors
-from transport.protocol.scenario.plant_sections import MotorsSection, RotorsSection
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.sections.plant_sections import MotorsSection, RotorsSection
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import ActualInputs, Message
 
 PERIOD_S, STEPS = 0.05, 5

@@ -24,7 +24,7 @@ from transport.model.parameters import System, payload_half_size, resting_height
 from transport.model.state import StateView
 from transport.plant.engines import Rods
 from transport.plant.mujoco_engine import MujocoEngine
-from transport.protocol.scenario.plant_sections import MujocoSection, PlantSection
+from transport.protocol.scenario.sections.plant_sections import MujocoSection, PlantSection
 
 # The engine's coordinates are quaternions and relative rates: there and back is rounding.
 ROUNDING = 1e-9

@@ -9,7 +9,7 @@ from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, end, integrated, measurement, plan, roster, setup, tick
 from transport.model import state
 from transport.plant.actuators import FAIL_SAFE
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Measurement, Message, PlantState, Presence
 
 IMMEDIATE, NEXT_TICK = "clock.actuation=immediate", "clock.actuation=next_tick"

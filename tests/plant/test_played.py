@@ -8,8 +8,8 @@ import pytest
 
 from transport.model.arrays import Array
 from transport.plant.autopilot.node import PlayedPlant
-from transport.protocol.scenario.file import read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, PlantState, Schedule
 
 SCENARIO = Path(__file__).resolve().parents[2] / "scenarios" / "flight.toml"

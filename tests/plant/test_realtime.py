@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, plan, roster, setup, tick
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Measurement, Message, PlantState
 
 S, MS = 10**9, 10**6  # ns

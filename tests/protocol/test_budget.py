@@ -5,11 +5,11 @@ import pytest
 from transport.mpc.program.constraints import constraints_of
 from transport.mpc.program.constraints.stack import Stack
 from transport.mpc.program.decision import Decision
-from transport.protocol.scenario.budget import most_workers, size_of
-from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import Team, resized
+from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
+from transport.protocol.scenario.sections.run_size import most_workers, size_of
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.team_of_any_size import Team, resized
 
 SHORT = "maneuver.phase=[{name='climb',duration_s=2.0,displacement_m=[0.0,0.0,-1.0]}]"
 

@@ -9,11 +9,11 @@ import transport
 from tests.support.messages import changed
 from tests.support.runs import SCENARIOS, plant_state, ready, setup
 from transport.model.arrays import Array
-from transport.protocol.scenario.contacts import Contacts, first_contact
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.file import read_scenario
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import Team, resized
+from transport.protocol.scenario.scenario_file import read_scenario
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.setup.collisions import Contacts, first_contact
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.team_of_any_size import Team, resized
 from transport.protocol.wire.exit_codes import EXIT_COLLIDED
 from transport.protocol.wire.messages import PlantState
 

@@ -1,4 +1,4 @@
-"""Teams drawn by a seed (`protocol.scenario.drawn_team`)."""
+"""Teams drawn by a seed (`protocol.scenario.teams.drawn_team`)."""
 
 from itertools import combinations
 
@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from transport.model.state import INPUTS
-from transport.protocol.scenario.drawn_team import DRAWN, drawn, put_drawn_vehicles
-from transport.protocol.scenario.file import find_scenario, read_scenario
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.drawn_team import DRAWN, drawn, put_drawn_vehicles
 from transport.search.candidate import Base, Candidate
 from transport.search.events import DrawnTeam, Silence
 

@@ -6,9 +6,9 @@ from typing import Any
 from tests.support import log_messages, runs
 from transport.protocol.network.exchange import exchange_of
 from transport.protocol.wire.codec import decode, encode
-from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.messages import Answer, Bundle, Message, Relay
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 RUN = runs.ready("resilient")
 KEYS = Keys("run")

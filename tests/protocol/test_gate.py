@@ -10,7 +10,7 @@ from tests.support.runs import setup, ticks
 from transport.protocol.admission.gate import Gate
 from transport.protocol.wire.codec import MAX_BYTES, encode
 from transport.protocol.wire.errors import MessageError
-from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.messages import (
     Answer,
     Bundle,
@@ -20,7 +20,7 @@ from transport.protocol.wire.messages import (
     Relay,
     Target,
 )
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 RUN = setup("controller.horizon=5", ticks(60))
 KEYS = Keys(RUN.scenario.name)

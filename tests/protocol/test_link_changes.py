@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 
 from tests.support.runs import setup
-from transport.protocol.scenario.errors import RequestError
-from transport.protocol.scenario.link_changes import LinkChanges, link_change
-from transport.protocol.scenario.link_sections import LinkChangeSection
-from transport.protocol.scenario.links import Link
+from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.links.link_changes import LinkChanges, link_change
+from transport.protocol.scenario.sections.link_sections import LinkChangeSection
+from transport.protocol.scenario.sections.scenario_errors import RequestError
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import LinkChange
 

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from tests.support.runs import setup
-from transport.protocol.scenario.errors import RequestError
-from transport.protocol.scenario.file import ScenarioError, validate
-from transport.protocol.scenario.link_changes import link_change
-from transport.protocol.scenario.link_sections import (
+from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.links.link_changes import link_change
+from transport.protocol.scenario.scenario_file import ScenarioError, validate
+from transport.protocol.scenario.sections.link_sections import (
     GilbertElliottSection,
     LinkSection,
     LinksSection,
     PartitionSection,
 )
-from transport.protocol.scenario.links import Link
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.sections.scenario_errors import RequestError
+from transport.protocol.scenario.setup.run_setup import Setup
 
 PERIOD_S = 0.05
 COUNT = 5_000

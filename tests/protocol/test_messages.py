@@ -30,7 +30,7 @@ from transport.protocol.wire.codec import (
 )
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import MAX_DATA, Measurement, Message, Plan, StepReport, Tick
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 SEED = 20240611
 RANDOM_MESSAGES = 6_000  # of each sort; a second in all

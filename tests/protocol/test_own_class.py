@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from transport.protocol.scenario.own_calls import OwnClassError
-from transport.protocol.scenario.own_class import own_class, version_of
+from transport.protocol.scenario.user_class.user_errors import OwnClassError
+from transport.protocol.scenario.user_class.user_import import own_class, version_of
 
 CONTROL = """
 import mine_number

@@ -9,8 +9,8 @@ import tomli_w
 
 from tests.support.runs import PAPER, completed, plant_states
 from transport.model import state
-from transport.protocol.scenario.file import ScenarioError, read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import ScenarioError, read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 
 HEADING = "t_s,x_m,y_m,z_m\n"
 # A quarter of a circle of 2 m radius, 0.4 m/s on average, one row per sampling period; from a place

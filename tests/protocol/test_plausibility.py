@@ -13,7 +13,7 @@ from tests.support.runs import setup, ticks
 from transport.protocol.admission.plausibility import check_plausible
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import Airtime, Message
-from transport.protocol.wire.node import RunShape
+from transport.protocol.wire.node_interface import RunShape
 
 RUN = setup("controller.horizon=5", ticks(40))
 PLAN, MEASUREMENT = runs.plan(RUN, 2, 3), runs.measurement(RUN, 2, 3)

@@ -9,7 +9,7 @@ from transport.protocol.admission.gate import Gate
 from transport.protocol.network.presence import STAGES, OtherPresences, OwnPresence, Stage, Step
 from transport.protocol.network.session import BusError
 from transport.protocol.wire.codec import VERSION
-from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.messages import Presence
 
 DIGEST = "00000000000000aa"

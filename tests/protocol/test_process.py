@@ -13,8 +13,8 @@ import pytest
 from tests.support import runs
 from transport.protocol.admission.gate import Gate
 from transport.protocol.network.bus import Arrival, BusEvent, BusOptions, Interrupted, Place
+from transport.protocol.network.node_process import run_node
 from transport.protocol.network.parent import PARENT_PIPE, ending_signals
-from transport.protocol.network.process import run_node
 from transport.protocol.wire.codec import decode
 from transport.protocol.wire.exit_codes import (
     EXIT_DIVERGED,
@@ -23,12 +23,12 @@ from transport.protocol.wire.exit_codes import (
 )
 from transport.protocol.wire.messages import Control, Event, Message
 from transport.protocol.wire.names import COORDINATOR
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 # Timeout on a busy machine for actions of milliseconds, s.
 PATIENCE_S = 20.0
 OTHERS = ("plant", "agent1")
-WHERE = "transport.protocol.network.process"
+WHERE = "transport.protocol.network.node_process"
 
 
 class StubNode:

@@ -10,15 +10,15 @@ import pytest
 import tomli_w
 
 from tests.support.runs import PAPER, SCENARIOS, setup
-from transport.protocol.scenario.file import (
+from transport.protocol.scenario.checks.relations import after_the_end
+from transport.protocol.scenario.scenario_file import (
     ScenarioError,
     find_scenario,
     read_scenario,
     validate,
 )
-from transport.protocol.scenario.relations import after_the_end
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 
 # A value of the same type that differs, for what cannot simply be counted up.
 OTHER_WORDS = {

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tests.support.runs import PAPER
-from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 
 ONE_UAV_ASIDE = (
     "system.uav=[{id=1,mass_kg=1.5,inertia_kgm2=[0.029,0.029,0.055],rho_m=[0.25,0,-0.1],rod_length_m=3}]",

@@ -11,12 +11,16 @@ from tests.support import runs
 from tests.support.coordinator_clock import ready
 from tests.support.nodes import CoordinatorNode
 from transport.model.curves import ORDERS
-from transport.protocol.scenario.errors import RequestError, ScenarioError, requested
-from transport.protocol.scenario.feasibility import exceeded, teams_left
-from transport.protocol.scenario.file import find_scenario, read_scenario
-from transport.protocol.scenario.maneuver_sections import TargetSection
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.target_planning import straight, target_fields
+from transport.protocol.scenario.checks.feasibility import exceeded, teams_left
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.sections.maneuver_sections import TargetSection
+from transport.protocol.scenario.sections.scenario_errors import (
+    RequestError,
+    ScenarioError,
+    requested,
+)
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.targets.target_timing import straight, target_fields
 from transport.protocol.wire.messages import MAX_TARGETS, Request
 
 # Memory that the refusal of a target may take. Two million sampling instants of the path took 500 MB.

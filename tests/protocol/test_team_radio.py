@@ -10,18 +10,18 @@ from msgspec.structs import replace
 from tests.support.own_classes import Bulky
 from tests.support.runs import ALL, plan, recorded, setup, ticks
 from transport.protocol.radio.frames import Result
-from transport.protocol.radio.slots import frame_lengths
-from transport.protocol.radio.standard import MESSAGE_BYTES, OFDM
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.links import Link
-from transport.protocol.scenario.radio_section import RadioSection
-from transport.protocol.scenario.radio_settings import (
+from transport.protocol.radio.slot_length import frame_lengths
+from transport.protocol.radio.standards_80211 import MESSAGE_BYTES, OFDM
+from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.radio.radio_parameters import (
     NS_PER_S,
     PlanShape,
     plan_length,
     slot_lengths,
 )
-from transport.protocol.scenario.team_radio import TeamRadio
+from transport.protocol.scenario.radio.team_radio import TeamRadio
+from transport.protocol.scenario.sections.radio_section import RadioSection
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import (
     NO_NEWS,

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from tests.support.runs import setup
-from transport.protocol.scenario.bounded_files import MOST_TEXT
-from transport.protocol.scenario.file import ScenarioError, validate
-from transport.protocol.scenario.links import traced_delay_s
-from transport.protocol.scenario.named_files import LOST_S, TableError, trace_of
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.files.bounded_reading import MOST_TEXT
+from transport.protocol.scenario.files.named_files import LOST_S, TableError, trace_of
+from transport.protocol.scenario.links.impairments import traced_delay_s
+from transport.protocol.scenario.scenario_file import ScenarioError, validate
+from transport.protocol.scenario.setup.run_setup import Setup
 
 TRACE = "links.trace=[[0.0,0.01],[0.05,0.3],[0.1,-1.0],[0.15,0.02]]"
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "record_link.py"

@@ -7,8 +7,8 @@ from typer.testing import CliRunner
 
 import transport
 from transport.cli.main import app
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.team import read_vehicle
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.teams.team_of_any_size import read_vehicle
 
 READY = {"crazyflie": 0.02, "x500": 3.0, "racing": None}
 # A hover, and a leg in all directions.

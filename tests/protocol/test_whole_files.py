@@ -5,7 +5,12 @@ from pathlib import Path
 import pytest
 
 from tests.support.full_disk import files_of_at_most
-from transport.protocol.scenario.whole_files import Lines, UnwrittenError, write_csv, write_whole
+from transport.protocol.scenario.files.atomic_writing import (
+    Lines,
+    UnwrittenError,
+    write_csv,
+    write_whole,
+)
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_UNRECORDED
 

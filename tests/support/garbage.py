@@ -13,7 +13,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from transport.protocol.wire.codec import VERSION, decode, encode
-from transport.protocol.wire.keys import Keys, matches
+from transport.protocol.wire.key_expressions import Keys, matches
 from transport.protocol.wire.messages import (
     Answer,
     Bundle,

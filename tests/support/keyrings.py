@@ -6,7 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 from tempfile import mkdtemp
 
-from transport.deploy.keys import LOOPBACK, OTHERS, make_certificates
+from transport.deploy.certificates import LOOPBACK, OTHERS, make_certificates
 
 NAMES = ("coordinator", "plant", "agent1", "agent2", "agent3", "agent4", *OTHERS)
 

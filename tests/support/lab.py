@@ -25,17 +25,16 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from transport.deploy.errors import DeployError
 from transport.deploy.folders import render
-from transport.deploy.inventory import Host, Inventory
+from transport.deploy.inventory import DeployError, Host, Inventory
 from transport.deploy.placements import Placement, placements
 from transport.deploy.units import command
 from transport.protocol.network.endpoints import process_names
 from transport.protocol.network.parent import ENVIRONMENT, python
-from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_USAGE
-from transport.protocol.wire.keys import RECORDER
+from transport.protocol.wire.key_expressions import RECORDER
 
 EXIT_UNAVAILABLE, EXIT_TIMEOUT = 69, 70
 
@@ -179,7 +178,7 @@ def simulate(setup: Setup, out: Path, cuts: Sequence[Cut], timeout_s: float) -> 
     Raises: LabError: the lab cannot be built, or the run does not begin.
     """
     # Not at the top: `unavailable` says what it needs.
-    from transport.deploy.keys import LOOPBACK, OTHERS, make_certificates
+    from transport.deploy.certificates import LOOPBACK, OTHERS, make_certificates
 
     processes = process_names(setup.scenario)
     inventory = one_host_each(processes, setup.scenario.name)

@@ -11,7 +11,7 @@ from transport.agent.estimation.filter.belief import NAMES, POSE
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.radio.frames import Result
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import (
     NO_NEWS,
     STAGES,

@@ -9,7 +9,7 @@ import tomli_w
 from transport.flight.memory import simulate
 from transport.log.run_log import Recorded, RunLog
 from transport.log.writer import LogWriter
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message
 
 MILLISECOND_NS = 1_000_000

@@ -8,7 +8,7 @@ from transport.coordinator import node as coordinator_node
 from transport.plant import node as plant_node
 from transport.protocol.admission.gate import Rejections
 from transport.protocol.admission.plausibility import check_plausible
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import Event, Message
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from transport.flight.memory import simulate
-from transport.protocol.scenario.file import read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, Plan, PlantState
 
 

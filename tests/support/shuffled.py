@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.support.runs import end
 from transport.flight import memory
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Control, LinkChange, Message, Presence
 
 # Placeholder in the runtime's queue for one more delivery; the message is drawn at random.

@@ -19,7 +19,7 @@ from transport.protocol.network.bus import Bus, BusOptions, Place
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.session import BusError
 from transport.protocol.wire.codec import MAX_BYTES, VERSION, encode
-from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.messages import Presence
 
 KEYS = Keys("bus")

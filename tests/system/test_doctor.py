@@ -12,7 +12,7 @@ from tests.support.commands import free_base
 from transport.cli.main import app
 from transport.doctor import checks as doctor
 from transport.doctor.checks import Finding
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 
 HERE = runs.setup()
 

@@ -207,20 +207,6 @@ def test_a_killed_harness_leaves_no_orphans(tmp_path: Path) -> None:
     assert summary["log_cut"]
 
 
-@pytest.mark.slow
-def test_a_frozen_agent_is_noticed_by_the_barrier(tmp_path: Path) -> None:
-    """SIGSTOP keeps the token alive.
-
-    The barrier timeout names the agent and the run ends, with no process left.
-    """
-    process = take_off(tmp_path, "frozen", "clock.barrier_timeout_s=2.5")
-    os.kill(processes_of("frozen")["agent2"], signal.SIGSTOP)
-    _, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == LOST
-    assert "agent2 did not answer tick" in errors
-    assert processes_of("frozen") == {}
-
-
 def test_the_others_continue_if_configured(tmp_path: Path) -> None:
     """With `on_agent_loss = "continue"` the clock goes on without the killed agent, and the record names it."""
     process = take_off(tmp_path, "continued", "clock.on_agent_loss=continue")

@@ -147,11 +147,9 @@ class Always:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("agents", [(3,), (1, 2, 3, 4)])
-def test_a_controller_that_never_works_is_no_success(
-    tmp_path: Path, agents: tuple[int, ...]
-) -> None:
-    """Exit code 7; first line, limits and events name all agents that failed, in each way of running."""
+def test_a_controller_that_never_works_is_no_success(tmp_path: Path) -> None:
+    """Exit code 7; first line, limits and events name all agents that failed."""
+    agents = (2, 3)
     (tmp_path / "mine.py").write_text(ALWAYS.replace("{agents}", str(agents)), encoding="utf-8")
     options = settings(SHORT, "agents.controller=mine:Always")
     done = command("run", "paper", *options, "--out", "out", "--no-figures", cwd=tmp_path)
@@ -171,20 +169,6 @@ def test_a_controller_that_never_works_is_no_success(
     (notice,) = (event for event in summary["faults"] if event["kind"] == "notice")
     assert notice["processes"] == [f"agent{agent}" for agent in agents]
     assert notice["what"].startswith(f"{names}: controller mine:Always: step raised OSError")
-
-
-@pytest.mark.slow
-def test_the_allowed_share_of_failed_steps_is_a_key(tmp_path: Path) -> None:
-    """A share of one accepts every failure: the run completes, and the summary still counts them."""
-    (tmp_path / "mine.py").write_text(ALWAYS.replace("{agents}", "(1, 2)"), encoding="utf-8")
-    options = settings(SHORT, "agents.controller=mine:Always", "agents.failed_share=1")
-    done = command(
-        "run", "paper", *options, "--out", "out", "--no-figures", "--format", "json", cwd=tmp_path
-    )
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
-    assert summary["outcome"] == "completed"
-    assert summary["solver"]["failures"] == 60
 
 
 SLOW = """

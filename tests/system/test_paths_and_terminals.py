@@ -13,13 +13,19 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.commands import PATIENCE_S, SHORT, command, settings, start, wait_for
+from tests.support.commands import (
+    PATIENCE_S,
+    SHORT,
+    command,
+    processes_of,
+    settings,
+    start,
+    wait_for,
+)
 from tests.support.results import here
 
 USAGE, SCENARIO, UNRECORDED = 2, 3, 10
 LONG = "a" * 300
-
-SHORTER = "maneuver.phase=[{name='hover', duration_s=0.2, displacement_m=[0.0, 0.0, 0.0]}]"
 
 
 @pytest.mark.parametrize(
@@ -59,26 +65,6 @@ def test_a_path_that_no_file_can_have(
     ]
     assert len(lines) == 1
     assert lines[0].startswith("transport: ")
-
-
-def test_a_run_beside_a_reader_that_leaves_in_a_path_beyond_ascii(tmp_path: Path) -> None:
-    """In the POSIX locale, in an emoji's folder and with a closed standard output a run completes with exit code 0."""
-    environment = {**os.environ, "LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-    folder = tmp_path / "😀 ünï"
-    reading, writing = os.pipe()
-    os.close(reading)
-    words = command("run", "resilient", *settings(SHORTER), "--no-figures", "--out", folder)
-    done = subprocess.run(
-        words,
-        env=environment,
-        stdout=writing,
-        stderr=subprocess.PIPE,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-    os.close(writing)
-    assert (done.returncode, done.stderr) == (0, b"")
-    assert (folder / "summary.json").exists()
 
 
 def test_a_cache_that_cannot_be_written_is_told_in_a_line(tmp_path: Path) -> None:
@@ -191,3 +177,4 @@ def test_a_log_removed_during_the_run(removed: str, tmp_path: Path) -> None:
     assert "cannot write the log (the file has been removed)" in errors
     assert "the run completed" in errors
     assert "Traceback" not in errors
+    assert processes_of("run") == {}

@@ -17,14 +17,13 @@ from tests.support.keyrings import keyring
 from tests.support.results import here
 from tests.support.runs import setup
 from transport.cli.main import app
-from transport.deploy.errors import DeployError
 from transport.deploy.folders import render
-from transport.deploy.inventory import Inventory, read_inventory
+from transport.deploy.inventory import DeployError, Inventory, read_inventory
 from transport.deploy.placements import placements
 from transport.deploy.units import command
 from transport.protocol.network.endpoints import Endpoints, endpoints_of, process_names
-from transport.protocol.scenario.file import read_scenario
-from transport.protocol.wire.keys import ROUTER
+from transport.protocol.scenario.scenario_file import read_scenario
+from transport.protocol.wire.key_expressions import ROUTER
 
 RUN = setup()
 PROCESSES = process_names(RUN.scenario)

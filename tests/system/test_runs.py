@@ -30,7 +30,7 @@ from tests.support.runs import ready
 from transport.cli.main import app
 from transport.cli.operate import Exporter, process_endpoints
 from transport.protocol.network.endpoints import process_names
-from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.key_expressions import Keys
 from transport.report.report import write_report
 
 # Paced to real time, so that attackers have time; 6 s.

@@ -12,7 +12,7 @@ from tests.support.attacker import session
 from tests.support.commands import settings, start, wait_for
 from transport.flight.run_files import RunError, own_keys
 from transport.protocol.network.security import SHARED, Security, SecurityError
-from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 
 # Slower than real time, so that there is time to connect; ended by the test.
 FLIGHT = ("clock.speed=0.1",)

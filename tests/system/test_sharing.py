@@ -14,7 +14,7 @@ from transport.analysis.metrics import summarise
 from transport.analysis.replay import Replay
 from transport.flight import memory
 from transport.log.run_log import Recorded, RunLog
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import Message, Plan, StepReport, Tick
 

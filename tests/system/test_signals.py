@@ -12,9 +12,9 @@ from tests.campaigns import early_signals
 from tests.campaigns.harness import execute_all
 from tests.campaigns.signals import execute, execute_run
 
-# Its first runs get SEGV, KILL and a STOP of a second.
-SEED, RUNS = 10, 3
-EARLY = 8
+# Its first run gets SEGV.
+SEED, RUNS = 10, 1
+EARLY = 4
 
 
 @pytest.mark.slow

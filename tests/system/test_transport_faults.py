@@ -16,8 +16,8 @@ from tests.support.troubles import FAULTS, HEAVY, ITERATIONS, NEXT_TICK
 from transport.flight.memory import simulate
 from transport.log.run_log import RunLog, read_log
 from transport.log.writer import LogWriter
-from transport.protocol.scenario.file import read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Control, FaultNote, Message, Plan, Roster, Tick
 from transport.report.report import write_report
 

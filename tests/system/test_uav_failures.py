@@ -15,9 +15,9 @@ from tests.support.runs import SCENARIOS
 from transport.analysis.series import Series, series_of
 from transport.flight.memory import simulate
 from transport.model.arrays import Array
-from transport.protocol.scenario.file import read_scenario
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import Team, resized
+from transport.protocol.scenario.scenario_file import read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.team_of_any_size import Team, resized
 from transport.protocol.wire.messages import Control, Message, Roster, StepReport
 
 # The paper's maneuver at its speeds, shortened: the fault is in the climb, before a corner.

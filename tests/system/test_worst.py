@@ -4,6 +4,7 @@ import json
 import os
 import signal
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,17 +15,25 @@ from tests.system.test_sweep import gone
 
 # With a fail-safe that keeps level a death tilts the payload, so there is something to find.
 LEVEL = ("--set", "controller.fail_safe=level")
-SEARCH = ("worst", "resilient", *LEVEL, "--over", "gusts,deaths", "--budget", "8", "--limit", "0.2")
+OVER = ("--over", "gusts,deaths", "--budget", "9", "--limit", "0.2")
+SEARCH = ("worst", "resilient", *LEVEL, *OVER, "--set", SHORT, "--format", "json")
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """Return folder and summary of a search that nothing interrupts, with one worker."""
+    folder = tmp_path_factory.mktemp("whole") / "worst"
+    done = command(*SEARCH, "--jobs", "1", "--out", folder, cwd=folder.parent)
+    assert done.returncode == 0, done.stderr
+    return folder, json.loads(done.stdout)
 
 
 @pytest.mark.slow
-def test_the_minimal_case_is_flown_again_with_the_same_bits(tmp_path: Path) -> None:
+def test_the_minimal_case_is_flown_again_with_the_same_bits(
+    found: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
     """The file fails in memory and with processes alike, and says so in its comment."""
-    folder = tmp_path / "worst"
-    words = [*SEARCH, "--set", SHORT, "--out", str(folder), "--format", "json"]
-    done = command(*words, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    result = json.loads(done.stdout)
+    folder, result = found
     assert result["failures"] > 0
     file = folder / "minimal.toml"
     assert file.read_text(encoding="utf-8").startswith("# Minimal case of a search on resilient")
@@ -40,9 +49,11 @@ def test_the_minimal_case_is_flown_again_with_the_same_bits(tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_an_interrupted_search_is_resumed_with_the_same_result(tmp_path: Path) -> None:
+def test_an_interrupted_search_is_resumed_with_the_same_result(
+    found: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
     """Ctrl-C ends the command and its workers, which stay from batch to batch; the rest is flown later."""
-    words = [*SEARCH, "--set", SHORT, "--budget", "12", "--jobs", "2", "--format", "json", "--out"]
+    words = [*SEARCH, "--jobs", "2", "--out"]
     process = start(*words, "one", cwd=tmp_path)
     file = tmp_path / "one" / "evaluations.jsonl"
     assert wait_for(lambda: file.exists() and file.read_bytes().count(b"\n") > 4)
@@ -53,8 +64,6 @@ def test_an_interrupted_search_is_resumed_with_the_same_result(tmp_path: Path) -
     assert gone(process)
 
     resumed = json.loads(command(*words, "one", cwd=tmp_path).stdout)
-    whole = json.loads(command(*words, "other", "--jobs", "1", cwd=tmp_path).stdout)
+    folder, whole = found
     assert {**resumed, "folder": ""} == {**whole, "folder": ""}
-    assert (tmp_path / "one/minimal.toml").read_bytes() == (
-        tmp_path / "other/minimal.toml"
-    ).read_bytes()
+    assert (tmp_path / "one/minimal.toml").read_bytes() == (folder / "minimal.toml").read_bytes()

@@ -12,10 +12,10 @@ from transport.analysis.series import series_of
 from transport.model.curves import Curve
 from transport.model.flight import flight
 from transport.mpc.settings import Tension
-from transport.protocol.scenario.errors import RequestError, ScenarioError
-from transport.protocol.scenario.feasibility import exceeded, teams_left
-from transport.protocol.scenario.maneuver_sections import TargetSection
-from transport.protocol.scenario.target_planning import target_fields
+from transport.protocol.scenario.checks.feasibility import exceeded, teams_left
+from transport.protocol.scenario.sections.maneuver_sections import TargetSection
+from transport.protocol.scenario.sections.scenario_errors import RequestError, ScenarioError
+from transport.protocol.scenario.targets.target_timing import target_fields
 from transport.report.limits_in_words import explained, explained_in_words
 
 QUICK = [

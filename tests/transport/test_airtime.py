@@ -14,7 +14,7 @@ from transport.analysis.airtime import radio_of
 from transport.analysis.analysed_run import AnalysedRun
 from transport.experiments.cases import run_in_memory
 from transport.log.run_log import open_run
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Airtime
 from transport.report.figures import fill
 from transport.report.style import RC

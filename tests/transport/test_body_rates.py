@@ -17,10 +17,6 @@ DEATH = {
     "faults.event": [{"at_s": 1.5, "do": "kill", "target": "agent3"}],
     "clock.on_agent_loss": "continue",
 }
-RETURN = {
-    "faults.event": [*DEATH["faults.event"], {"at_s": 2.5, "do": "restart", "target": "agent3"}],
-    "clock.on_agent_loss": "continue",
-}
 RELEASE = {"faults.event": [{"at_s": 1.5, "do": "release", "target": "uav3"}]}
 IMPAIRED = {"links.delay_s": 0.2, "links.loss": 0.3}
 
@@ -43,14 +39,12 @@ def test_commands_and_moments_are_named() -> None:
 @pytest.mark.parametrize(
     ("scenario", "settings"),
     [
-        ("precise", IMPAIRED),
         ("resilient", {**DEATH, **IMPAIRED}),
-        ("resilient", RETURN),
         ("resilient", RELEASE),
         ("resilient", {"plant.engine": "mujoco", "maneuver.phase": CLIMB}),
         ("windy", {"plant.motors.lag_s": 0.06, "controller.motor_lag_s": 0.06}),
     ],
-    ids=["precise", "death", "return", "release", "mujoco", "windy with a known lag"],
+    ids=["death", "release", "mujoco", "windy with a known lag"],
 )
 def test_runs_complete(scenario: str, settings: dict[str, object]) -> None:
     """Whatever completes with moments completes with body rates."""

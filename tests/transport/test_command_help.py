@@ -19,8 +19,8 @@ from transport.cli.main import app
 from transport.cli.options import newest_runs
 from transport.cli.setting_words import complete_setting
 from transport.log.run_log import point_latest
-from transport.protocol.scenario.keys import fields, section_in
-from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.sections.scenario_keys import fields, section_in
+from transport.protocol.scenario.sections.schema import Scenario
 
 ONE_LINE = {
     "valdate paper": "no such command 'valdate'. Did you mean 'validate'? (transport --help)",

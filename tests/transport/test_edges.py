@@ -4,9 +4,9 @@ import pytest
 
 from tests.support.runs import SCENARIOS, SHORT, SINGLE_UAV, ready, ticks
 from transport.flight.memory import simulate
-from transport.protocol.scenario.file import ScenarioError, read_scenario
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import Team, resized
+from transport.protocol.scenario.scenario_file import ScenarioError, read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.team_of_any_size import Team, resized
 from transport.protocol.wire.messages import Control
 
 LIGHT = "system.payload={{mass_kg={0},inertia_kgm2=[{1},{1},{1}]}}"

@@ -22,7 +22,7 @@ from transport.analysis.series import Series
 from transport.interface.scenario import Scenario
 from transport.log.run_log import read_log
 from transport.model import state
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import FaultNote, LinkChange
 from transport.report.column import caption_of, marks_of
 from transport.report.figures import FIGURES, draw, fill

@@ -7,10 +7,14 @@ from tests.support.runs import completed, plant_states, ready, setup
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.parameters import resting_height
-from transport.protocol.scenario.errors import RequestError, ScenarioError, requested
-from transport.protocol.scenario.maneuver_sections import TargetSection
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.target_planning import target_fields
+from transport.protocol.scenario.sections.maneuver_sections import TargetSection
+from transport.protocol.scenario.sections.scenario_errors import (
+    RequestError,
+    ScenarioError,
+    requested,
+)
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.targets.target_timing import target_fields
 
 GROUND = ("plant.engine=mujoco", "plant.ground_m=0.0")
 LOW = ("maneuver.start_m=[0.0,0.0,-1.0]",)
@@ -60,15 +64,14 @@ def test_a_landing_after_the_end_is_refused() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("settings", [(), ("controller.disturbance.estimate=true",)])
-def test_the_team_comes_down_and_rests(settings: tuple[str, ...]) -> None:
+def test_the_team_comes_down_and_rests() -> None:
     """With a ground it carries the load, with a part of its weight, and the UAVs stand still above it.
 
     Forces that the agents estimate are those of before: of the ground's force they would make an error
     of the mass, and take the thrust away until the UAVs fall over.
     """
     target = "maneuver.target=[{at_s=1.0,land=true,land_at_m=[0.3,0.0]}]"
-    run = ready("precise", *LOW, HOVER, *GROUND, *settings, target)
+    run = ready("precise", *LOW, HOVER, *GROUND, "controller.disturbance.estimate=true", target)
     x, thrusts_N = landed(run)
     np.testing.assert_allclose(x[:3], [0.3, 0.0, resting_height(run.system, 0.0)], atol=0.02)
     assert np.abs(x[state.V0]).max() < 0.01

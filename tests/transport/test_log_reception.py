@@ -14,7 +14,7 @@ from transport.log.run_log import LogTail, RunLog, read_log
 from transport.log.writer import LogWriter
 from transport.protocol.wire.codec import encode, header_of
 from transport.protocol.wire.errors import MessageError
-from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.messages import Message, Plan, Rejected
 
 TICKS = 30

@@ -14,9 +14,9 @@ from transport.flight import memory
 from transport.model.arrays import Array
 from transport.mpc.controller import Controller, Horizon
 from transport.plant.node import PlantNode
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.codec import decode, encode
-from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.messages import (
     KINDS,
     STAGES,

@@ -14,7 +14,7 @@ from tests.support.logs import log_of
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.plan_delays import first_uses, plan_delays
 from transport.analysis.steps import steps_rows
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import LinkChange, StepReport
 from transport.report.figures import fill
 from transport.report.style import RC

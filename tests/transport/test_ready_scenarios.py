@@ -9,7 +9,7 @@ import pytest
 from tests.support.logs import log_of
 from tests.support.runs import completed, ready
 from transport.analysis.series import Series, series_of
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import StepReport
 
 # What separation may fall short of its limit: the constraint is linearised, softened, and kept at

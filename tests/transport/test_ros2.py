@@ -12,7 +12,7 @@ import transport
 from tests.support.commands import transport as command
 from transport.model.rotations import rotation
 from transport.model.state import StateView
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import PlantState
 from transport.scene.scene import SceneBuilder
 

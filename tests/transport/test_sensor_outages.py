@@ -82,7 +82,6 @@ def test_an_outage_is_in_summary_and_tables() -> None:
     ("uavs", "sensors", "duration_s", "most_deg"),
     [
         ((2,), "'position'", 10.0, 2.0),
-        ((2,), "'position'", None, 2.0),
         (TEAM, "'position'", 3.0, 3.0),
         ((2,), "'position','velocity'", None, 6.0),
     ],

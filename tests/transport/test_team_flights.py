@@ -7,9 +7,9 @@ from tests.support.logs import log_of
 from tests.support.runs import SCENARIOS, completed
 from transport.analysis.series import series_of
 from transport.flight.memory import simulate
-from transport.protocol.scenario.file import read_scenario
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import Team, resized
+from transport.protocol.scenario.scenario_file import read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.team_of_any_size import Team, resized
 from transport.protocol.wire.messages import StepReport
 
 # Half the ways of the paper's maneuver, at its speeds.

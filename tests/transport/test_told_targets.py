@@ -19,14 +19,18 @@ from transport.model.arrays import Array
 from transport.model.state import R0
 from transport.protocol.admission.carried import carried_by, check_carried, place_of
 from transport.protocol.admission.known_targets import KnownTargets
-from transport.protocol.scenario.errors import RequestError, ScenarioError, requested
-from transport.protocol.scenario.maneuver_sections import TargetSection
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.target_planning import target_fields
+from transport.protocol.scenario.sections.maneuver_sections import TargetSection
+from transport.protocol.scenario.sections.scenario_errors import (
+    RequestError,
+    ScenarioError,
+    requested,
+)
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.targets.target_timing import target_fields
 from transport.protocol.wire.codec import decode, encode
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import Note, Plan, PlantState, Target
-from transport.protocol.wire.node import Outbox
+from transport.protocol.wire.node_interface import Outbox
 
 HOVER = "maneuver.phase=[{name='hover',duration_s=%g,displacement_m=[0,0,0]}]"
 TOLD_S, TOLD_TICK = 1.0, 20
@@ -98,6 +102,9 @@ def test_the_time_until_all_know_is_hops_times_delay(
     log = flown("resilient", HOVER % 7, targets(to(1)), cuts)
     expected = {agent: TOLD_TICK + ticks * hop for agent, hop in enumerate(hops, start=1)}
     assert first_carried(log) == expected
+    run = runs.ready("resilient", HOVER % 7, targets(to(1)), cuts)
+    (target,) = summarise(AnalysedRun.of(run, log))["targets"]
+    assert target["known_s"] == pytest.approx(0.05 * ticks * max(hops))
 
 
 CONFIRMED = "controller.targets=confirmed"
@@ -128,6 +135,8 @@ def test_confirmed_targets_wait_for_an_agent_that_cannot_hear_or_is_off_the_rost
     log = flown("resilient", HOVER % 9, targets(to(1)), alone % 20, CONFIRMED)
     assert first_followed(log) == {}
     assert first_carried(log).keys() == {1, 2, 3}
+    run = runs.ready("resilient", HOVER % 9, targets(to(1)), alone % 20, CONFIRMED)
+    assert [one["known_s"] for one in summarise(AnalysedRun.of(run, log))["targets"]] == [None]
     assert np.abs(positions(log)[:, 0]).max() < 0.1
 
     log = flown("resilient", HOVER % 9, targets(to(1)), alone % 3, CONFIRMED)
@@ -208,6 +217,8 @@ def test_a_run_without_targets_for_some_has_plans_as_before() -> None:
     for told in ((), (1, 2, 3, 4)):
         log = flown("resilient", HOVER % 7, targets(to(*told)))
         assert first_carried(log) == {}
+        run = runs.ready("resilient", HOVER % 7, targets(to(*told)))
+        assert [one["known_s"] for one in summarise(AnalysedRun.of(run, log))["targets"]] == [0.0]
         last = log.of(Plan)
         assert all(decode(encode(plan)) is not None and not plan.targets for plan in last)
 

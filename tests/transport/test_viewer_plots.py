@@ -25,7 +25,7 @@ from tests.support.commands import PATIENCE_S, wait_for
 from tests.support.logs import record_run
 from transport.flight.live import LiveRun
 from transport.log.run_log import LogTail
-from transport.protocol.scenario.link_changes import PERFECT
+from transport.protocol.scenario.links.link_changes import PERFECT
 from transport.protocol.wire.messages import LinkChange
 from transport.scene.colours import OFF_COLOUR
 from transport.scene.history import RunHistory

@@ -11,8 +11,8 @@ import pytest
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.protocol.scenario.file import read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import (
     Control,
     Measurement,

@@ -8,8 +8,8 @@ import numpy as np
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.protocol.radio.frames import Result
-from transport.protocol.scenario.radio_settings import PlanShape, slot_lengths
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.radio.radio_parameters import PlanShape, slot_lengths
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import NO_NEWS, REPLACED, Airtime, Plan
 from transport.protocol.wire.names import agent_name
 

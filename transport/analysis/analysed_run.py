@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 from transport.analysis.series import Series, series_of
 from transport.log.run_log import Recorded, RunLog
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Plan, Roster, StepReport, Target, Tick
 
 

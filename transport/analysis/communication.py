@@ -6,7 +6,7 @@ from typing import Any
 
 from transport.analysis.spread import percentiles
 from transport.log.run_log import RunLog
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import messages
 
 _NS_PER_MS = 1e6

@@ -6,8 +6,8 @@ import numpy.typing as npt
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.obstacles import clearances
-from transport.protocol.scenario.faults import failures
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.faults.scripted_faults import failures
+from transport.protocol.scenario.setup.run_setup import Setup
 
 # Share of its range from which on an input is at its limit.
 AT_LIMIT = 1e-4

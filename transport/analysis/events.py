@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from transport.log.run_log import Recorded, RunLog
-from transport.protocol.scenario.clock_section import first_tick
-from transport.protocol.scenario.link_changes import scripted_changes
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.links.link_changes import scripted_changes
+from transport.protocol.scenario.sections.clock_section import first_tick
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import messages
 from transport.protocol.wire.names import agent_name
 

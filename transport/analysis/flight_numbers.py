@@ -15,7 +15,8 @@ from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.state import R0
 from transport.model.target import Target
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.admission.carried import carried_by
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import messages
 
 # Time after which a target counts as reached or missed, s.
@@ -153,16 +154,17 @@ def consistency(series: Series, log: RunLog) -> dict[str, Any] | None:
     }
 
 
-def targets(setup: Setup, series: Series) -> list[dict[str, Any]]:
-    """Return the targets and how close the payload came to them, as JSON data.
+def targets(setup: Setup, series: Series, log: RunLog) -> list[dict[str, Any]]:
+    """Return the targets, when all agents knew them, and how close the payload came, as JSON data.
 
     The distance is judged `SETTLED_S` after the reference had reached the last point, or sooner where
     the next target or the end of the run comes before.
     """
     paths = setup.maneuver.targets
     last_s = series.times_s.max(initial=-np.inf)
+    known_s = _known_after_s(setup, log)
     rows = []
-    for path, following in zip_longest(paths, paths[1:]):
+    for number, (path, following) in enumerate(zip_longest(paths, paths[1:]), start=1):
         next_s = np.inf if following is None else following.since_s
         judged_s = min(path.ends_s + SETTLED_S, last_s, next_s)
         rows.append(
@@ -171,9 +173,29 @@ def targets(setup: Setup, series: Series) -> list[dict[str, Any]]:
                 "arrives_s": round(path.ends_s, TIME_DIGITS),
                 "position_m": path.end_I.tolist(),
                 "error_m": _distance_m(series, path, judged_s),
+                "known_s": known_s.get(number),
             }
         )
     return rows
+
+
+def _known_after_s(setup: Setup, log: RunLog) -> dict[int, float]:
+    """Return by number of a target the time until all agents on the last roster had it in their plans, s."""
+    roster = max(log.of(messages.Roster), key=lambda one: one.version, default=None)
+    first_ticks: dict[int, dict[int, int]] = {}  # by number and agent
+    for plan in log.of(messages.Plan):
+        for target in carried_by(plan):
+            first_ticks.setdefault(target.number, {}).setdefault(plan.agent, plan.tick)
+
+    known_s = {}
+    for target in log.of(messages.Target):
+        had = first_ticks.get(target.number, {})
+        if not target.to:
+            known_s[target.number] = 0.0
+        elif roster is not None and had.keys() >= set(roster.agents):
+            ticks = max(had[agent] for agent in roster.agents) - target.tick
+            known_s[target.number] = round(ticks * setup.settings.sampling_period_s, TIME_DIGITS)
+    return known_s
 
 
 def _distance_m(series: Series, path: Target, judged_s: float) -> float | None:

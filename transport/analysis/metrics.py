@@ -21,7 +21,7 @@ from transport.analysis.own_constraints import own_constraints
 from transport.analysis.series import Series
 from transport.analysis.spread import percentiles
 from transport.log.run_log import RunLog
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import messages
 
 _NS_PER_S = 1e9
@@ -64,7 +64,7 @@ def summarise(run: AnalysedRun) -> dict[str, Any]:
         "rejections": rejections(log),
         "solver": _solver(setup, reports),
         "faults": events(setup, log, control),
-        "targets": targets(setup, series),
+        "targets": targets(setup, series, log),
         "versions": _versions(log),
         "engine": log.header.get("engine", setup.scenario.plant.engine),
         "machine": log.header.get("machine", ""),

@@ -12,7 +12,7 @@ from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.mpc.program.softening import softened_problem
 from transport.mpc.program.user_expressions import UserConstraints, Variable
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Note
 
 # Largest violation that is rounding, in units of the expression.

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 
 from transport.log.run_log import RunLog
-from transport.protocol.scenario.link_changes import LinkChanges
-from transport.protocol.scenario.links import Link
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.links.link_changes import LinkChanges
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Airtime, LinkChange, StepReport
 from transport.protocol.wire.names import agent_name
 

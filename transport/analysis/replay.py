@@ -16,7 +16,7 @@ from transport.agent.node import AgentNode
 from transport.agent.user_class.user_planner import checked_controller
 from transport.analysis.replayed_processes import AgentProcess, in_order_of_need, processes_of
 from transport.log.run_log import RunLog
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import (
     Measurement,

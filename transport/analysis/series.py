@@ -12,10 +12,10 @@ from transport.log.run_log import RunLog
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.rotations import rotation
-from transport.protocol.scenario.contacts import Contact, first_contact
-from transport.protocol.scenario.faults import failures
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.stage_cost import StageCost
+from transport.protocol.scenario.faults.scripted_faults import failures
+from transport.protocol.scenario.setup.collisions import Contact, first_contact
+from transport.protocol.scenario.setup.cost_of_run import StageCost
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import PlantState, Target
 
 # End of the run in which the swing is measured, s: longer than the 3.6 s period of a pendulum of

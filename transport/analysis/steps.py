@@ -9,7 +9,7 @@ from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.plan_delays import plan_delays
 from transport.model import state
 from transport.model.arrays import Array
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import STAGES, StepReport
 
 # Columns with this ending are wall-clock times; all others are equal bit for bit in equal runs.

@@ -10,7 +10,7 @@ from typer import Option
 from transport.cli.options import RUNS
 from transport.cli.output import fail
 from transport.flight import live
-from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.key_expressions import Keys
 
 RunOption = Annotated[
     str | None,

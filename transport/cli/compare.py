@@ -11,7 +11,7 @@ from transport.cli.options import FiguresOption, FormatOption, complete_run, new
 from transport.cli.output import Format, blame, fail, rows, show
 from transport.flight.run_files import new_folder
 from transport.log.run_log import open_run
-from transport.protocol.scenario.whole_files import write_csv
+from transport.protocol.scenario.files.atomic_writing import write_csv
 from transport.report.compare import (
     Compared,
     Row,

@@ -9,7 +9,7 @@ from transport.cli.options import FormatOption, LargeOption, ScenarioOption, Set
 from transport.cli.output import Format, show
 from transport.deploy.inventory import read_inventory
 from transport.protocol.network.endpoints import process_names
-from transport.protocol.wire.keys import ROUTER
+from transport.protocol.wire.key_expressions import ROUTER
 
 
 def keys(
@@ -27,7 +27,7 @@ def keys(
 
     Example: transport deploy keys --out keys
     """
-    from transport.deploy.keys import LOOPBACK, OTHERS, make_certificates
+    from transport.deploy.certificates import LOOPBACK, OTHERS, make_certificates
 
     processes = process_names(read_setup(scenario, allow_large=True).scenario)
     names = [*processes, *OTHERS]

@@ -33,9 +33,9 @@ from transport.experiments.statistics import TITLE, WIDTH, PointStatistics, conc
 from transport.experiments.sweep import Results, Swept, sweep, write_markdown
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.run_files import machine
-from transport.protocol.scenario.budget import ADMITTED, most_workers
-from transport.protocol.scenario.file import find_scenario, read_scenario
-from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.sections.run_size import ADMITTED, most_workers
+from transport.protocol.scenario.sections.schema import Scenario
 
 # The four modules are imported for their effect: each declares its experiments in `EXPERIMENTS`.
 __all__ = [

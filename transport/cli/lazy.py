@@ -98,7 +98,7 @@ class Command(TyperCommand):
 
 def _blamed(error: Exception, settings: Sequence[str]) -> str:
     """Return the text of an error, which names the settings that caused it."""
-    from transport.protocol.scenario.errors import ScenarioError
+    from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 
     return str(error.blaming(settings) if isinstance(error, ScenarioError) else error)
 

@@ -17,7 +17,7 @@ from transport.cli.output import Format, fail
 from transport.flight.harness import Child, ToStart, start_children
 from transport.flight.run import simulate
 from transport.flight.run_files import new_folder
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
 from transport.viewer.process import ViewerBeside
 from transport.viewer.server import require_viser

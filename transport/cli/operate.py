@@ -19,14 +19,14 @@ from transport.flight.groups import split_groups
 from transport.flight.signals import take_interrupt
 from transport.protocol.network.endpoints import Endpoints, default_mesh, process_names, security_of
 from transport.protocol.network.session import BusError, Reach, ask
-from transport.protocol.scenario.errors import requested
-from transport.protocol.scenario.keys import key_of, meanings, unit_of
-from transport.protocol.scenario.link_changes import PERFECT
-from transport.protocol.scenario.link_sections import LinkSection
-from transport.protocol.scenario.maneuver_sections import TargetSection
-from transport.protocol.scenario.named_files import points_of
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.wire.keys import Keys
+from transport.protocol.scenario.files.named_files import points_of
+from transport.protocol.scenario.links.link_changes import PERFECT
+from transport.protocol.scenario.sections.link_sections import LinkSection
+from transport.protocol.scenario.sections.maneuver_sections import TargetSection
+from transport.protocol.scenario.sections.scenario_errors import requested
+from transport.protocol.scenario.sections.scenario_keys import key_of, meanings, unit_of
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.names import COORDINATOR, RECORDER
 
 # Numbers in the answer of a process to `health` (docs/protocol.md): name in Prometheus and

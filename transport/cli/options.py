@@ -13,8 +13,8 @@ from typer import Argument, Option
 from transport.cli.lazy import load
 from transport.cli.output import Format, fail
 from transport.cli.setting_words import complete_setting
-from transport.protocol.scenario.file import find_scenario, read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 
 # Runs are recorded here, and runs are looked for here, unless an option names another folder.
 RUNS = Path("runs")

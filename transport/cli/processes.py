@@ -41,13 +41,13 @@ from transport.protocol.network.endpoints import (
     process_names,
     security_of,
 )
+from transport.protocol.network.node_process import Journal, run_node, use_one_thread
 from transport.protocol.network.parent import wake_with_its_end
-from transport.protocol.network.process import Journal, run_node, use_one_thread
 from transport.protocol.network.steady_clock import wall_offset_ns
-from transport.protocol.scenario.built import kinds_of
-from transport.protocol.scenario.clock_section import LONGEST_WAIT_S
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.wire.keys import ROUTER, Keys
+from transport.protocol.scenario.sections.clock_section import LONGEST_WAIT_S
+from transport.protocol.scenario.setup.model_objects import kinds_of
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.wire.key_expressions import ROUTER, Keys
 from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER, agent_name, vehicle_name
 
 if TYPE_CHECKING:
@@ -249,7 +249,7 @@ def plant(options: ProcessOptions) -> None:
     else:
         from transport.plant.autopilot.node import PlayedPlant
         from transport.plant.autopilot.processes import Autopilots
-        from transport.protocol.scenario.vehicles_section import DEFAULT_VEHICLE_PORT
+        from transport.protocol.scenario.sections.vehicles_section import DEFAULT_VEHICLE_PORT
 
         port = setup.scenario.network.vehicle_port or DEFAULT_VEHICLE_PORT
         autopilots = Autopilots(setup, port)

@@ -20,8 +20,8 @@ from transport.flight.run_files import machine, versions
 from transport.flight.signals import leave_interrupts_to_python
 from transport.log.run_log import RecordedRun, open_run
 from transport.log.tables import INPUT_NAMES, RATE_NAMES
-from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.exit_codes import EXIT_DIFFERENT
 from transport.protocol.wire.messages import Measurement
 from transport.report.replay_figure import draw_replay

@@ -18,9 +18,9 @@ from transport.cli.processes import serve_processes
 from transport.flight.fork_server import fork_into_server
 from transport.mpc.settings import AloneGains
 from transport.protocol.network.endpoints import process_names
-from transport.protocol.scenario.acting_alone import lacks
-from transport.protocol.scenario.relations import after_the_end
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.checks.relations import after_the_end
+from transport.protocol.scenario.setup.acting_alone import lacks
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.names import COORDINATOR
 
 

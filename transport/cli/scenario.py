@@ -17,14 +17,14 @@ from transport.cli.output import Format, blame, fail, show
 from transport.flight.run_files import checked
 from transport.interface.scenario import Scenario
 from transport.model.state import INPUTS
-from transport.protocol.scenario.acting_alone import lacks
-from transport.protocol.scenario.budget import check_size, size_of
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.radio_settings import slot_lengths
-from transport.protocol.scenario.relations import after_the_end
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import FEWEST, MOST, Team, given_values
-from transport.protocol.scenario.whole_files import write_whole
+from transport.protocol.scenario.checks.relations import after_the_end
+from transport.protocol.scenario.files.atomic_writing import write_whole
+from transport.protocol.scenario.radio.radio_parameters import slot_lengths
+from transport.protocol.scenario.sections.run_size import check_size, size_of
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.setup.acting_alone import lacks
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.team_of_any_size import FEWEST, MOST, Team, given_values
 from transport.protocol.wire.exit_codes import EXIT_CHECK_FAILED
 from transport.report.laws import MOST_UAVS, in_words
 from transport.report.limits_in_words import explained, explained_in_words

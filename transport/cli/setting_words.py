@@ -96,8 +96,8 @@ def _keys(typed: list[str]) -> Iterator[tuple[str, Any]]:
 
     A list has the number that is typed there, 1 without any.
     """
-    from transport.protocol.scenario.keys import section_in
-    from transport.protocol.scenario.schema import Scenario
+    from transport.protocol.scenario.sections.scenario_keys import section_in
+    from transport.protocol.scenario.sections.schema import Scenario
 
     for parts, field in _below(Scenario, ()):
         if section_in(field.annotation) is None:
@@ -106,7 +106,7 @@ def _keys(typed: list[str]) -> Iterator[tuple[str, Any]]:
 
 def _below(section: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
     """Yield every key and section below a section by the parts of its dotted key."""
-    from transport.protocol.scenario.keys import names_of, section_in
+    from transport.protocol.scenario.sections.scenario_keys import names_of, section_in
 
     for key, name in names_of(section).items():
         field = section.model_fields[name]
@@ -146,8 +146,8 @@ def _choices(annotation: Any) -> list[str]:
 
 def _present(key: str, ctx: typer.Context) -> Iterator[str]:
     """Yield the value that a key has in the scenario of the command line; nothing without one."""
-    from transport.protocol.scenario.errors import ScenarioError
-    from transport.protocol.scenario.file import find_scenario, read_scenario
+    from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+    from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 
     # Before `--set` has its value, click leaves the words of the command unassigned.
     unassigned = [str(word) for word in ctx.args]

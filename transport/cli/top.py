@@ -19,8 +19,8 @@ from transport.flight import live
 from transport.log.run_log import LogTail, setup_of
 from transport.model.state import StateView
 from transport.plant.actuators import FAIL_SAFE
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.stage_cost import StageCost
+from transport.protocol.scenario.setup.cost_of_run import StageCost
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.protocol.wire.messages import (
     Control,

@@ -17,9 +17,9 @@ from transport.model import compiler, native
 from transport.model.compiled import compile_functions
 from transport.protocol.network.endpoints import Endpoints, default_mesh, process_names
 from transport.protocol.network.session import fetch_answer, open_session
-from transport.protocol.scenario.built import kinds_of
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.wire.keys import WATCHER, Keys
+from transport.protocol.scenario.setup.model_objects import kinds_of
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.wire.key_expressions import WATCHER, Keys
 from transport.protocol.wire.names import RECORDER
 
 # Wake-ups: how many are measured, and the latest that is no reason for a warning, ms.

@@ -16,9 +16,9 @@ from transport.experiments.cases import (
 )
 from transport.experiments.declaration import Experiment
 from transport.log.run_log import RunLog
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.file import find_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import find_scenario
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.setup.run_setup import Setup
 
 NAME = "arena"
 SEEDS = 3

@@ -6,9 +6,13 @@ from typing import Any
 
 from transport.experiments.cases import ExperimentError
 from transport.model.section import Section
-from transport.protocol.scenario.errors import ScenarioError, dotted_key, validated
-from transport.protocol.scenario.own_calls import OwnClassError, errors_of
-from transport.protocol.scenario.own_class import own_class, version_of
+from transport.protocol.scenario.sections.scenario_errors import (
+    ScenarioError,
+    dotted_key,
+    validated,
+)
+from transport.protocol.scenario.user_class.user_errors import OwnClassError, errors_of
+from transport.protocol.scenario.user_class.user_import import own_class, version_of
 from transport.protocol.wire.exit_codes import EXIT_SCENARIO
 
 # Keys of the controller that an entry may not set, as they make the task the same for all algorithms.

@@ -20,7 +20,7 @@ from transport.experiments.cases import Case
 from transport.experiments.statistics import COST_RATIO, PointStatistics
 from transport.experiments.sweep import Results, Simulate, Swept, markdown_of, sweep
 from transport.flight.run_files import machine, versions
-from transport.protocol.scenario.whole_files import write_whole
+from transport.protocol.scenario.files.atomic_writing import write_whole
 
 RESULTS = "arena.json"
 _MISSING = "-"

@@ -22,16 +22,16 @@ from transport.flight import memory
 from transport.flight.run_files import checked
 from transport.log.run_log import Recorded, RunLog
 from transport.plant.engines import engine_version
-from transport.protocol.scenario.budget import check_size
-from transport.protocol.scenario.file import (
+from transport.protocol.scenario.scenario_file import (
     ScenarioError,
     find_scenario,
     read_scenario,
     with_settings,
 )
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import Team, given_values, resized
+from transport.protocol.scenario.sections.run_size import check_size
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.team_of_any_size import Team, given_values, resized
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_USAGE
@@ -160,7 +160,7 @@ def cases_of(
 
     A deterministic point has one seed. The settings are applied before those of the points. Timed
     points have the numbers of `resource_use` and are all repeated. With `allow_large` runs may
-    exceed the limits of `protocol.scenario.budget`. Points that have been simulated before are not
+    exceed the limits of `protocol.scenario.sections.run_size`. Points that have been simulated before are not
     set up, which takes a second for a large team.
 
     Raises: ScenarioError: a point that cannot be simulated, naming file, field, expected, got.

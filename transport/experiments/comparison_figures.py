@@ -26,7 +26,7 @@ from transport.experiments.comparison import (
 )
 from transport.experiments.statistics import COST_RATIO
 from transport.experiments.sweep import Swept
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.column import Room, column_panels, head
 from transport.report.compare import fill_overlaid
 from transport.report.style import (

@@ -17,8 +17,8 @@ from transport.experiments.declaration import Experiment
 from transport.experiments.equal_terms import ranges, sentence
 from transport.experiments.statistics import COST_RATIO, Column, console_table
 from transport.experiments.sweep import Results, Simulate, Swept, sweep, write_markdown
-from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
-from transport.protocol.scenario.whole_files import write_csv
+from transport.protocol.scenario.files.atomic_writing import write_csv
+from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
 
 TITLE = (
     "paper: means of completed runs; ± 95 % confidence of the ratio to centralized, "

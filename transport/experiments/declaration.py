@@ -9,8 +9,15 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Self
 
 from transport.experiments.cases import Point
-from transport.protocol.scenario.keys import UNITS, ending_of, fields, key_of, short_names, unit_of
-from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.sections.scenario_keys import (
+    UNITS,
+    ending_of,
+    fields,
+    key_of,
+    short_names,
+    unit_of,
+)
+from transport.protocol.scenario.sections.schema import Scenario
 
 
 @dataclass(frozen=True, slots=True)

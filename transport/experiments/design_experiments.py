@@ -12,9 +12,9 @@ import numpy as np
 from transport.experiments.cases import Point, refused
 from transport.experiments.declaration import NONE, Values, declared
 from transport.experiments.network_experiments import NETWORKS
-from transport.protocol.scenario.file import ScenarioError, with_settings
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.team import given_values
+from transport.protocol.scenario.scenario_file import ScenarioError, with_settings
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.teams.team_of_any_size import given_values
 
 # Values of labels.
 AS_IT_IS = "as it is"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from transport.experiments.cases import Point, refused
 from transport.experiments.declaration import NONE, Values, declared
-from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.sections.schema import Scenario
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

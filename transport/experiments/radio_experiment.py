@@ -7,8 +7,8 @@ from typing import get_args
 
 from transport.experiments.cases import Point, check_names
 from transport.experiments.declaration import NONE, Values, declared
-from transport.protocol.radio.sends import Offsets
-from transport.protocol.radio.standard import OFDM
+from transport.protocol.radio.send_times import Offsets
+from transport.protocol.radio.standards_80211 import OFDM
 
 OFFSETS = get_args(Offsets)
 SHARING = ("always", "on_change")

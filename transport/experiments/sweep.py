@@ -28,7 +28,7 @@ from transport.experiments.figures import draw
 from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.flight.progress import ConsoleProgress, compile_models
 from transport.flight.run_files import machine
-from transport.protocol.scenario.whole_files import PARTIAL, Lines, write_csv, write_whole
+from transport.protocol.scenario.files.atomic_writing import PARTIAL, Lines, write_csv, write_whole
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_FAILED
 

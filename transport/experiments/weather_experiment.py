@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from transport.experiments.cases import Point, check_names, refused
 from transport.experiments.declaration import Values, declared
-from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.sections.schema import Scenario
 
 # Sensors of the vehicles: 1 cm, 2 cm/s, 0.5 deg, 1 deg/s, 0.3 m/s^2; and the estimate of forces.
 SENSORS = (

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
 from transport.experiments.cases import Case, ExperimentError, Result, refused, simulate
-from transport.protocol.scenario.budget import most_workers
+from transport.protocol.scenario.sections.run_size import most_workers
 from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
 
 Item = TypeVar("Item")

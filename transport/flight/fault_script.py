@@ -1,7 +1,7 @@
 """Faults of the processes of one run: those of its script, and those an operator asks for.
 
 A fault of the script is due at a tick, whatever the clock shows: kills and stops are acts of the
-processes themselves (`protocol.network.process`), this module brings processes back. The clock
+processes themselves (`protocol.network.node_process`), this module brings processes back. The clock
 decides in one case only. No tick opens while coordinator or plant is stopped, so the end of such a
 stop comes after a wait; no scenario time passes meanwhile.
 """
@@ -13,8 +13,8 @@ from typing import Any
 
 from transport.flight.harness import Child, Harness
 from transport.flight.recorder import Recorder
-from transport.protocol.scenario.faults import OF_PLANT, Fault
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.faults.scripted_faults import OF_PLANT, Fault
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.protocol.wire.messages import CONTINUED, FaultOrigin, Request
 from transport.protocol.wire.names import COORDINATOR, PLANT

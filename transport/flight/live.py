@@ -18,10 +18,10 @@ from transport.flight import registry
 from transport.model.arrays import Array
 from transport.protocol.network.security import Security
 from transport.protocol.network.session import Reach, ask
-from transport.protocol.scenario.link_changes import PERFECT
-from transport.protocol.scenario.whole_files import write_whole
+from transport.protocol.scenario.files.atomic_writing import write_whole
+from transport.protocol.scenario.links.link_changes import PERFECT
 from transport.protocol.wire.errors import TransportError
-from transport.protocol.wire.keys import ROUTER
+from transport.protocol.wire.key_expressions import ROUTER
 from transport.protocol.wire.names import COORDINATOR, RECORDER, agent_name
 
 _FILE = "live.json"

@@ -14,12 +14,12 @@ from transport.agent.node import AgentNode
 from transport.coordinator.node import CoordinatorNode
 from transport.flight.signals import check_interrupt
 from transport.plant.node import PlantNode
-from transport.protocol.scenario.faults import Fault, due
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.wire.keys import Keys, matches
+from transport.protocol.scenario.faults.scripted_faults import Fault, due
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.wire.key_expressions import Keys, matches
 from transport.protocol.wire.messages import Control, Message, Presence
 from transport.protocol.wire.names import COORDINATOR, PLANT
-from transport.protocol.wire.node import Node
+from transport.protocol.wire.node_interface import Node
 
 # Runs in several threads take turns: the number of BLAS threads, which decides the order of sums,
 # is the process's.

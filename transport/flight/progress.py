@@ -11,10 +11,10 @@ from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeR
 from transport.model.compiled import compile_functions, needs_compilation
 from transport.model.parameters import Kind
 from transport.model.state import StateView
-from transport.protocol.scenario.built import kinds_of
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.stage_cost import StageCost
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.setup.cost_of_run import StageCost
+from transport.protocol.scenario.setup.model_objects import kinds_of
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import PlantState
 
 # Period of the lines without a terminal, wall time, s.

@@ -17,14 +17,14 @@ from transport.protocol.admission.plausibility import check_plausible
 from transport.protocol.network.bus import Arrival, Bus, BusOptions, Interrupted, Left, Place
 from transport.protocol.network.session import BusError
 from transport.protocol.network.steady_clock import SteadyClock
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.targets import check_target
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.targets.target_messages import check_target
 from transport.protocol.wire import messages as wire
 from transport.protocol.wire.codec import Header, decode, encode
 from transport.protocol.wire.errors import MessageError
-from transport.protocol.wire.keys import RECORDER, Keys
+from transport.protocol.wire.key_expressions import RECORDER, Keys
 from transport.protocol.wire.names import COORDINATOR, agent_name
-from transport.protocol.wire.node import Outbox, end_without_coordinator
+from transport.protocol.wire.node_interface import Outbox, end_without_coordinator
 
 # Kinds of messages that the recorder reads; of the others it reads the header. One that is read is
 # recorded if it passes the gate, the others as they came.

@@ -38,10 +38,10 @@ from transport.protocol.network.bus import Place
 from transport.protocol.network.endpoints import Endpoints, mesh, process_names
 from transport.protocol.network.security import Security
 from transport.protocol.network.session import check_usable
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.vehicles_section import DEFAULT_VEHICLE_PORT
+from transport.protocol.scenario.sections.vehicles_section import DEFAULT_VEHICLE_PORT
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import exit_codes as codes
-from transport.protocol.wire.keys import RECORDER, Keys
+from transport.protocol.wire.key_expressions import RECORDER, Keys
 from transport.protocol.wire.names import COORDINATOR
 
 _ORDERLY_ENDS = {

@@ -21,10 +21,10 @@ from transport.log.run_log import LATEST, point_latest
 from transport.model import native
 from transport.plant.engines import checked_engine
 from transport.protocol.network.security import SHARED
-from transport.protocol.scenario.radio_settings import is_class
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.whole_files import write_whole
+from transport.protocol.scenario.files.atomic_writing import write_whole
+from transport.protocol.scenario.radio.radio_parameters import is_class
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.protocol.wire.names import PLANT, agent_name

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from transport.analysis.analysed_run import AnalysedRun
 from transport.interface.scenario import Scenario
 from transport.interface.settings import ArgumentError, Settings, ShortSettings
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.figures import FIGURES, fill
 from transport.report.laws import ACTUATIONS
 from transport.report.margins import HoverMargins, draw, hover_margins, rows

@@ -17,9 +17,9 @@ from transport.interface.run import Run
 from transport.interface.scenario import Scenario, path_phase
 from transport.interface.settings import ArgumentError, Settings, ShortSettings, plain
 from transport.log.run_log import Recorded, RunLog, open_run
-from transport.protocol.scenario.file import ScenarioError
-from transport.protocol.scenario.named_files import points_of
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.files.named_files import points_of
+from transport.protocol.scenario.scenario_file import ScenarioError
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
 from transport.protocol.wire.messages import Message, PlantState, Target

@@ -16,7 +16,7 @@ from transport.interface.series import RunSeries
 from transport.interface.settings import ArgumentError, import_pandas, printed
 from transport.log.run_log import RunLog
 from transport.log.writer import LogWriter
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.report import write_report
 from transport.report.summary_table import summary_table
 

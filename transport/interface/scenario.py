@@ -10,13 +10,13 @@ import tomli_w
 from pydantic import BaseModel
 
 from transport.interface.settings import ArgumentError, Settings, ShortSettings, key_of, settings_of
-from transport.protocol.scenario.errors import ScenarioError, hint
-from transport.protocol.scenario.file import find_scenario, read_tree, with_settings
-from transport.protocol.scenario.keys import names_of
-from transport.protocol.scenario.origins import Origin
-from transport.protocol.scenario.schema import Scenario as ValidatedScenario
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import Team, given_values, resized
+from transport.protocol.scenario.scenario_file import find_scenario, read_tree, with_settings
+from transport.protocol.scenario.sections.origins import Origin
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError, hint
+from transport.protocol.scenario.sections.scenario_keys import names_of
+from transport.protocol.scenario.sections.schema import Scenario as ValidatedScenario
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.team_of_any_size import Team, given_values, resized
 
 _LONGEST_RAMP_S = 3.0  # at the ends of a path with a flat reference
 
@@ -84,7 +84,7 @@ class Scenario(Section):
     >>> scenario.links.loss = 1.5
     Traceback (most recent call last):
         ...
-    transport.protocol.scenario.errors.ScenarioError: links.loss=1.5: expected less than or \
+    transport.protocol.scenario.sections.scenario_errors.ScenarioError: links.loss=1.5: expected less than or \
 equal to 1, got 1.5
     >>> scenario.links.loss
     0.0

@@ -7,9 +7,9 @@ from typing import Any, Literal, TypedDict
 import numpy as np
 from rich.console import Console, RenderableType
 
-from transport.protocol.scenario.errors import PythonSetting, hint
-from transport.protocol.scenario.keys import short_names
-from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.sections.scenario_errors import PythonSetting, hint
+from transport.protocol.scenario.sections.scenario_keys import short_names
+from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.wire.errors import TransportError
 
 Settings = Mapping[str, Any]

@@ -4,7 +4,7 @@ import html
 import threading
 
 from transport.log.run_log import RunLog
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.scene.scene import SceneBuilder
 from transport.viewer.viewer import Viewer
 

@@ -17,13 +17,13 @@ from mcap.exceptions import McapError
 
 from transport.log.parser import Parser
 from transport.protocol.admission.gate import Gate
-from transport.protocol.scenario.file import ScenarioError, read_scenario, validate
-from transport.protocol.scenario.radio_settings import PlanShape
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.radio.radio_parameters import PlanShape
+from transport.protocol.scenario.scenario_file import ScenarioError, read_scenario, validate
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import messages as wire
 from transport.protocol.wire.codec import VERSION, decode
 from transport.protocol.wire.errors import MessageError, TransportError
-from transport.protocol.wire.keys import RECORDER, Keys
+from transport.protocol.wire.key_expressions import RECORDER, Keys
 from transport.protocol.wire.messages import LinkChange, Message, Plan, Target
 from transport.protocol.wire.names import COORDINATOR
 

@@ -15,10 +15,10 @@ from matplotlib.textpath import text_to_path
 from matplotlib.transforms import ScaledTranslation
 
 from transport.log.run_log import RunLog
-from transport.protocol.scenario.clock_section import first_tick
-from transport.protocol.scenario.contacts import first_contact
-from transport.protocol.scenario.link_changes import scripted_changes
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.links.link_changes import scripted_changes
+from transport.protocol.scenario.sections.clock_section import first_tick
+from transport.protocol.scenario.setup.collisions import first_contact
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import PlantState
 from transport.report.style import COLUMN_IN, POINTS_PER_IN, SMALL, TEXT, shade_phases
 from transport.scene.history import RunHistory, merged

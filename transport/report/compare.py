@@ -14,7 +14,7 @@ from transport.analysis.metrics import summarise
 from transport.analysis.series import SWING_S, Series
 from transport.log.run_log import RecordedRun
 from transport.model.arrays import Array
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.column import Room, column_panels, head
 from transport.report.style import CURVES, RC, line_width, save, scale_cost, shade_phases
 from transport.report.summary_texts import HELD

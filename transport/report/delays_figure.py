@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from transport.analysis.plan_delays import first_uses, plan_delays
 from transport.analysis.series import Series
 from transport.log.run_log import RunLog
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.column import head
 from transport.report.curves import Panels
 from transport.scene.colours import uav_marker, uav_style

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from transport.analysis.estimates import estimates_of
 from transport.analysis.series import Series
 from transport.log.run_log import RunLog
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.column import head, widen
 from transport.report.curves import ANGLES, LEAST_DEG, LEAST_M, PLACES, Panels
 from transport.report.style import COMPONENTS

@@ -12,7 +12,7 @@ from transport.analysis.series import Series
 from transport.model.arrays import Array
 from transport.model.rotations import rotation
 from transport.model.state import StateView
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.column import draw_legend, legend_height_in
 from transport.report.drawn_parts import BRIGHTEST, UP, frame, line
 from transport.report.style import COLUMN_IN, PAYLOAD, REFERENCE

@@ -11,7 +11,7 @@ from transport.analysis.series import Series
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.state import INPUTS
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import StepReport
 from transport.report.column import head, limits, widen
 from transport.report.curves import (

@@ -14,8 +14,8 @@ from transport.mpc.margins.actual_plant import Mismatch
 from transport.mpc.margins.loop_of_uavs_alone import AloneLoop
 from transport.mpc.margins.sampled_loop import Loop, SampledLoop, margins
 from transport.mpc.reference import Sampled
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.setup.run_setup import Setup
 
 ACTUATIONS = ("immediate", "next_tick")
 _FEEDBACK = "closed_loop, riccati, exact"  # prediction, terminal and discretisation

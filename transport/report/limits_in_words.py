@@ -9,9 +9,13 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.model.curves import ORDERS
-from transport.protocol.scenario.checks import checked_instants, instant_in_words, phase_number
-from transport.protocol.scenario.feasibility import Extreme, extremes, teams_left
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.checks.feasibility import Extreme, extremes, teams_left
+from transport.protocol.scenario.checks.reference_limits import (
+    checked_instants,
+    instant_in_words,
+    phase_number,
+)
+from transport.protocol.scenario.setup.run_setup import Setup
 
 _PERCENT = 100.0
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from transport.mpc.margins.actual_plant import Mismatch
 from transport.mpc.margins.sampled_loop import FARTHEST, FARTHEST_S, Margin, SampledLoop, margins
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.laws import ACTUATIONS, alone_loops, check_feedback, team_loops
 from transport.report.style import COLUMN_IN, CURVES
 

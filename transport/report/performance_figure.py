@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 
 from transport.analysis.series import SWING_S, Series, swing_of
 from transport.log.run_log import RunLog
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.column import head, widen
 from transport.report.curves import (
     ANGLES,

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from transport.analysis.series import Series
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Airtime
 from transport.report.column import head
 from transport.report.curves import Panels

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from transport.analysis.comparison import Comparison
 from transport.model.arrays import Array
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.column import column_panels, finish, head
 from transport.report.style import COMPONENTS, RC, save
 

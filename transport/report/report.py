@@ -10,8 +10,8 @@ from transport.analysis.analysed_run import AnalysedRun, counted
 from transport.analysis.metrics import summarise
 from transport.analysis.steps import steps_columns, steps_rows
 from transport.log.run_log import RecordedRun, open_run
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.whole_files import write_csv, write_whole
+from transport.protocol.scenario.files.atomic_writing import write_csv, write_whole
+from transport.protocol.scenario.setup.run_setup import Setup
 
 # Kinds of files of figures.
 _ENDINGS = ("png", "svg", "pdf")

@@ -20,7 +20,7 @@ from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.rotations import rotation
 from transport.model.state import StateView
-from transport.protocol.scenario.whole_files import atomic_file
+from transport.protocol.scenario.files.atomic_writing import atomic_file
 from transport.report.ros2_markers import Fields, marker_fields, point_fields, pose_fields, stamped
 from transport.scene.bodies import INERTIAL
 from transport.scene.drawing import PAYLOAD, ROOT, UPSIDE_DOWN, Drawing, tree

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
 from matplotlib.transforms import ScaledTranslation
 
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.whole_files import atomic_file
+from transport.protocol.scenario.files.atomic_writing import atomic_file
+from transport.protocol.scenario.setup.run_setup import Setup
 
 # Width of every figure: a column of a paper (8.5 cm), inches.
 COLUMN_IN = 3.35

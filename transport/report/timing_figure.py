@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from transport.analysis.communication import rest_of_tick_ms
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import STAGES, StepReport
 from transport.report.column import CLOSE, Room, column_panels, head
 from transport.report.style import REFERENCE, label_decades, shade_phases

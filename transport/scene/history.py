@@ -4,9 +4,9 @@ import re
 from collections.abc import Iterable
 from itertools import groupby
 
-from transport.protocol.scenario.link_changes import words_of
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.targets import target_in_words
+from transport.protocol.scenario.links.link_changes import words_of
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.targets.target_messages import target_in_words
 from transport.protocol.wire.messages import (
     Airtime,
     Control,

@@ -17,7 +17,7 @@ from transport.mpc.law.present_law import Regulation
 from transport.mpc.program.feedback_law import FeedbackLaw
 from transport.mpc.program.rollout import Actuation, rollout
 from transport.mpc.reference import Sampled
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Plan, PlantState, StepReport
 from transport.scene.history import RunHistory
 

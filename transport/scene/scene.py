@@ -14,8 +14,8 @@ from transport.model.arrays import Array
 from transport.model.rotations import rotation
 from transport.model.state import INPUTS, StateView
 from transport.plant.actuators import FAIL_SAFE
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.stage_cost import StageCost
+from transport.protocol.scenario.setup.cost_of_run import StageCost
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import PlantState, StepReport
 from transport.scene.history import RunHistory
 from transport.scene.predictions import PredictedPaths, Predictions

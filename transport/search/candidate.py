@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.file import validate
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.team import FEWEST, Team, resized
+from transport.protocol.scenario.scenario_file import validate
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.teams.team_of_any_size import FEWEST, Team, resized
 from transport.search.events import Death, Event, Silence
 from transport.search.silent_links import changes_of_links
 

@@ -15,11 +15,11 @@ from transport.analysis.metrics import summarise
 from transport.flight.memory import simulate
 from transport.log.run_log import Recorded, RunLog
 from transport.model.state import StateView
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.faults import OF_PLANT
-from transport.protocol.scenario.file import validate
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.faults.scripted_faults import OF_PLANT
+from transport.protocol.scenario.scenario_file import validate
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, PlantState
 from transport.search.candidate import Base, Candidate
 from transport.search.objective import Objective

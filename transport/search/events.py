@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-from transport.protocol.scenario.drawn_team import put_drawn_vehicles
+from transport.protocol.scenario.teams.drawn_team import put_drawn_vehicles
 from transport.protocol.wire.names import PLANT
 
 Tree = dict[str, Any]

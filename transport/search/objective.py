@@ -7,8 +7,8 @@ from typing import Any, Literal, get_args
 
 from transport.analysis.events import TIME_DIGITS
 from transport.analysis.series import Series
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.sections.schema import Scenario
 
 Measure = Literal["attitude", "separation", "payload", "constraint", "cost"]
 MEASURES = get_args(Measure)

@@ -9,8 +9,8 @@ from rich.console import Console
 from transport.experiments.workers import Workers
 from transport.flight.progress import compile_models
 from transport.flight.run_files import checked
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.search.candidate import Base
 from transport.search.evaluation import Problem
 from transport.search.objective import Objective

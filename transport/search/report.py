@@ -17,9 +17,9 @@ from transport.flight.memory import simulate
 from transport.flight.run_files import machine
 from transport.log.run_log import Recorded, RunLog
 from transport.model.arrays import Array
-from transport.protocol.scenario.schema import LONGEST_NAME
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.whole_files import write_whole
+from transport.protocol.scenario.files.atomic_writing import write_whole
+from transport.protocol.scenario.sections.schema import LONGEST_NAME
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message
 from transport.report.column import column_panels
 from transport.report.style import RC, save

@@ -11,8 +11,8 @@ import orjson
 
 from transport.experiments.cases import ExperimentError, refused
 from transport.experiments.workers import Workers
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.whole_files import PARTIAL, Lines, write_whole
+from transport.protocol.scenario.files.atomic_writing import PARTIAL, Lines, write_whole
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.search.candidate import Candidate
 from transport.search.evaluation import REFUSED, Evaluation, Problem, Verdict
 from transport.search.optimiser import BATCH, Optimiser

@@ -3,8 +3,8 @@
 import math
 from collections.abc import Sequence
 
-from transport.protocol.scenario.links import Link
-from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.wire.names import agent_name
 from transport.search.events import Silence, Tree
 

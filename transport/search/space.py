@@ -12,9 +12,9 @@ from pydantic import AfterValidator, BeforeValidator
 
 from transport.model.arrays import Array
 from transport.model.section import NotNegative, Section
-from transport.protocol.scenario.errors import ScenarioError, validated
-from transport.protocol.scenario.file import read_tree
-from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.scenario_file import read_tree
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError, validated
+from transport.protocol.scenario.sections.schema import Scenario
 from transport.search.candidate import Candidate
 from transport.search.events import (
     Death,
@@ -122,7 +122,7 @@ class TargetsBounds(Section):
 
 
 class TeamBounds(Section):
-    """Vehicles and payload drawn at random (`protocol.scenario.drawn_team`)."""
+    """Vehicles and payload drawn at random (`protocol.scenario.teams.drawn_team`)."""
 
     seeds: Annotated[int, Interval(ge=1)] = 1000
     """teams to choose from"""

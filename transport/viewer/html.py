@@ -6,7 +6,7 @@ from html import escape
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.protocol.scenario.link_sections import LinkSection
+from transport.protocol.scenario.sections.link_sections import LinkSection
 from transport.scene.colours import DARK, age_colour, uav_colour
 from transport.scene.parts import Colour
 from transport.scene.scene import Air, Scene

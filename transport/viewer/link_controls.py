@@ -5,9 +5,9 @@ from typing import Any
 
 from transport.flight.groups import split_groups
 from transport.flight.live import Commands
-from transport.protocol.scenario.link_changes import LinkChanges
-from transport.protocol.scenario.link_sections import LinkSection
-from transport.protocol.scenario.links import Link
+from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.links.link_changes import LinkChanges
+from transport.protocol.scenario.sections.link_sections import LinkSection
 from transport.protocol.wire.messages import agent_name
 from transport.scene.history import RunHistory
 from transport.viewer import html

@@ -4,7 +4,7 @@ from functools import partial
 from typing import Any
 
 from transport.flight.live import Commands
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import agent_name
 from transport.viewer.widgets import from_browser
 

@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from transport.protocol.scenario.clock_section import first_tick
-from transport.protocol.scenario.link_changes import scripted_changes
+from transport.protocol.scenario.links.link_changes import scripted_changes
+from transport.protocol.scenario.sections.clock_section import first_tick
 from transport.scene.history import RunHistory, merged
 from transport.viewer.playback import Playback
 from transport.viewer.widgets import from_browser

@@ -9,7 +9,7 @@ from transport.agent.communication.announced_inputs import Silent, Untold
 from transport.model import state
 from transport.model.arrays import Array, padded
 from transport.mpc.alone.fail_safe import FailSafe
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 
 
 class Answers(Protocol):

@@ -42,7 +42,7 @@ from transport.model import motors, state
 from transport.model.arrays import Array
 from transport.model.discretisation import Discrete, zero_order_hold
 from transport.model.linearisation import Model
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 
 # Roll and pitch beyond which an estimate is that of no team in flight, rad: Euler angles become
 # singular. A variance that no measurement of a UAV's own sensors leaves, SI.

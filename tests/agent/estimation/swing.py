@@ -14,7 +14,7 @@ from transport.agent.estimation.filter.gain_reuse import MOST_TICKS
 from transport.agent.estimation.filter.team_filter import Sensed, TeamFilter
 from transport.model import state
 from transport.model.arrays import Array
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Measurement, Plan
 
 PERIOD_S = 0.05

@@ -18,7 +18,7 @@ from transport.agent.estimation.predicted_motion import Motion
 from transport.agent.estimation.state_estimator import StateEstimator
 from transport.model import state
 from transport.model.arrays import Array
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Measurement, Plan
 
 TICKS = 60

@@ -24,7 +24,7 @@ from transport.model.arrays import Array
 from transport.model.hover import hover
 from transport.model.parameters import table_1
 from transport.model.state import StateView
-from transport.protocol.scenario.setup import SensorSheet
+from transport.protocol.scenario.setup.run_setup import SensorSheet
 
 PERIOD_S = 0.05
 UNEQUAL = random_system(np.random.default_rng(5), 3)

@@ -20,7 +20,7 @@ from transport.model.hover import released_state
 from transport.model.linearisation import Model
 from transport.mpc.law.present_law import Regulation
 from transport.mpc.reference import Sampled
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Measurement, Plan
 
 TICKS = 40

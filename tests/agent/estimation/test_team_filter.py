@@ -15,7 +15,7 @@ from transport.agent.estimation.filter.team_filter import Period, TeamFilter
 from transport.agent.estimation.predicted_motion import STEPS
 from transport.model import state
 from transport.model.arrays import Array
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 
 DELAY = 4  # ticks
 # The filter's covariance takes the linearisation at the beginning of a period, the oracle the

@@ -3,9 +3,14 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from transport.protocol.radio.channel import Channel, ChannelCounts, ChannelParameters, ChannelState
 from transport.protocol.radio.frames import Frame, Outcome
-from transport.protocol.radio.standard import OFDM
+from transport.protocol.radio.medium_access import (
+    Channel,
+    ChannelCounts,
+    ChannelParameters,
+    ChannelState,
+)
+from transport.protocol.radio.standards_80211 import OFDM
 
 MS = 1_000_000
 NOISE_MW = 1e-9

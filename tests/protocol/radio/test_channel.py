@@ -16,9 +16,9 @@ from tests.protocol.radio.channels import (
     parameters,
     run,
 )
-from transport.protocol.radio.channel import Channel, ChannelState
 from transport.protocol.radio.frames import Frame, Outcome, Result
-from transport.protocol.radio.standard import OFDM
+from transport.protocol.radio.medium_access import Channel, ChannelState
+from transport.protocol.radio.standards_80211 import OFDM
 
 AIRTIME_NS = OFDM.message_airtime_ns(1500, 6.0)
 SECOND_NS = 1_000 * MS

@@ -10,7 +10,7 @@ import pytest
 
 from tests.protocol.radio.channels import equal_powers, parameters, run
 from transport.protocol.radio.frames import Frame, Result
-from transport.protocol.radio.standard import DSSS, OFDM, Standard
+from transport.protocol.radio.standards_80211 import DSSS, OFDM, Standard
 
 MESSAGE_BYTES = 1500
 # Bianchi's chain counts down in the slot of a transmission, too, and collisions end with DIFS.

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from transport.protocol.radio.sends import Offsets, SendTimes
+from transport.protocol.radio.send_times import Offsets, SendTimes
 
 MS = 1_000_000
 PERIOD_NS = 50 * MS

@@ -6,9 +6,9 @@ import pytest
 
 from tests.protocol.radio.channels import MS, equal_powers, parameters, run
 from transport.protocol.radio.frames import Frame
-from transport.protocol.radio.sends import SendTimes
-from transport.protocol.radio.slots import fewest_periods, frame_lengths, occupied_ns
-from transport.protocol.radio.standard import OFDM
+from transport.protocol.radio.send_times import SendTimes
+from transport.protocol.radio.slot_length import fewest_periods, frame_lengths, occupied_ns
+from transport.protocol.radio.standards_80211 import OFDM
 
 PERIOD_NS = 50 * MS
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from transport.protocol.radio.standard import DSSS, OFDM, OVERHEAD_BYTES, STANDARDS
+from transport.protocol.radio.standards_80211 import DSSS, OFDM, OVERHEAD_BYTES, STANDARDS
 
 US = 1_000
 

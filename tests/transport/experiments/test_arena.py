@@ -18,7 +18,7 @@ from transport.experiments.arena_tasks import NETWORK_TEXTS, NETWORKS, PERFECT, 
 from transport.experiments.cases import Case, ExperimentError
 from transport.model import state
 from transport.model.arrays import Array
-from transport.protocol.scenario.schema import ControllerSection
+from transport.protocol.scenario.sections.schema import ControllerSection
 
 # 0.6 s, long enough for costs that differ.
 SHORT = (

@@ -29,7 +29,7 @@ from transport.experiments.comparison_figures import draw_costs, draw_maneuver
 from transport.experiments.statistics import PointStatistics
 from transport.experiments.sweep import Swept
 from transport.model.arrays import Array
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.style import DIVERGED
 
 AGENTS = 4

@@ -18,9 +18,9 @@ from transport.cli.experiment import EXPERIMENTS
 from transport.experiments.cases import ExperimentError, Point, cases_of, is_random
 from transport.experiments.declaration import Experiment
 from transport.experiments.network_experiments import JITTER, NETWORKS
-from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
-from transport.protocol.scenario.links import Link
-from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
+from transport.protocol.scenario.sections.schema import Scenario
 
 TICKS = 3_000
 BOTH = ("paper", "resilient")

@@ -23,7 +23,7 @@ from transport.experiments.statistics import (
     statistics_of,
     table_of,
 )
-from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.report.style import COLUMN_IN, RC, SMALL
 
 BOTH = ("paper", "resilient")

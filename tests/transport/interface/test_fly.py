@@ -22,8 +22,8 @@ from tests.support.runs import recorded, reproducible
 from transport.interface.scenario import path_phase
 from transport.interface.series import QUANTITIES
 from transport.interface.settings import ArgumentError
-from transport.protocol.scenario.file import find_scenario, read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, Plan, PlantState
 from transport.report.style import RC, save
 

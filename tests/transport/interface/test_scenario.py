@@ -10,7 +10,7 @@ import pytest
 
 import transport
 from transport.interface.settings import settings_of
-from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 
 READY = sorted(path.stem for path in find_scenario("paper").parent.glob("*.toml"))
 

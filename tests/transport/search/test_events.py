@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.runs import SCENARIOS
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.file import read_scenario
-from transport.protocol.scenario.links import Link
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.scenario_file import read_scenario
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.search.candidate import Base, Candidate
 from transport.search.events import Death, Gusts, Links, Silence, TargetEvent
 from transport.search.space import KINDS, Bounds, Space, read_bounds

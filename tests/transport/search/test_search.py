@@ -24,9 +24,9 @@ from transport.interface.settings import ArgumentError, names_of
 from transport.interface.worst import Worst
 from transport.model import state
 from transport.model.arrays import Array
-from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.file import read_scenario
-from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.scenario_file import read_scenario
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.search.candidate import Base, Candidate
 from transport.search.evaluation import REFUSED, Evaluation, Problem, Verdict
 from transport.search.events import Death, Gusts, Silence

@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from tests.support.runs import SCENARIOS
-from transport.protocol.scenario.file import read_scenario
+from transport.protocol.scenario.scenario_file import read_scenario
 from transport.search.candidate import Base, Candidate
 from transport.search.evaluation import Evaluation, Problem, Verdict
 from transport.search.events import Death, Event, Gusts, Silence, TargetEvent

@@ -1,0 +1,1 @@
+"""Scripted faults of processes and UAVs, and the relations between them."""

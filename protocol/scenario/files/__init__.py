@@ -1,0 +1,1 @@
+"""Files: read within bounds, written whole, and those that a scenario names."""

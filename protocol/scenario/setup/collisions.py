@@ -1,0 +1,108 @@
+"""Contacts of two UAVs, each a sphere (`system.uav.radius_m`), by the states of the plant."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from transport.model.arrays import Array
+from transport.protocol.scenario.faults.scripted_faults import failures
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.wire.messages import PlantState
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contact:
+    """First moment at which the spheres of two UAVs touch."""
+
+    at_s: float
+    uavs: tuple[int, int]  # ids, 1-based
+    distance_m: float  # sum of the radii
+
+    @property
+    def text(self) -> str:
+        """Pair and distance in words."""
+        one, other = self.uavs
+        return f"UAV{one} and UAV{other} collide, {self.distance_m:g} m apart"
+
+
+class Contacts:
+    """First contact of a run, from its plant states tick by tick.
+
+    Between two ticks UAVs move along straight lines: one that passes through another within a sampling
+    period touches it. UAVs without a radius, and released ones, touch nothing.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self._model = setup.model
+        self._period_s = setup.settings.sampling_period_s
+        self._releases = [
+            (fault.tick, fault.uav) for fault in failures(setup.faults) if fault.do == "release"
+        ]
+        radii_m = [uav.radius_m or 0.0 for uav in setup.scenario.system.uav]  # 0: none
+        # Pairs, 0-based, and the distances at which they touch.
+        self._pairs_m = {
+            (i, j): radii_m[i] + radii_m[j]
+            for i, j in combinations(range(len(radii_m)), 2)
+            if radii_m[i] and radii_m[j]
+        }
+        self._before: tuple[int, Array] | None = None  # tick and positions, (N, 3)
+        self.first: Contact | None = None
+
+    def add(self, plant_state: PlantState) -> Contact | None:
+        """Take in the next state of the plant; return the first contact if it is between these two."""
+        if not self._pairs_m or self.first is not None:
+            return None
+        tick = plant_state.tick
+        N = self._model.system.N
+        r_I = self._model.outputs(plant_state.x)[: 3 * N].reshape(N, 3)
+        # Nothing is known across a gap in the record.
+        is_next = self._before is not None and self._before[0] == tick - 1
+        start_I = self._before[1] if is_next and self._before is not None else r_I
+        self._before = tick, r_I
+
+        released = {uav for since, uav in self._releases if since <= tick}
+        contacts = []
+        for (i, j), distance_m in self._pairs_m.items():
+            if not released & {i, j}:
+                share = _first_within(start_I[i] - start_I[j], r_I[i] - r_I[j], distance_m)
+                if share is not None:
+                    contacts.append((share, i, j))
+        if not contacts:
+            return None
+
+        share, i, j = min(contacts)
+        periods = tick - 1 + share if is_next else tick
+        self.first = Contact(
+            at_s=float(periods * self._period_s),
+            uavs=(i + 1, j + 1),
+            distance_m=self._pairs_m[i, j],
+        )
+        return self.first
+
+
+def first_contact(setup: Setup, states: Iterable[PlantState]) -> Contact | None:
+    """Return the first contact of a run from its plant states, ascending; None if there is none."""
+    contacts = Contacts(setup)
+    for plant_state in states:
+        contacts.add(plant_state)
+    return contacts.first
+
+
+def _first_within(start: Array, end: Array, distance: float) -> float | None:
+    """Return the first share s of the way at which |start + s (end - start)| <= distance, if any.
+
+    |start|^2 + 2 s start.way + s^2 |way|^2 = distance^2
+    """
+    way = end - start
+    a = float(way @ way)
+    b = float(start @ way)
+    c = float(start @ start) - distance**2
+    if c <= 0.0:
+        return 0.0
+    discriminant = b * b - a * c
+    if b >= 0.0 or discriminant < 0.0:
+        return None  # apart, and not coming closer than that
+    share = (-b - float(np.sqrt(discriminant))) / a
+    return share if share <= 1.0 else None

@@ -1,0 +1,1 @@
+"""Targets given during a run: their messages, and the timing of the way to them."""

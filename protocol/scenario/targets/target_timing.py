@@ -1,0 +1,382 @@
+"""Timing of a target given during a run: approach and way that the team can fly, or a refusal."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from transport.model.arrays import Array
+from transport.model.curves import ORDERS, Curve
+from transport.model.parameters import ParameterError, resting_height
+from transport.model.target import LOAD_S, Target
+from transport.protocol.scenario.checks.feasibility import (
+    ON_GROUND_M,
+    TeamLeft,
+    exceeded,
+    least_slowing,
+    teams_left,
+)
+from transport.protocol.scenario.checks.obstacle_margins import first_blocked
+from transport.protocol.scenario.sections.maneuver_sections import TargetSection
+from transport.protocol.scenario.sections.path_instants import (
+    WayPointError,
+    check_way_points,
+    curve_instants,
+    maneuver_instants,
+)
+from transport.protocol.scenario.sections.scenario_errors import RequestError
+from transport.protocol.scenario.targets.planned_run import PlannedRun
+
+# Largest speed where none is given: in flight, and on a way that ends on the ground.
+SPEED_MPS, DESCENT_MPS = 1.0, 0.5
+
+# Time of speeding up of an approach that is tried first, the factor from one to the next, and the
+# longest one.
+_SHORTEST_RAMP_S = 2.0
+_LONGER = 1.25
+_LONGEST_RAMP_S = 64.0 * _SHORTEST_RAMP_S
+
+# That of the curve through further points: as quick as the quickest approach, until the curve is
+# slowed as a whole.
+_WAY_RAMP_S = _SHORTEST_RAMP_S
+
+_ROUNDING_M = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Window:
+    """Time that is left for a target."""
+
+    since_s: float  # instant from which on the path changes
+    last_s: float  # last sampling instant of the run
+
+    def check(self, duration_s: float) -> None:
+        """Raise RequestError for a motion that does not end within it."""
+        ends_s = self.since_s + duration_s
+        if ends_s > self.last_s:
+            expected = f"expected a target before the end of the run at t = {self.last_s:.2f} s"
+            raise RequestError(f"{expected}, got {ends_s:.2f} s")
+
+
+def target_fields(setup: PlannedRun, section: TargetSection, tick: int) -> dict[str, Any]:
+    """Return the fields of the message for a target from a tick on.
+
+    The least duration is compared with the rest of the run before anything is sampled, and the work
+    depends on the numbers of way points and phases alone, whatever the distances, speeds and times.
+
+    Raises: RequestError: it cannot be flown.
+    """
+    period_s = setup.settings.sampling_period_s
+    window = Window(since_s=tick * period_s, last_s=(setup.ticks - 1) * period_s)
+    if section.land:
+        section = _with_landing(setup, section, window.since_s)
+    points_I = np.array(section.points_m)
+    handover_s = LOAD_S if section.land else 0.0
+
+    # What needs no sampling of the path.
+    _check_above_ground(setup, points_I, window.since_s)
+    _check_in_flight(setup, window.since_s)
+    least_s = _least_approach_s(setup, section, window) + _least_way_s(section)
+    window.check(least_s + handover_s)
+
+    # The fastest motion that keeps the limits of the team, within the time left.
+    approach = _approach(setup, section, window)
+    way = _way(setup, section, window) if len(points_I) > 1 else None
+    way_s = 0.0 if way is None else way.duration_s
+    window.check(approach.duration_s + way_s + handover_s)
+
+    # Between its points a curve may be deeper than they are.
+    if way is not None:
+        way_I = points_I[0] + way.path(curve_instants(way), 1)[0]
+        _check_above_ground(setup, way_I, window.since_s)
+
+    target = Target(since_s=window.since_s, point_I=points_I[0], approach=approach, way=way)
+    _check_formation(setup, target, window)
+    _check_obstacles(setup, target)
+    fields = _message_fields(tick, points_I, approach, way)
+    return {**fields, "lands": section.land, "to": _told(setup, section)}
+
+
+def _told(setup: PlannedRun, section: TargetSection) -> tuple[int, ...]:
+    """Return the agents that are told a target, ascending; none for all."""
+    agents = range(1, len(setup.scenario.owned) + 1)
+    strangers = [agent for agent in section.to if agent not in agents]
+    if strangers:
+        raise RequestError(f"to: expected agents 1 to {agents[-1]}, got {strangers[0]}")
+    if section.to and setup.scenario.has_vehicles:
+        raise RequestError("to: expected none with [vehicles]: their UAVs are told with all agents")
+    told = sorted(set(section.to))
+    return () if len(told) == len(agents) else tuple(told)
+
+
+def _with_landing(setup: PlannedRun, section: TargetSection, since_s: float) -> TargetSection:
+    """Return a target with the points of its landing: above the place, if one is given, and there.
+
+    Raises: RequestError: the payload is not above it.
+    """
+    here_I = setup.maneuver.path(np.array([since_s]))[0][0]
+    points = [*section.points_m]
+    x, y, z = points[-1] if points else here_I.tolist()
+    if section.land_at_m is not None:
+        x, y = section.land_at_m
+        points.append((x, y, z))
+
+    ground_m = setup.scenario.plant.ground_m
+    resting_m = resting_height(setup.system, 0.0 if ground_m is None else ground_m)
+    if z > resting_m - ON_GROUND_M:
+        expected = f"expected a payload above z = {resting_m:g} m, where it would rest"
+        raise RequestError(f"land: {expected}, got {z:g} m")
+    return section.model_copy(update={"points_m": [*points, (x, y, resting_m)]})
+
+
+def _check_formation(setup: PlannedRun, target: Target, window: Window) -> None:
+    """Check a way during which the formation changes, as it goes on after a target."""
+    if target.way is None or setup.scenario.maneuver.reference == "hover":
+        return
+    led = setup.maneuver.with_target(target)
+    duration_s = target.approach.duration_s + target.way.duration_s
+    path = led.jets(_between(maneuver_instants(led), window.since_s, duration_s))
+    if path.shape[-1] == 3:
+        return  # without a formation: the way itself has been checked
+    problem = _exceeded(path, _teams_flying(setup, window), setup)
+    if problem is not None:
+        raise RequestError(f"points_m: {problem}")
+
+
+def _message_fields(
+    tick: int, points_I: Array, approach: Curve, way: Curve | None
+) -> dict[str, Any]:
+    """Return the fields of `messages.Target` but its number and header."""
+    times_s = np.zeros(len(points_I))
+    if way is not None and way.times_s is not None:
+        times_s[1:] = way.times_s
+    return {
+        "tick": tick,
+        "points": points_I,
+        "times": times_s,
+        "approach_s": approach.duration_s,
+        "approach_ramp_s": approach.ramp_s,
+        "way_s": 0.0 if way is None else way.duration_s,
+        "way_ramp_s": 0.0 if way is None else way.ramp_s,
+    }
+
+
+def spline(
+    further_I: Array, duration_s: float, ramp_s: float, times_s: list[float] | None
+) -> Curve:
+    """Return the curve through points relative to the target, (k, 3), m, at times or a speed."""
+    return Curve(
+        kind="spline",
+        duration_s=duration_s,
+        ramp_s=ramp_s,
+        points_I=further_I.tolist(),
+        times_s=times_s,
+    )
+
+
+def straight(duration_s: float, ramp_s: float) -> Curve:
+    """Return the curve of length 1 whose share of the way is that of the target in the path."""
+    return Curve(kind=None, duration_s=duration_s, ramp_s=ramp_s, size_I=(1.0, 0.0, 0.0))
+
+
+def _ramped_s(length_m: float, speed_mps: float, ramp_s: float) -> float:
+    """Return the duration of a way with ramps at both ends and a largest speed, s."""
+    # A ramp covers half of what its time at full speed would: T = length / speed + ramp.
+    return max(length_m / speed_mps + ramp_s, 2.0 * ramp_s)
+
+
+def _approach_mps(section: TargetSection) -> float:
+    """Return the largest speed to the first point, m/s."""
+    usual_mps = DESCENT_MPS if section.land and len(section.points_m) == 1 else SPEED_MPS
+    return usual_mps if section.speed_mps is None else section.speed_mps
+
+
+def _way_mps(section: TargetSection) -> float:
+    """Return the largest speed through the further points, m/s."""
+    usual_mps = DESCENT_MPS if section.land else SPEED_MPS
+    return usual_mps if section.speed_mps is None else section.speed_mps
+
+
+def _least_approach_s(setup: PlannedRun, section: TargetSection, window: Window) -> float:
+    """Return the duration of the approach with the shortest ramps that are tried, s."""
+    distance_m = _approach_m(setup, np.array(section.points_m[0]), window)
+    return _ramped_s(distance_m, _approach_mps(section), _SHORTEST_RAMP_S)
+
+
+def _least_way_s(section: TargetSection) -> float:
+    """Return the least duration of the way through further points, s.
+
+    A spline is no shorter than the distances between its points.
+    """
+    if section.times_s is not None:
+        return section.times_s[-1] - section.times_s[0]
+    if len(section.points_m) == 1:
+        return 0.0
+
+    steps_I = np.diff(np.array(section.points_m), axis=0)
+    length_m = float(np.linalg.norm(steps_I, axis=1).sum())
+    return _ramped_s(length_m, _way_mps(section), _WAY_RAMP_S)
+
+
+def _approach_m(setup: PlannedRun, point_I: Array, window: Window) -> float:
+    """Return the larger distance of a target from the path now and from its end, m."""
+    # r + s (p - r), (75), adds the speed s' |p - r|. On a straight rest of the path |p - r| is largest
+    # at one of its ends. On a curve the larger of both is an estimate: the limits are checked along
+    # the approach itself.
+    now_and_end_s = np.array([window.since_s, setup.maneuver.duration_s])
+    r_I = setup.maneuver.path(now_and_end_s)[0]
+    return max(float(np.linalg.norm(point_I - one_I)) for one_I in r_I)
+
+
+def _approach(setup: PlannedRun, section: TargetSection, window: Window) -> Curve:
+    """Return the approach of a target: the fastest of those tried that keeps the limits."""
+    point_I = np.array(section.points_m[0])
+    distance_m = _approach_m(setup, point_I, window)
+    teams = _teams_flying(setup, window)
+
+    ramp_s = _SHORTEST_RAMP_S
+    problem: str | None = None
+    while ramp_s <= _LONGEST_RAMP_S:
+        approach = straight(_ramped_s(distance_m, _approach_mps(section), ramp_s), ramp_s)
+        # The first one has been checked in `target_fields`; each later one is longer.
+        if problem is not None:
+            window.check(approach.duration_s)
+
+        path = _approach_path(setup, approach, point_I, window)
+        problem = _exceeded(path, teams, setup)
+        if problem is None:
+            return approach
+        ramp_s *= _LONGER
+    raise RequestError(f"points_m: {problem}")
+
+
+def _approach_path(setup: PlannedRun, approach: Curve, point_I: Array, window: Window) -> Array:
+    """Return the jets of the path during an approach, (7, k, 3), or (7, k, 5) with a formation."""
+    instants_s = curve_instants(approach)
+    if setup.scenario.maneuver.reference == "hover":
+        # A hover reference carries no accelerations: the target's motion is judged as from rest, here.
+        here_I = setup.maneuver.path(np.array([window.since_s]))[0][0]
+        return np.asarray(approach.covered(instants_s, ORDERS)[..., None] * (point_I - here_I))
+
+    target = Target(since_s=window.since_s, point_I=point_I, approach=approach)
+    led = setup.maneuver.with_target(target)
+    return led.jets(_between(maneuver_instants(led), window.since_s, approach.duration_s))
+
+
+def _way(setup: PlannedRun, section: TargetSection, window: Window) -> Curve:
+    """Return the curve through further way points, as fast as given, or as feasible."""
+    way = _way_as_given(section)
+    path = way.path(curve_instants(way))
+    teams = _teams_flying(setup, window)
+    problem = _exceeded(path, teams, setup)
+    if problem is None:
+        return way
+
+    factors = [least_slowing(path, team, setup.settings) for team in teams]
+    if None in factors:
+        raise RequestError(f"points_m: {problem}")
+    factor = max(factor for factor in factors if factor is not None)
+    if section.times_s is not None:
+        raise RequestError(f"times_s: {problem}; feasible in {factor:.3f} times the time")
+    if section.speed_mps is not None:
+        raise RequestError(f"speed_mps: {problem}; feasible in {factor:.3f} times the time")
+    return replace(way, duration_s=factor * way.duration_s, ramp_s=factor * way.ramp_s)
+
+
+def _teams_flying(setup: PlannedRun, window: Window) -> list[TeamLeft]:
+    """Return the team that flies when a target is given, and those after later releases.
+
+    Whether a release falls within the motion depends on its duration, which is still sought, so the
+    limits of each team that is left count for all of the motion.
+
+    Raises: RequestError: UAVs that are left cannot hover.
+    """
+    try:
+        teams = list(teams_left(setup.system, setup.hover, setup.faults))
+    except ParameterError as error:
+        raise RequestError(str(error)) from error
+    tick = round(window.since_s / setup.settings.sampling_period_s)
+    first = max(number for number, team in enumerate(teams) if team.tick <= tick)
+    return teams[first:]
+
+
+def _exceeded(path: Array, teams: list[TeamLeft], setup: PlannedRun) -> str | None:
+    """Return the first limit that one of the teams exceeds along a path, in words."""
+    problems = (exceeded(path, team, setup.settings) for team in teams)
+    return next((problem for problem in problems if problem is not None), None)
+
+
+def _way_as_given(section: TargetSection) -> Curve:
+    """Return the curve through the way points after the first, not slowed."""
+    points_I = np.array(section.points_m)
+    further_I = points_I[1:] - points_I[0]
+    try:
+        if section.times_s is not None:
+            times_s = [time_s - section.times_s[0] for time_s in section.times_s[1:]]
+            ramp_s = min(_WAY_RAMP_S, times_s[-1] / 2.0)
+            way = spline(further_I, times_s[-1], ramp_s, times_s)
+            check_way_points(way)
+            return way
+
+        # Largest speed = max |p'| s', with s' = 1 / (T - t_r) in cruise: T = max |p'| / v + t_r, (65).
+        shape = spline(further_I, 2.0 * _WAY_RAMP_S, _WAY_RAMP_S, None)  # with any timing
+        check_way_points(shape)
+        duration_s = _ramped_s(shape.fastest(), _way_mps(section), _WAY_RAMP_S)
+        return replace(shape, duration_s=duration_s)
+    except WayPointError as error:
+        raise RequestError(str(error)) from error
+
+
+def _check_above_ground(setup: PlannedRun, points_I: Array, since_s: float) -> None:
+    """Check that points are above the lowest place of the payload."""
+    lowest_m = _lowest_m(setup, since_s)
+    deepest_m = points_I[:, 2].max()
+    if deepest_m > lowest_m + _ROUNDING_M:
+        expected = f"expected z (down) of at most {lowest_m:g} m"
+        raise RequestError(f"points_m: {expected}, got {deepest_m:g}")
+
+
+def _check_in_flight(setup: PlannedRun, since_s: float) -> None:
+    """Check that the payload is not on the ground, and neither takes off nor lands."""
+    if setup.scenario.plant.ground_m is None:
+        return
+    here_I = setup.maneuver.path(np.array([since_s]))[0][0]
+    phase = setup.maneuver.phase_at(since_s)
+    is_vertical = phase.kind in ("take_off", "land")
+    if is_vertical or here_I[2] > _lowest_m(setup, since_s) - ON_GROUND_M:
+        raise RequestError(
+            f"expected a payload in flight, got phase {phase.name!r} at t = {since_s:.2f} s"
+        )
+
+
+def _lowest_m(setup: PlannedRun, since_s: float) -> float:
+    """Return the largest z (down) of the payload, m.
+
+    At rest on the ground; without one z = 0, or as low as the path was at its start or is now.
+    """
+    ground_m = setup.scenario.plant.ground_m
+    if ground_m is not None:
+        return resting_height(setup.system, ground_m)
+    start_I, here_I = setup.maneuver.path(np.array([0.0, since_s]))[0]
+    return max(0.0, float(start_I[2]), float(here_I[2]))
+
+
+def _check_obstacles(setup: PlannedRun, target: Target) -> None:
+    """Check that the way to a target and through its points keeps the margins of obstacles."""
+    if not setup.obstacles:
+        return
+
+    led = setup.with_target(target)
+    instants_s = _between(
+        maneuver_instants(led.maneuver), target.since_s, target.ends_s - target.since_s
+    )
+    blocked = first_blocked(setup.system, setup.obstacles, led.reference.states, instants_s)
+    if blocked is not None:
+        raise RequestError(f"points_m: {blocked[1]}")
+
+
+def _between(instants_s: Array, since_s: float, duration_s: float) -> Array:
+    """Return the instants within a duration from a time on, with its ends, s, rising."""
+    until_s = since_s + duration_s
+    inside = (instants_s > since_s) & (instants_s < until_s)
+    return np.array([since_s, *instants_s[inside], until_s])

@@ -1,0 +1,1 @@
+"""Teams that no file describes: of any size by a ring, or drawn at random."""
