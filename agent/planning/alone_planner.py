@@ -18,7 +18,7 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.mpc.alone.alone_law import steps_alone
 from transport.mpc.alone.motion_by_own_sensors import OwnSensors
-from transport.mpc.alone.uav_motion import Motion, ahead, motion_of, turned_by_inputs
+from transport.mpc.alone.uav_motion import Motion, ahead, motion_of
 from transport.mpc.law.laws_of_uavs_alone import AloneTeam
 from transport.mpc.law.present_law import Regulation
 from transport.protocol.scenario.setup.run_setup import Setup
@@ -224,8 +224,8 @@ class AlonePlanner:
             motion = ahead(motion_of(system, uav, x), tick, start, reference, period_s)
         if start == tick:
             return motion
-        driven = before[state.input_slice(i)][1:] - self._team.setpoint(uav, tick).turning
-        return turned_by_inputs(motion, reference(start), system, uav, driven, period_s)
+        here, inputs = self._team.setpoint(uav, tick), before[state.input_slice(i)]
+        return self._team.law(uav).driven(motion, here, reference(start), inputs, period_s)
 
     def _reference(self, uav: int) -> Callable[[int], Motion]:
         return lambda tick: self._team.setpoint(uav, tick).motion

@@ -12,7 +12,7 @@ from transport.model.arrays import Array
 from transport.model.rotations import rotation
 from transport.mpc.alone.alone_law import steps_alone
 from transport.mpc.alone.motion_by_own_sensors import OwnSensors
-from transport.mpc.alone.uav_motion import Motion, ahead, motion_of, turned_by_inputs
+from transport.mpc.alone.uav_motion import Motion, ahead, motion_of
 from transport.mpc.program.prediction import Linear
 from transport.protocol.scenario.setup.run_setup import Setup
 
@@ -105,8 +105,8 @@ class HandOver:
         if start == k:
             return motion
         before = linear.u0[state.input_slice(uav)]
-        driven = before[1:] - self._team.alone(uav, k)[1].turning
-        return turned_by_inputs(motion, reference(start), system, uav, driven, self._period_s)
+        law, here = self._team.alone(uav, k)
+        return law.driven(motion, here, reference(start), before, self._period_s)
 
     def _by_sensors(
         self,
@@ -118,7 +118,7 @@ class HandOver:
     ) -> Motion | None:
         """Return the motion at tick `start` by the vehicle's sensors, observed to tick k.
 
-        The turn by the inputs until then is left out. None without all measurements of tick k.
+        What the inputs until then do is left out. None without all measurements of tick k.
         """
         since = k
         if uav not in self._sensors:

@@ -6,6 +6,7 @@ Source: docs/equations.md (31a)-(31c), (31g).
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -34,6 +35,9 @@ _OUTER = 0.5
 # about the vertical is small: an error of half a turn asks for no more than there is.
 _HEADING = 0.08
 _DOWN_I = np.array([0.0, 0.0, 1.0])  # the thrust of a level UAV is against it
+# Roll, pitch and yaw by a force of a thrust of 1 N, inertial frame, about hover, and that force by the angles.
+_TILT_BY_PULL = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+_PULL_BY_TILT = _TILT_BY_PULL.T
 # Time that a plan covers, s: at 20 Hz it outlasts three lost plans in a row. Moments that are held for
 # longer than 0.21 s, 1 over damping ratio and frequency of the attitude loop, tip the UAV, as nothing
 # predicts its feedback.
@@ -191,11 +195,40 @@ class AloneLaw:
         slopes: Array = -self._swing * (self._by_force() @ level)
         return slopes
 
-    def by_inputs_before(self, period_s: float) -> tuple[Array, Array]:
-        """Return how `inputs` answer, as they act a period later, to those in force until then: (31e).
+    def driven(
+        self, motion: Motion, here: Setpoint, there: Motion, inputs: Array, duration_s: float
+    ) -> Motion:
+        """Return a motion `ahead` by a time, s, with what the inputs in force until then do: (31h).
 
-        By these inputs, (4, 4), and by the own body rates, (4, 3), of which a constant rate is taken
-        already.
+        They turn the UAV, and their thrust moves it, in the direction of half that time. The force of the rod
+        stays that of the reference.
+
+        Args:
+            motion: Motion at the end of that time, with constant rates.
+            here: Setpoint at its begin.
+            there: Reference at its end.
+            inputs: Inputs in force, (4,), N and N m or rad/s.
+            duration_s: That time.
+        """
+        omega_B = motion.omega_B - there.omega_B
+        by_driven, by_rates = turn_by_inputs(self._system, self._uav, duration_s)
+        turn = by_driven @ (inputs[1:] - here.turning) + by_rates @ omega_B
+
+        half_way = here.motion.Theta + motion.Theta - there.Theta - 0.5 * duration_s * omega_B
+        force_I = -inputs[0] * rotation(half_way)[:, 2]
+        faster_I = duration_s / self._system.uavs[self._uav].mass * (force_I - here.force_I)
+        return replace(
+            motion,
+            velocity_I=motion.velocity_I + faster_I,
+            Theta=motion.Theta + turn[:3],
+            omega_B=motion.omega_B + turn[3:],
+        )
+
+    def by_inputs_before(self, period_s: float) -> tuple[Array, Array, Array]:
+        """Return how `inputs` answer, as they act a period later, to those in force until then: (31h).
+
+        By these inputs, (4, 4), and by the own attitude in that period, (4, 3), and body rates, (4, 3), of
+        which a constant rate is taken already.
         """
         by_turning, by_rates = turn_by_inputs(self._system, self._uav, period_s)
         answer = np.hstack([-self._stiffness, -self._damping])
@@ -203,7 +236,13 @@ class AloneLaw:
         before[1:, 1:] = answer @ by_turning
         rates = np.zeros((state.INPUTS, 3))
         rates[1:] = answer @ by_rates
-        return before, rates
+
+        # The thrust in force, and the tilt of the hover thrust, change the velocity.
+        faster = period_s / self._system.uavs[self._uav].mass
+        by_velocity = self.by_sensors()[:, state.VELOCITY]
+        before[:, 0] = by_velocity @ (-faster * _DOWN_I)
+        attitude = faster * self._hover_N * by_velocity @ _PULL_BY_TILT
+        return before, attitude, rates
 
     def by_sensors(self) -> Array:
         """Return the derivative of `inputs` about hover by the own sensors, (4, 15), but for the swing: (31c).
@@ -237,5 +276,5 @@ class AloneLaw:
         The thrust grows with a force upwards, z down. A force forwards pitches the UAV down, one to the
         right rolls it, by the angle at which the hover thrust has it.
         """
-        attitude = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) / self._hover_N
+        attitude = _TILT_BY_PULL / self._hover_N
         return np.vstack([-_DOWN_I, self._stiffness @ attitude])

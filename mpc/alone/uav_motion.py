@@ -1,7 +1,7 @@
 """The motion of one UAV, as its own sensors can show it, and the setpoint that a UAV alone follows."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -106,19 +106,6 @@ def turn_by_inputs(system: System, uav: int, duration_s: float) -> tuple[Array, 
     decayed = 1.0 - np.exp(-system.rate_gains * duration_s)
     turn = np.vstack([np.diag(duration_s - decayed / system.rate_gains), np.diag(decayed)])
     return turn, -turn
-
-
-def turned_by_inputs(
-    motion: Motion, there: Motion, system: System, uav: int, driven: Array, duration_s: float
-) -> Motion:
-    """Return a motion `ahead` by a time, s, with the turn by the inputs in force until then: (31e).
-
-    `there` is the reference at that time, `driven` the deviation of moments, or of commanded body rates,
-    from those of the reference, (3,).
-    """
-    by_driven, by_rates = turn_by_inputs(system, uav, duration_s)
-    turn = by_driven @ driven + by_rates @ (motion.omega_B - there.omega_B)
-    return replace(motion, Theta=motion.Theta + turn[:3], omega_B=motion.omega_B + turn[3:])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

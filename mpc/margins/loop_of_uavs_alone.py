@@ -75,15 +75,18 @@ class AloneLoop(SampledLoop):
         sensed += [T_own[state.THETA], T_own[state.OMEGA]]
 
         # Deviations of position and attitude go on at their rates to the time at which inputs act.
-        moving_s, turning_s = self._moving_s, self.period_s * (self._ahead + self._ages[2])
+        turning_s = self.period_s * (self._ahead + self._ages[2])
         by_sensors = law.by_sensors()
         by_position = by_sensors[:, state.POSITION]
         by_attitude = by_sensors[:, state.THETA]
-        by_velocity = by_sensors[:, state.VELOCITY] + moving_s * by_position
+        by_velocity = by_sensors[:, state.VELOCITY] + self._moving_s * by_position
         by_rates = by_sensors[:, state.OMEGA] + turning_s * by_attitude
         if self._ahead:
-            self._by_before[own_inputs, own_inputs], further = law.by_inputs_before(self.period_s)
-            by_rates = by_rates + further
+            before, tilted, turned = law.by_inputs_before(self.period_s)
+            self._by_before[own_inputs, own_inputs] = before
+            half_way_s = turning_s - 0.5 * self.period_s
+            by_attitude = by_attitude + tilted
+            by_rates = by_rates + turned + half_way_s * tilted
         for i, slope in enumerate([by_position, by_velocity, by_attitude, by_rates]):
             self._by_motion[i, own_inputs] = slope @ sensed[i]
 

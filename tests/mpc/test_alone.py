@@ -115,6 +115,49 @@ def test_its_derivative_by_the_sensors() -> None:
     np.testing.assert_allclose(slopes, law.by_sensors(), atol=SLOPE_TOLERANCE)
 
 
+@pytest.mark.parametrize("system", [SYSTEM, RATES])
+def test_its_derivative_by_the_inputs_in_force(system: System) -> None:
+    """Differences about hover of what acts a period later: by inputs, attitude and body rates at its begin, (31h)."""
+    law = AloneLaw(system, UAV, float(AT_REST.u[4 * UAV]))
+    setpoint = setpoint_of(system, UAV, AT_REST.x, AT_REST.u)
+    before, attitude, rates = law.by_inputs_before(PERIOD_S)
+
+    def inputs(dz: Array) -> Array:
+        dTheta, domega, du = dz[:3], dz[3:6], dz[6:]
+        Theta = setpoint.motion.Theta + dTheta + PERIOD_S * domega
+        turned = replace(setpoint.motion, Theta=Theta, omega_B=setpoint.motion.omega_B + domega)
+        in_force = setpoint.inputs + du
+        moved = law.driven(turned, setpoint, setpoint.motion, in_force, PERIOD_S)
+        return law.inputs(moved, setpoint)
+
+    steps = STEP * np.eye(6 + state.INPUTS)
+    slopes = np.array([(inputs(step) - inputs(-step)) / (2.0 * STEP) for step in steps]).T
+    by_sensors = law.by_sensors()
+    by_attitude = by_sensors[:, state.THETA] + attitude
+    by_rates = by_sensors[:, state.OMEGA] + PERIOD_S * by_sensors[:, state.THETA]
+    by_rates = by_rates + rates + 0.5 * PERIOD_S * attitude
+    expected = np.hstack([by_attitude, by_rates, before])
+    np.testing.assert_allclose(slopes, expected, atol=SLOPE_TOLERANCE)
+
+
+def test_thrust_in_force_moves_a_uav() -> None:
+    """A UAV that leans, and pulls by more than its share, is faster a period later by that force, (31h)."""
+    law = AloneLaw(SYSTEM, UAV, float(AT_REST.u[4 * UAV]))
+    setpoint = setpoint_of(SYSTEM, UAV, AT_REST.x, AT_REST.u)
+    pitch_rad, more_N = 0.1, 2.0
+    leaning = replace(
+        setpoint.motion, Theta=setpoint.motion.Theta + np.array([0.0, pitch_rad, 0.0])
+    )
+    in_force = setpoint.inputs + np.array([more_N, 0.0, 0.0, 0.0])
+    moved = law.driven(leaning, setpoint, setpoint.motion, in_force, PERIOD_S)
+
+    hover_N = setpoint.inputs[0]
+    forwards_N = -(hover_N + more_N) * np.sin(pitch_rad)
+    down_N = hover_N - (hover_N + more_N) * np.cos(pitch_rad)
+    faster_mps = PERIOD_S / SYSTEM.uavs[UAV].mass * np.array([forwards_N, 0.0, down_N])
+    np.testing.assert_allclose(moved.velocity_I, faster_mps, atol=SLOPE_TOLERANCE)
+
+
 @pytest.mark.parametrize("name", ["precise", "eight"])
 def test_on_the_reference_its_inputs_are_those_of_the_reference(name: str) -> None:
     """At hover and along a flat reference, thrust and moments or body rates are those that fly it."""

@@ -37,7 +37,7 @@ READY = (
 )
 DRAWN = range(13)  # `python -m benchmarks.teams --margins` has sixty
 LARGE = 12  # a drawn team of eight
-SOFT = 57  # needs the soft family
+SOFT = 7042  # needs the soft family
 UNHELD = 9032  # decays, without margins
 
 
