@@ -8,7 +8,7 @@ a mean of ratios would weigh a seed by how little it errs without silence.
 
 One line for each case, `--runs` for each run; `--case TEXT` selects cases. `--kept FOLDER` keeps the
 runs of these sources, and flies only those not kept there; `--write` renews the table in
-docs/guarantees.md, with the number of seeds of each row.
+docs/guarantees.md, with the number of seeds of each row, or with `--case` its rows of those cases.
 """
 
 import argparse
@@ -25,7 +25,7 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks.runs import origin
-from docs.tables import FLOWN, ROOT, put, table
+from docs.tables import FLOWN, ROOT, place, put, table
 from transport.flight.memory import simulate
 from transport.flight.progress import compile_models
 from transport.model.arrays import Array
@@ -401,14 +401,20 @@ def said(case: Case, result: Result) -> str:
     return f"{case.name}: " + ", ".join(f"{heading} {cell}" for heading, cell in named)
 
 
-def write(results: Sequence[tuple[Case, Result]]) -> None:
-    """Renew the table in docs/guarantees.md."""
-    rows = [[case.name, *_cells(result)] for case, result in results if result.runs]
-    put(
-        ROOT / "docs" / "guarantees.md",
-        "bench: silence",
-        f"{table(HEADINGS, rows)}\n\n*{origin()}.*",
-    )
+def write(results: Sequence[tuple[Case, Result]], *, only: str) -> None:
+    """Renew the table in docs/guarantees.md; with `only` the rows whose names contain that text."""
+    document = ROOT / "docs" / "guarantees.md"
+    renewed = {case.name: [case.name, *_cells(result)] for case, result in results if result.runs}
+    source = origin()
+    if only:
+        whole, _, earlier = place(document, "bench: silence").group().partition("\n\n")
+        for line in whole.splitlines()[2:]:
+            cells = line.strip("| ").split(" | ")
+            renewed.setdefault(cells[0], cells)
+        of_others = earlier.strip("*.").split("; rows with ")[0]
+        source = f"{of_others}; rows with {only!r}: {source}"
+    rows = [renewed[case.name] for case in cases() if case.name in renewed]
+    put(document, "bench: silence", f"{table(HEADINGS, rows)}\n\n*{source}.*")
 
 
 def main(given: Sequence[str] | None = None) -> None:
@@ -422,8 +428,8 @@ def main(given: Sequence[str] | None = None) -> None:
     parser.add_argument("--no-fly", action="store_true", help="count kept runs alone")
     parser.add_argument("--write", action="store_true", help="renew the table of the page")
     options = parser.parse_args(given)
-    if options.write and (options.case or options.no_fly):
-        parser.error("--write: expected neither --case nor --no-fly, as it renews the whole table")
+    if options.write and options.no_fly:
+        parser.error("--write: expected no --no-fly, as it renews rows whole")
     seeds = range(options.first, options.first + options.seeds)
     kept = Kept(options.kept, is_flying=not options.no_fly)
     results = []
@@ -435,7 +441,7 @@ def main(given: Sequence[str] | None = None) -> None:
                 sys.stdout.write(said(case, result) + "\n")
                 sys.stdout.flush()
     if options.write:
-        write(results)
+        write(results, only=options.case)
 
 
 if __name__ == "__main__":
