@@ -89,7 +89,8 @@ class AgentNode(Participant):
         radio = setup.scenario.radio
         self._air = None if radio is None else AirNews(agent, radio)
         self._hears_by_radio = self._air is not None
-        super().__init__(setup, agent_name(agent), incarnation, after=1, own=agent)
+        self._setup = setup
+        super().__init__(setup.rules, agent_name(agent), incarnation, after=1, own=agent)
 
     def _begin(self, incarnation: int) -> None:
         super()._begin(incarnation)

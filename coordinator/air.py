@@ -4,10 +4,8 @@ from collections import defaultdict
 from collections.abc import Collection
 from collections.abc import Set as AbstractSet
 
+from transport.coordinator.team_view import Radio
 from transport.model.arrays import Array
-from transport.protocol.scenario.radio.team_radio import TeamRadio
-from transport.protocol.scenario.sections.radio_section import RadioSection
-from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Airtime, Plan, PlantState
 from transport.protocol.wire.node_interface import Outbox
 
@@ -22,12 +20,12 @@ class TeamAir:
     exchanges before.
     """
 
-    def __init__(self, setup: Setup, section: RadioSection, out: Outbox) -> None:
-        self._radio = TeamRadio(setup, section)
+    def __init__(self, radio: Radio, out: Outbox, *, initial_state: Array, exchanges: int) -> None:
+        self._radio = radio
         self._out = out
-        self._exchanges = setup.scenario.controller.negotiation_iterations
+        self._exchanges = exchanges  # of a tick
         self._plans: list[Plan] = []  # not yet on the air
-        self._states: dict[int, Array] = {-1: setup.initial_state()}  # of the plant, by tick
+        self._states: dict[int, Array] = {-1: initial_state}  # of the plant, by tick
         self._proposed: defaultdict[int, set[int]] = defaultdict(set)  # agents, by `negotiation`
         self._following = self._exchanges - 1  # exchanges after the one that goes on
 

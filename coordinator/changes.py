@@ -2,17 +2,14 @@
 
 import json
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from itertools import permutations
 from typing import Any
 
 from transport.coordinator.roster import TeamRoster
+from transport.coordinator.team_view import TargetPlanner
 from transport.protocol.scenario.links.link_changes import changed_in_words, link_change, words_of
-from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import RequestError
-from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.scenario.targets.target_messages import scripted, target_in_words
-from transport.protocol.scenario.targets.target_timing import target_fields
 from transport.protocol.wire.messages import (
     MAX_TARGETS,
     MAX_TEXT,
@@ -32,13 +29,19 @@ class Changes:
     smaller numbers.
     """
 
-    def __init__(self, setup: Setup, roster: TeamRoster, out: Outbox) -> None:
-        self._setup = setup  # with the targets so far
+    def __init__(
+        self,
+        roster: TeamRoster,
+        out: Outbox,
+        planner: TargetPlanner,
+        scripted: Iterable[tuple[int, Any]],
+    ) -> None:
         self._roster = roster
+        self._planner = planner
         self._out = out
         self._links: list[LinkChange] = []
         self._targets: list[Target] = []
-        self._scripted = deque(scripted(setup))  # targets still to be announced
+        self._scripted = deque(scripted)  # targets still to be announced
 
     def repeated(self) -> list[Message]:
         """Return all changes so far, for a process that joins."""
@@ -48,25 +51,25 @@ class Changes:
         """Return the messages of the scripted targets that are due at a tick."""
         messages: list[Message] = []
         while self._scripted and self._scripted[0][0] <= tick:
-            _, section = self._scripted.popleft()
+            _, wanted = self._scripted.popleft()
             try:
-                messages += self.target(section, tick)
+                messages += self.target(wanted, tick)
             except RequestError as error:
                 messages.append(self._roster.report(f"target refused: {error}", tick))
         return messages
 
-    def target(self, section: TargetSection, tick: int) -> list[Target | Roster]:
-        """Return the messages of a target that holds from a tick on.
+    def target(self, wanted: Any, tick: int) -> list[Target | Roster]:
+        """Return the messages of a target, of the script or of a request, that holds from a tick on.
 
         Raises: RequestError: the team cannot reach it.
         """
         if len(self._targets) == MAX_TARGETS:
             raise RequestError(f"expected at most {MAX_TARGETS} targets in a run")
         number = len(self._targets) + 1
-        target = self._out.stamp(Target, number=number, **target_fields(self._setup, section, tick))
-        self._setup = self._setup.after([target])
+        target = self._out.stamp(Target, number=number, **self._planner.fields(wanted, tick))
+        self._planner.follow(target)
         self._targets.append(target)
-        words = f"{target_in_words(target)}, from {self._roster.time(tick)} on"
+        words = f"{target.in_words()}, from {self._roster.time(tick)} on"
         return [target, self._roster.message(words, tick)]
 
     def link(self, given: Mapping[str, Any], tick: int) -> list[LinkChange | Roster]:

@@ -3,7 +3,7 @@
 from collections.abc import Collection
 from collections.abc import Set as AbstractSet
 
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.sections.clock_section import ClockSection
 from transport.protocol.wire.messages import Plan
 from transport.protocol.wire.names import agent_names
 
@@ -25,9 +25,9 @@ class Clock:
         is_realtime: Whether ticks open at their deadlines.
     """
 
-    def __init__(self, setup: Setup) -> None:
-        self._settings = setup.scenario.clock
-        self._period_ns = setup.period_ns
+    def __init__(self, settings: ClockSection, period_ns: int) -> None:
+        self._settings = settings
+        self._period_ns = period_ns
         self._barrier_ns = round(self._settings.barrier_timeout_s * 1e9)
         self._hold_ns = round(self._settings.join_timeout_s * 1e9)
         self._holds = self._settings.on_overrun == "hold"

@@ -10,7 +10,8 @@ from itertools import combinations
 
 import numpy as np
 
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.model.arrays import Array
+from transport.protocol.scenario.sections.vehicles_section import VehiclesSection
 from transport.protocol.wire.messages import Schedule, VehicleStatus
 from transport.protocol.wire.node_interface import Outbox
 
@@ -23,6 +24,7 @@ READY = "ready"  # `vehicle.node.Phase`
 class Fleet:
     """Newest status of each vehicle, by UAV, 1-based; times are ns of a steady clock.
 
+    places_I: Positions of the UAVs at the start of the maneuver, (N, 3), m.
     wall_offset_ns: The common clock less the steady one, ns.
 
     Attributes:
@@ -30,9 +32,11 @@ class Fleet:
         next_ns: When the next word is due.
     """
 
-    def __init__(self, setup: Setup, out: Outbox, wall_offset_ns: int) -> None:
-        self._setup = setup
-        self._section = setup.scenario.vehicles
+    def __init__(
+        self, section: VehiclesSection, places_I: Array, out: Outbox, wall_offset_ns: int
+    ) -> None:
+        self._section = section
+        self._places_I = places_I
         self._out = out
         self._wall_offset_ns = wall_offset_ns
         self._status: dict[int, VehicleStatus] = {}
@@ -92,7 +96,7 @@ class Fleet:
 
     def problem(self) -> str:
         """Return what keeps the team from its first tick, empty if nothing does."""
-        for uav in range(1, self._setup.system.N + 1):
+        for uav in range(1, len(self._places_I) + 1):
             status = self._status.get(uav)
             if status is None:
                 return f"vehicle{uav}: no word from it"
@@ -108,9 +112,8 @@ class Fleet:
 
     def _misplaced(self) -> str:
         """Return which distance between two UAVs does not fit the rods at hover, empty if all do."""
-        x = self._setup.initial_state()
-        wanted = self._setup.model.sensed(x, self._setup.hover.u).reshape(-1, 15)[:, :3]
-        for one, other in combinations(range(self._setup.system.N), 2):
+        wanted = self._places_I
+        for one, other in combinations(range(len(wanted)), 2):
             expected_m = float(np.linalg.norm(wanted[one] - wanted[other]))
             apart = self._status[one + 1].position - self._status[other + 1].position
             got_m = float(np.linalg.norm(apart))

@@ -17,9 +17,9 @@ from transport.coordinator.machine import BEFORE_TICK_0, Cause, Machine, State
 from transport.coordinator.open_tick import OpenTick
 from transport.coordinator.requests import RunStatus, answer_request
 from transport.coordinator.roster import TeamRoster
+from transport.coordinator.team_view import TeamView
 from transport.coordinator.verdict import Verdict
-from transport.protocol.scenario.setup.collisions import Contacts
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.run_rules import RunRules
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.exit_codes import (
     EXIT_COLLIDED,
@@ -68,48 +68,40 @@ class CoordinatorNode:
 
     def __init__(
         self,
-        setup: Setup,
+        rules: RunRules,
+        team: TeamView,
         incarnation: int = 0,
         observers: Sequence[str] = (),
         wall_offset_ns: int = 0,
     ) -> None:
-        scenario = setup.scenario
         self.incarnation = incarnation
         self.finished: Control | None = None
 
-        self._ticks = setup.ticks
-        self._period_ns = setup.period_ns
-        self._ends_by_loss = scenario.clock.on_agent_loss == "abort"
-        self._has_plant = scenario.has_plant
+        self._rules = rules
+        self._ends_by_loss = rules.clock.on_agent_loss == "abort"
 
         self._out = Outbox(self.name, incarnation)
         self._machine = Machine()
-        self._clock = Clock(setup)
-        self._roster = TeamRoster(setup, self._out)
-        self._changes = Changes(setup, self._roster, self._out)
+        self._clock = Clock(rules.clock, rules.period_ns)
+        self._roster = TeamRoster(rules, self._out)
+        self._changes = Changes(self._roster, self._out, team.targets, team.scripted_targets)
         self._verdict = Verdict(
-            Contacts(setup),
-            scenario.agents.failed_share,
-            ends_by_contact=scenario.plant.on_collision == "end",
+            team.contacts, team.failed_share, ends_by_contact=team.ends_by_contact
         )
         self._air: TeamAir | None = None
-        if scenario.radio is not None:
-            self._air = TeamAir(setup, scenario.radio, self._out)
-        self._open = OpenTick(
-            self._clock,
-            self._air,
-            ticks=setup.ticks,
-            has_plant=scenario.has_plant,
-            has_vehicles=scenario.has_vehicles,
-            iterations=scenario.controller.negotiation_iterations,
-        )
+        if team.radio is not None:
+            exchanges = rules.shape.negotiation_iterations
+            self._air = TeamAir(
+                team.radio, self._out, initial_state=team.initial_state, exchanges=exchanges
+            )
+        self._open = OpenTick(rules, self._clock, self._air)
         self._fleet: Fleet | None = None
         vehicles: set[str] = set()
-        if scenario.has_vehicles:
-            self._fleet = Fleet(setup, self._out, wall_offset_ns)
-            vehicles = {vehicle_name(uav + 1) for uav in range(setup.system.N)}
+        if team.vehicles is not None and team.places_I is not None:
+            self._fleet = Fleet(team.vehicles, team.places_I, self._out, wall_offset_ns)
+            vehicles = {vehicle_name(uav + 1) for uav in range(rules.uavs)}
 
-        plant = {PLANT} if self._has_plant else set()
+        plant = {PLANT} if rules.has_plant else set()
         self._vehicles = vehicles
         # Processes that take part, from their incarnations on, and those that the first tick waits for.
         self._taking_part = {PLANT, *self._roster.agents, *vehicles}
@@ -180,7 +172,7 @@ class CoordinatorNode:
         expired = now_ns >= self._clock.expires_ns
         if expired and self.state is State.ENDING:
             return self._end()
-        if self._has_plant and self._clock.plant_is_silent(now_ns):
+        if self._rules.has_plant and self._clock.plant_is_silent(now_ns):
             reason = f"plant has not answered since tick {self._open.plant}"
             return self._stop(EXIT_UNREACHABLE, reason)
 
@@ -458,9 +450,9 @@ class CoordinatorNode:
         """Return the progress of the run, for requests."""
         return RunStatus(
             tick=self.tick,
-            ticks=self._ticks,
+            ticks=self._rules.ticks,
             members=sorted(self._roster.members),
             observers=sorted(self._observers),
             takes_changes=self.state not in BEFORE_TICK_0 and not self._open.is_last,
-            period_ns=self._period_ns,
+            period_ns=self._rules.period_ns,
         )

@@ -5,6 +5,7 @@ from collections.abc import Collection
 from transport.coordinator.air import TeamAir
 from transport.coordinator.clock import Clock
 from transport.protocol.admission.plausibility import check_tick
+from transport.protocol.scenario.setup.run_rules import RunRules
 from transport.protocol.wire.messages import Plan, PlantState
 
 
@@ -21,22 +22,10 @@ class OpenTick:
         answered: Agents that have answered, and whether with a plan that the others received.
     """
 
-    def __init__(
-        self,
-        clock: Clock,
-        air: TeamAir | None,
-        *,
-        ticks: int,
-        has_plant: bool,
-        has_vehicles: bool,
-        iterations: int,
-    ) -> None:
+    def __init__(self, rules: RunRules, clock: Clock, air: TeamAir | None) -> None:
+        self._rules = rules
         self._clock = clock
         self._air = air
-        self._ticks = ticks
-        self._has_plant = has_plant
-        self._has_vehicles = has_vehicles
-        self._iterations = iterations  # of a negotiation
 
         self.number = -1
         self.plant = -1
@@ -47,7 +36,7 @@ class OpenTick:
     @property
     def is_last(self) -> bool:
         """Whether no tick follows."""
-        return self.number + 1 == self._ticks
+        return self.number + 1 == self._rules.ticks
 
     @property
     def lacks_state(self) -> bool:
@@ -56,7 +45,7 @@ class OpenTick:
         The last one completes the record; on a radio, positions one tick old say who hears whom.
         """
         if self.is_last:
-            return self._has_plant and self.plant < self.number
+            return self._rules.has_plant and self.plant < self.number
         return self._air is not None and not self._air.may_open(self.number + 1)
 
     def missing(self, members: Collection[int]) -> set[int]:
@@ -89,14 +78,14 @@ class OpenTick:
 
     def resume(self, newest: int, now_ns: int) -> None:
         """Go on from the newest tick that is due, in a run of an earlier coordinator."""
-        self.number = min(newest, self._ticks - 1) - 1
+        self.number = min(newest, self._rules.ticks - 1) - 1
         self.plant = max(self.plant, self.number - 1)
         self._clock.note_plant(now_ns)
 
     def check(self, message: Plan | PlantState) -> None:
         """Raise MessageError for an answer to a tick that it cannot be of."""
         # Agents of vehicles may open a tick before this process does.
-        last = self._ticks - 1 if self._has_vehicles else self.number
+        last = self._rules.ticks - 1 if self._rules.has_vehicles else self.number
         if isinstance(message, PlantState):
             check_tick(message, self.plant + 1, last)
         else:
@@ -131,6 +120,7 @@ class OpenTick:
 
         An agent without a proposal has all iterations left.
         """
-        left = {agent: self._negotiating.get(agent, self._iterations) for agent in agents}
+        all_left = self._rules.shape.negotiation_iterations
+        left = {agent: self._negotiating.get(agent, all_left) for agent in agents}
         most_left = max(left.values())
         return {agent for agent in agents if left[agent] == most_left}

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from transport.coordinator.changes import Changes
-from transport.protocol.scenario.sections.maneuver_sections import TargetSection
-from transport.protocol.scenario.sections.scenario_errors import RequestError, requested
+from transport.protocol.scenario.sections.scenario_errors import RequestError
 from transport.protocol.wire.messages import Message, Request, Target
 
 
@@ -55,8 +54,7 @@ def _changed(request: Request, status: RunStatus, changes: Changes) -> Sequence[
 
     if request.what == "link":
         return changes.link(request.given, status.tick + 1)
-    section = requested(TargetSection, dict(request.given))
-    return changes.target(section, status.tick + 1)
+    return changes.target(request.given, status.tick + 1)
 
 
 def _reply(change: Message, status: RunStatus) -> Mapping[str, Any]:

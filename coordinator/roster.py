@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping
 from collections.abc import Set as AbstractSet
 
 from transport.protocol.scenario.faults.scripted_faults import failures
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.run_rules import RunRules
 from transport.protocol.wire.messages import Message, Roster
 from transport.protocol.wire.names import agent_name, agent_names
 from transport.protocol.wire.node_interface import Outbox
@@ -27,20 +27,20 @@ class TeamRoster:
     process opens the next tick without that version. Only this class changes what it knows.
     """
 
-    def __init__(self, setup: Setup, out: Outbox) -> None:
-        self._period_ns = setup.period_ns
+    def __init__(self, rules: RunRules, out: Outbox) -> None:
+        self._period_ns = rules.period_ns
         self._out = out
-        self._agents = {agent_name(agent): agent for agent in setup.agents}
-        self._members = set(setup.agents)
+        self._agents = {agent_name(agent): agent for agent in rules.agents}
+        self._members = set(rules.agents)
         self._joining: dict[int, int] = {}  # incarnations, by agent
         # Newest ones of the processes that take part, by name; of the agents, those on the roster.
         self._incarnations: dict[str, int] = {}
         self._version = 0
 
-        self._uav_faults = deque(failures(setup.faults))  # still to be reported
+        self._uav_faults = deque(failures(rules.faults))  # still to be reported
         self._off: set[int] = set()  # UAVs without motors, 1-based
         self._released: set[int] = set()  # UAVs off their rods, 1-based
-        self._returns = _scripted_returns(setup, self._agents)
+        self._returns = _scripted_returns(rules, self._agents)
 
     @property
     def agents(self) -> Mapping[str, int]:
@@ -161,12 +161,12 @@ class TeamRoster:
         return messages
 
 
-def _scripted_returns(setup: Setup, agents: Mapping[str, int]) -> dict[int, set[int]]:
+def _scripted_returns(rules: RunRules, agents: Mapping[str, int]) -> dict[int, set[int]]:
     """Return the agents that the script brings back, by tick; in real time no tick waits."""
     returns: dict[int, set[int]] = {}
-    if setup.scenario.clock.mode != "lockstep":
+    if rules.clock.mode != "lockstep":
         return returns
-    for fault in setup.faults:
+    for fault in rules.faults:
         if fault.do in ("continue", "start") and fault.target in agents:
             returns.setdefault(fault.tick, set()).add(agents[fault.target])
     return returns

@@ -11,7 +11,7 @@ import tomli_w
 from transport.deploy.inventory import DeployError, Host, Inventory
 from transport.deploy.placements import Placement, placements
 from transport.deploy.units import ETC, PROGRAM, TEMPLATES, unit
-from transport.protocol.network.endpoints import process_names
+from transport.protocol.network.mesh import process_names
 from transport.protocol.network.security import AUTHORITY
 from transport.protocol.scenario.files.atomic_writing import write_whole
 from transport.protocol.scenario.setup.run_setup import Setup

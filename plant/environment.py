@@ -18,6 +18,7 @@ from transport.model.linearisation import Model
 from transport.model.parameters import Payload, System, Uav
 from transport.model.rotations import rotation
 from transport.model.state import OMEGA0, R0, SENSED, SENSORS, THETA0, V0, StateView, is_measured
+from transport.protocol.scenario.faults.scripted_faults import Load
 from transport.protocol.scenario.links.draws import Streams, draw_key
 from transport.protocol.scenario.sections.plant_sections import UavFactorsSection
 from transport.protocol.scenario.setup.run_setup import Setup
@@ -298,3 +299,22 @@ def _actual_system(setup: Setup) -> System:
             )
         )
     return System(payload=payload, uavs=uavs, gravity=known.gravity)
+
+
+def payload_during(change: Load, before: Payload, share: float) -> Payload:
+    """Return the payload after a share, 0 to 1, of a change from the one before.
+
+    Without an inertia that of before changes with the mass.
+    Raises: ParameterError: there is no such body.
+    """
+    mass = before.mass if change.mass_kg is None else change.mass_kg
+    inertia = mass / before.mass * before.inertia
+    if change.inertia_kgm2 is not None:
+        inertia = np.array(change.inertia_kgm2)
+    centre = before.centre if change.centre_m is None else np.array(change.centre_m)
+    return Payload(
+        mass=before.mass + share * (mass - before.mass),
+        inertia=before.inertia + share * (inertia - before.inertia),
+        drag=before.drag,
+        centre=before.centre + share * (centre - before.centre),
+    )

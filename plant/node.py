@@ -19,7 +19,7 @@ from transport.model.parameters import Payload
 from transport.model.slowing import STOP_S, Slowing
 from transport.plant.actuators import INNER_STEP_S, MOTOR_OFF, ActuatorSchedule, Motors, inner_loop
 from transport.plant.engines import UNKNOWN_ERROR, Engine
-from transport.plant.environment import Environment, Sensors
+from transport.plant.environment import Environment, Sensors, payload_during
 from transport.protocol.admission.carried import Place, carried_by, place_of
 from transport.protocol.admission.known_targets import KnownTargets
 from transport.protocol.admission.participant import Participant
@@ -80,7 +80,8 @@ class PlantNode(Participant):
 
     def __init__(self, setup: Setup, incarnation: int = 0) -> None:
         section = setup.scenario.plant
-        super().__init__(setup, PLANT, incarnation, after=int(setup.scenario.clock.next_tick))
+        self._setup = setup
+        super().__init__(setup.rules, PLANT, incarnation, after=int(setup.scenario.clock.next_tick))
         self.environment = Environment(setup)
         self.engine = Engine(setup, self.environment.system)
 
@@ -281,7 +282,7 @@ class PlantNode(Participant):
         share = (tick + 1 - fault.tick) / (last + 1 - fault.tick)
         if tick >= last:
             share, self._loading = 1.0, None
-        self.environment.load(fault.load.between(before, share))
+        self.environment.load(payload_during(fault.load, before, share))
         self.engine.restart(self._x, self.environment.system)
 
     def _switch_off(self, uav: int, *, released: bool) -> None:

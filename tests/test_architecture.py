@@ -52,7 +52,11 @@ ROOMS = {
     ),
 }
 MOST_ROOMS = 14  # more cannot be taken in at a glance
+MOST_FILES_OF_COORDINATOR = 45
 MOST_FILES_AT_ROOT = 4  # besides __init__.py and __main__.py
+
+# Files of `model` about numbers and keys, not about bodies.
+WITHOUT_PHYSICS = {f"model/{file}.py" for file in ("__init__", "arrays", "section", "state")}
 
 # Packages beside the sources, which no source imports.
 NOT_FOR_SOURCES = {"benchmarks", "docs", "examples", "tests"}
@@ -250,11 +254,11 @@ def test_rooms_import_lower_floors_only(package: str) -> None:
     assert wrong == []
 
 
-def test_messages_do_not_know_the_controller() -> None:
+def test_messages_and_bus_know_no_physics() -> None:
     """Messages, admission and network import nothing of `mpc` themselves.
 
-    Messages and the gate of admission reach neither `mpc` nor `protocol/scenario`, through others
-    included.
+    Messages, the gate of admission and the bus reach neither `mpc` nor `protocol/scenario`, and of
+    `model` only arrays and the order of the state's numbers, through others included.
     """
     files = [
         path
@@ -262,12 +266,25 @@ def test_messages_do_not_know_the_controller() -> None:
         for path in (ROOT / "protocol" / room).rglob("*.py")
     ]
     assert [named(path) for path in files if "mpc" in top(imports(path))] == []
-    messages_and_gate = [
+    messages_and_bus = [
         *(ROOT / "protocol" / "wire").rglob("*.py"),
         ROOT / "protocol" / "admission" / "gate.py",
+        ROOT / "protocol" / "network" / "bus.py",
     ]
-    found = {named(other) for path in messages_and_gate for other in reached(path)}
-    assert not {name for name in found if name.startswith(("mpc/", "protocol/scenario/"))}
+    found = {named(other) for path in messages_and_bus for other in reached(path)} - WITHOUT_PHYSICS
+    assert not {name for name in found if name.startswith(("model/", "mpc/", "protocol/scenario/"))}
+
+
+def test_the_coordinator_has_no_control() -> None:
+    """A clock and a roster: the coordinator reaches few files, none of `mpc`, and no body of `model`.
+
+    A process joins a run and follows its coordinator without control as well.
+    """
+    found = {named(path) for path in reached(ROOT / "coordinator" / "node.py")}
+    assert len(found) <= MOST_FILES_OF_COORDINATOR, sorted(found)
+    for file in ("protocol/network/node_process.py", "protocol/admission/participant.py"):
+        found |= {named(path) for path in reached(ROOT / file)}
+    assert not {name for name in found - WITHOUT_PHYSICS if name.startswith(("model/", "mpc/"))}
 
 
 def arrows(package: str) -> dict[str, set[str]]:

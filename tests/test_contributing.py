@@ -53,7 +53,7 @@ path = find_scenario("resilient")
 hover = 'maneuver.phase=[{name="hover",duration_s=1.0,displacement_m=[0,0,0]}]'
 settings = ["links.lose_every=3", "links.change=[{at_s=0.6,lose_every=2}]", hover]
 setup = Setup.of(read_scenario(path, settings), str(path))
-lost = [tick for tick in range(20) if not setup.link("agent1", "agent2").delays(tick)]
+lost = [tick for tick in range(20) if not setup.rules.link("agent1", "agent2").delays(tick)]
 assert lost == [0, 3, 6, 9, 12, 14, 16, 18], lost
 reports = []
 assert simulate(setup, reports.append).outcome == "completed"

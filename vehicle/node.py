@@ -89,7 +89,8 @@ class VehicleNode(Participant):
         fail_safe = setup.whole_team().law.fail_safe
         self._plans_in_force = Plans(fail_safe.played(setup.settings.horizon, self._period_s))
         self._hover: Array = setup.hover.u[state.input_slice(uav - 1)]
-        super().__init__(setup, vehicle_name(uav), incarnation, after=1)
+        self._setup = setup
+        super().__init__(setup.rules, vehicle_name(uav), incarnation, after=1)
 
         self.phase = Phase.SILENT
         self._ticking: Ticking | None = None

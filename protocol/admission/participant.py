@@ -7,8 +7,7 @@ from typing import Any
 
 from transport.protocol.admission.arrivals import Arrivals
 from transport.protocol.scenario.links.link_changes import LinkChanges
-from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.scenario.targets.target_messages import check_target
+from transport.protocol.scenario.setup.run_rules import RunRules
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import (
     Control,
@@ -128,6 +127,12 @@ class Membership:
         return plan.incarnation == incarnation and plan.tick < left
 
 
+def check_target(count: int, message: Target) -> None:
+    """Raise MessageError for a target that is neither the next one after a count nor a repeated one."""
+    if message.number > count + 1:
+        raise MessageError("future", f"target {message.number} after {count}")
+
+
 class Participant(ABC):
     """A node that follows the coordinator.
 
@@ -140,17 +145,17 @@ class Participant(ABC):
     _hears_by_radio = False  # whether plans come over the radio of the team
 
     def __init__(
-        self, setup: Setup, name: str, incarnation: int, after: int, own: int | None = None
+        self, rules: RunRules, name: str, incarnation: int, after: int, own: int | None = None
     ) -> None:
         self.name = name
         self.finished: Control | None = None
-        self._setup = setup
+        self._rules = rules
         self._usable_after = after
         self._membership = Membership(own)
-        self._goes_on = setup.scenario.clock.on_coordinator_loss == "continue"
-        self._waits = setup.scenario.clock.mode == "lockstep"
+        self._goes_on = rules.clock.on_coordinator_loss == "continue"
+        self._waits = rules.clock.mode == "lockstep"
         # Scenario seconds per second; None in lockstep, where plans arrive by ticks.
-        self._speed = None if self._waits else setup.scenario.clock.speed
+        self._speed = None if self._waits else rules.clock.speed
         self._targets_told = 0
         self._begin(incarnation)
 
@@ -160,13 +165,13 @@ class Participant(ABC):
         self._out = Outbox(self.name, incarnation)
         self._tick = -1  # the newest worked on
 
-        participants = (*map(agent_name, self._setup.agents), PLANT)
+        participants = (*map(agent_name, self._rules.agents), PLANT)
         senders = [name for name in participants if name != self.name]
         # A vehicle is to its agent what the plant is to all.
         own = PLANT if role_of(self.name) == VEHICLE else self.name
-        self._links = {name: self._setup.link(name, own) for name in senders if name != own}
-        if self._setup.scenario.has_vehicles and own != PLANT:
-            for uav in range(1, self._setup.system.N + 1):
+        self._links = {name: self._rules.link(name, own) for name in senders if name != own}
+        if self._rules.has_vehicles and own != PLANT:
+            for uav in range(1, self._rules.uavs + 1):
                 self._links[vehicle_name(uav)] = self._links[PLANT]
         self._link_changes = LinkChanges(self._links.values())
         self._plans: Arrivals[Plan] = Arrivals(

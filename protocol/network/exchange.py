@@ -6,20 +6,19 @@ receives two.
 
 from collections.abc import Callable, Mapping, Set
 
-from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import messages as wire
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.names import AGENT, COORDINATOR, PLANT
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.node_interface import Outbox, RunShape
 
 Put = Callable[[str, bytes], None]  # sends an encoded message under a key
 Entry = tuple[str, bytes]  # key without the prefix of the run, encoded message
 
 
-def exchange_of(setup: Setup, name: str, incarnation: int, keys: Keys, put: Put) -> "Exchange":
-    """Return the exchange of a process."""
-    if not setup.shape.relayed:
+def exchange_of(shape: RunShape, name: str, incarnation: int, keys: Keys, put: Put) -> "Exchange":
+    """Return the exchange of a process, in a run whose messages have a shape."""
+    if not shape.relayed:
         return Exchange(name, incarnation, keys, put)
     by_name = {COORDINATOR: _CoordinatorExchange, PLANT: _PlantExchange}
     kind = by_name.get(name, _AgentExchange)

@@ -20,7 +20,7 @@ from transport.protocol.network.endpoints import first_exposed
 from transport.protocol.network.exchange import Exchange, exchange_of
 from transport.protocol.network.parent import PARENT_PIPE, ending_signals
 from transport.protocol.scenario.faults.scripted_faults import Fault, due
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.run_rules import RunRules
 from transport.protocol.wire import messages as wire
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE
 from transport.protocol.wire.key_expressions import Keys
@@ -54,7 +54,7 @@ class Journal:
 def run_node(
     node: Node,
     place: Place,
-    setup: Setup,
+    rules: RunRules,
     expected: Collection[str],
     on_interrupt: Callable[[str], Sequence[wire.Message]] = lambda _: (),
     linger_for: Collection[str] = (),
@@ -68,21 +68,19 @@ def run_node(
     """
     journal = Journal(place.run, node.name)
     keys = Keys(place.run)
-    gate = Gate(node.name, keys, setup.shape, node.check_moment)
-    options = BusOptions(
-        serves=node.name == COORDINATOR, patience_s=_PATIENCE_S[setup.scenario.clock.mode]
-    )
+    gate = Gate(node.name, keys, rules.shape, node.check_moment)
+    options = BusOptions(serves=node.name == COORDINATOR, patience_s=_PATIENCE_S[rules.clock.mode])
     _collect_between_steps_only()
 
     use_one_thread()
 
-    with closing(Bus(node.name, place, setup.scenario.digest(), gate, options)) as bus:
+    with closing(Bus(node.name, place, rules.digest, gate, options)) as bus:
         _watch_signals(bus)
         _log_opening(journal, place)
-        exchange = exchange_of(setup, node.name, place.incarnation, keys, bus.put)
+        exchange = exchange_of(rules.shape, node.name, place.incarnation, keys, bus.put)
         interruption = _join(node, bus, exchange, expected, journal)
         if interruption is None:
-            interruption = _drive(node, bus, exchange, setup.faults)
+            interruption = _drive(node, bus, exchange, rules.faults)
 
         if interruption is not None and node.finished is None:
             journal.log("interrupted", reason=interruption.reason)

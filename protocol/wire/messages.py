@@ -301,6 +301,12 @@ class Target(Message, tag="target", frozen=True, kw_only=True):
         """Tick from which on the path leads to it: when it was told, or when all had it."""
         return self.begins or self.tick
 
+    def in_words(self) -> str:
+        """Return the target in words."""
+        x, y, z = self.points[-1 if self.lands else 0].tolist()
+        told = f", told to {', '.join(map(agent_name, self.to))}" if self.to else ""
+        return f"{'landing' if self.lands else 'target'} ({x:g}, {y:g}, {z:g}) m{told}"
+
     def check(self) -> None:
         """Check the number of points."""
         Message.check(self)

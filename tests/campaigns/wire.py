@@ -28,7 +28,7 @@ from tests.support.garbage import Garbage
 from tests.support.keyrings import keyring
 from tests.support.logs import record_run
 from tests.support.runs import ready
-from transport.protocol.network.endpoints import process_names
+from transport.protocol.network.mesh import process_names
 from transport.protocol.wire.key_expressions import RECORDER, Keys
 from transport.report.report import write_report
 

@@ -9,6 +9,7 @@ import pytest
 from transport.coordinator.fleet import Fleet
 from transport.coordinator.machine import State
 from transport.coordinator.node import CoordinatorNode
+from transport.flight.roles import coordinator_of
 from transport.model.arrays import Array
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
@@ -88,7 +89,7 @@ def status(
 
 def problem(run: Setup, **of_two: float | str) -> str:
     """What keeps a team from its first tick whose second vehicle differs."""
-    fleet = Fleet(run, Outbox("coordinator", 0), WALL_NS)
+    fleet = Fleet(run.scenario.vehicles, places(run), Outbox("coordinator", 0), WALL_NS)
     for uav in (1, 2, 3, 4):
         told = status(run, uav, **(of_two if uav == 2 else {}))  # type: ignore[arg-type]
         way_ms = float(of_two.get("way_ms", 1.0)) if uav == 2 else 1.0
@@ -119,7 +120,10 @@ def test_what_is_refused(run: Setup, of_two: dict[str, float], text: str) -> Non
 
 def test_a_missing_word_is_named(run: Setup) -> None:
     """Before its first word a vehicle is missing."""
-    assert Fleet(run, Outbox("coordinator", 0), WALL_NS).problem() == "vehicle1: no word from it"
+    assert (
+        Fleet(run.scenario.vehicles, places(run), Outbox("coordinator", 0), WALL_NS).problem()
+        == "vehicle1: no word from it"
+    )
 
 
 def ready(node: CoordinatorNode) -> list[Message]:
@@ -132,7 +136,7 @@ def ready(node: CoordinatorNode) -> list[Message]:
 
 def test_the_first_tick_is_told_a_second_ahead(run: Setup) -> None:
     """Words to the vehicles, then the roster and the instant of tick 0, and the tick at that instant."""
-    node = CoordinatorNode(run, wall_offset_ns=WALL_NS)
+    node = coordinator_of(run, wall_offset_ns=WALL_NS)
     said = ready(node)
     assert [type(message) for message in said] == [Schedule]
     assert node.state is State.PREPARING
@@ -151,7 +155,7 @@ def test_the_first_tick_is_told_a_second_ahead(run: Setup) -> None:
 
 def test_a_coordinator_that_returns_takes_over(run: Setup) -> None:
     """From what the vehicles follow it takes the instants of the ticks, and a roster newer than theirs."""
-    node = CoordinatorNode(run, 1, wall_offset_ns=WALL_NS)
+    node = coordinator_of(run, 1, wall_offset_ns=WALL_NS)
     start_ns = NOW_NS + WALL_NS - 8 * S
     ready(node)
     for uav in (1, 2, 3, 4):
@@ -171,7 +175,7 @@ def test_a_coordinator_that_returns_takes_over(run: Setup) -> None:
 
 def test_vehicles_that_are_never_ready_end_the_run(run: Setup) -> None:
     """After `vehicles.ready_s` the run ends, and says what is missing."""
-    node = CoordinatorNode(run, wall_offset_ns=WALL_NS)
+    node = coordinator_of(run, wall_offset_ns=WALL_NS)
     ready(node)
     (end,) = node.poll(NOW_NS + 181 * S)
     assert node.finished is end

@@ -5,7 +5,7 @@ from pathlib import Path
 from transport.deploy.inventory import read_inventory
 from transport.deploy.placements import placements
 from transport.deploy.units import command, unit
-from transport.protocol.network.endpoints import process_names
+from transport.protocol.network.mesh import process_names
 from transport.protocol.scenario.scenario_file import read_scenario
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios"

@@ -11,7 +11,6 @@ from tests.support.runs import SCENARIOS, plant_state, ready, setup
 from transport.model.arrays import Array
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
-from transport.protocol.scenario.setup.collisions import Contacts, first_contact
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.teams.team_of_any_size import Team, resized
 from transport.protocol.wire.exit_codes import EXIT_COLLIDED
@@ -53,7 +52,7 @@ def test_they_touch_between_two_ticks() -> None:
     start, end = (positions(RUN, message) for message in (before, after))
     assert min(np.linalg.norm(r[0] - r[3]) for r in (start, end)) > 2.0 * RADIUS_M
 
-    contact = first_contact(RUN, [before, after])
+    contact = RUN.contacts().over([before, after])
     assert contact is not None
     assert contact.uavs == (1, 4)
     share = contact.at_s / 0.05
@@ -64,7 +63,7 @@ def test_they_touch_between_two_ticks() -> None:
 
 def test_the_first_contact_counts() -> None:
     """Of two in one period the earlier one, and none after it."""
-    contacts = Contacts(RUN)
+    contacts = RUN.contacts()
     assert contacts.add(plant_state(RUN, 0)) is None
     first = contacts.add(leaning(RUN, 1, {2: 0.3, 3: 0.1}))
     assert first is not None
@@ -76,12 +75,12 @@ def test_the_first_contact_counts() -> None:
 def test_what_touches_nothing() -> None:
     """UAVs without a size, and released ones; nothing is known across a gap of the record."""
     swing = [plant_state(RUN, 0), leaning(RUN, 1, {3: 2.0 * np.arcsin(0.5 / 3.2)})]
-    assert first_contact(ready("paper"), swing) is None
+    assert ready("paper").contacts().over(swing) is None
     one = ready("resilient", "system.uav.1.radius_m=0.0011")
-    assert first_contact(one, swing) is not None
+    assert one.contacts().over(swing) is not None
     released = ready("resilient", "faults.event=[{at_s=0.0,do='release',target='uav4'}]")
-    assert first_contact(released, swing) is None
-    assert first_contact(RUN, [swing[0], changed(swing[1], tick=2)]) is None
+    assert released.contacts().over(swing) is None
+    assert RUN.contacts().over([swing[0], changed(swing[1], tick=2)]) is None
 
 
 def test_a_collision_is_the_outcome() -> None:

@@ -20,7 +20,11 @@ def sent_by(
     """Return the parts of what a process sends when it has received messages in bundles, by key, each key once."""
     sent: list[tuple[str, bytes]] = []
     exchange = exchange_of(
-        RUN, name, runs.INCARNATION, KEYS, lambda key, data: sent.append((KEYS.end(key), data))
+        RUN.rules.shape,
+        name,
+        runs.INCARNATION,
+        KEYS,
+        lambda key, data: sent.append((KEYS.end(key), data)),
     )
     for message, bundle in received:
         exchange.received(message, bundle)

@@ -32,7 +32,7 @@ class Receiver:
 
     def __init__(self, name: str = "plant", *settings: str, **options: Any) -> None:
         self.run = setup("controller.horizon=5", ticks(60), *settings)
-        self.gate = Gate(name, KEYS, self.run.shape, **options)
+        self.gate = Gate(name, KEYS, self.run.rules.shape, **options)
 
     def hear(self, message: Message, **changes: Any) -> bool:
         """Return whether a message that comes alone under its own key is accepted."""

@@ -19,7 +19,7 @@ SAMPLES = {"a.csv": (0.1, 0.2), "b.csv": (0.3,)}
 def links(*settings: str) -> dict[str, Link]:
     """The links to agent 1, by sender."""
     run = setup(*settings)
-    return {sender: run.link(sender, "agent1") for sender in ("agent2", "agent3", "plant")}
+    return {sender: run.rules.link(sender, "agent1") for sender in ("agent2", "agent3", "plant")}
 
 
 def change(

@@ -220,7 +220,7 @@ ENDS = (
 def delays_ms(*settings: str, tick: int = 0) -> list[int]:
     """The fixed delays of some links of a scenario, in the order of `ENDS`."""
     run = setup(*settings)
-    return [round(1e3 * run.link(*ends).impairments(tick).delay_s) for ends in ENDS]
+    return [round(1e3 * run.rules.link(*ends).impairments(tick).delay_s) for ends in ENDS]
 
 
 @pytest.mark.parametrize(
@@ -264,7 +264,7 @@ def test_partition_with_the_plant() -> None:
 
     def cut(between: str) -> list[bool]:
         run = setup(f"links.partition=[{{between={between},start_s=0.0,end_s=1.0}}]")
-        return [not run.link(*ends).delays(0) for ends in ENDS]
+        return [not run.rules.link(*ends).delays(0) for ends in ENDS]
 
     assert cut("['agent1']") == [True, True, False, False, False]
     assert cut("['plant']") == [False, False, True, True, True]
@@ -288,17 +288,17 @@ def test_scripted_change() -> None:
         [200, 200, 300, 300, 0],
         [200, 200, 300, 300, 0],
     ]
-    one = setup(*settings).link("agent2", "agent1")
+    one = setup(*settings).rules.link("agent2", "agent1")
     assert [one.impairments(tick).loss for tick in (0, 19, 20)] == [0.25, 0.25, 0.5]
 
 
 def test_a_change_does_not_rewrite_the_past() -> None:
     """Delays of messages sent before a change are those of a link that never changes, bursts included."""
     bursts = "links={loss=0.1,gilbert_elliott={enter=0.1,leave=0.2}}"
-    before = setup(bursts).link("agent1", "agent2")
-    after = setup(bursts, "links.change=[{at_s=10.0,gilbert_elliott={enter=0.5,leave=0.1}}]").link(
-        "agent1", "agent2"
-    )
+    before = setup(bursts).rules.link("agent1", "agent2")
+    after = setup(
+        bursts, "links.change=[{at_s=10.0,gilbert_elliott={enter=0.5,leave=0.1}}]"
+    ).rules.link("agent1", "agent2")
     delays_before, delays_after = (
         [one.delays(tick) for tick in range(400)] for one in (before, after)
     )
@@ -317,7 +317,9 @@ def test_measured_delays_come_from_a_file(tmp_path: Path) -> None:
     tree = scenario.tree()
     tree["links"] = {"distribution": "empirical", "samples_s": "delays.csv"}
     built = Setup.of(validate(tree, source), source)
-    delays = {delay for tick in range(100) for delay in built.link("agent1", "agent2").delays(tick)}
+    delays = {
+        delay for tick in range(100) for delay in built.rules.link("agent1", "agent2").delays(tick)
+    }
     assert delays == {0.01, 0.02, 0.03}
     for content in ("0.01 fast", "", "-0.1", "inf"):
         (tmp_path / "delays.csv").write_text(content)

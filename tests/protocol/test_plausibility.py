@@ -20,7 +20,7 @@ PLAN, MEASUREMENT = runs.plan(RUN, 2, 3), runs.measurement(RUN, 2, 3)
 AIRTIME = replace(sample(Airtime), tick=3, agents=(1,), receivers=(1, 2, 3, 4))
 
 
-def refusal(message: Message, shape: RunShape = RUN.shape) -> tuple[str, str]:
+def refusal(message: Message, shape: RunShape = RUN.rules.shape) -> tuple[str, str]:
     """Reason and text with which a message is refused; empty if it is not."""
     try:
         check_plausible(message, shape)
@@ -161,6 +161,6 @@ def test_implausible_messages_are_refused(
 
 def test_start_of_plans() -> None:
     """With actuation "next_tick" a plan starts one tick after its own."""
-    shape = setup("clock.actuation=next_tick").shape
+    shape = setup("clock.actuation=next_tick").rules.shape
     assert refusal(replace(PLAN, start_tick=4), shape) == ("", "")
     assert refusal(PLAN, shape)[0] == "past"

@@ -51,7 +51,7 @@ def own() -> tuple[OwnPresence, Shown]:
 
 def others() -> OtherPresences:
     """Return what the plant knows of the others, of whom none is up."""
-    return OtherPresences("plant", DIGEST, KEYS, Gate("plant", KEYS, setup().shape))
+    return OtherPresences("plant", DIGEST, KEYS, Gate("plant", KEYS, setup().rules.shape))
 
 
 def test_a_new_incarnation_is_there_before_the_old_one_goes() -> None:

@@ -138,7 +138,7 @@ def end_of_run(exit_code: int) -> Control:
 
 def run(node: StubNode, **options: Any) -> int:
     """Run a node as its process does; return the exit code."""
-    return run_node(node, runs.place("here"), runs.setup(), OTHERS, **options)
+    return run_node(node, runs.place("here"), runs.setup().rules, OTHERS, **options)
 
 
 @pytest.mark.parametrize("exit_code", [0, EXIT_DIVERGED])

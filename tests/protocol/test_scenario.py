@@ -213,7 +213,9 @@ def test_changes_are_written_back_as_given(tmp_path: Path) -> None:
     once, again = setup(*EVERYTHING), Setup.of(read_scenario(path), str(path))
     for ends in (("agent1", "agent2"), ("plant", "agent1"), ("agent3", "plant")):
         for tick in (0, 19, 20, 39, 40):
-            assert again.link(*ends).impairments(tick) == once.link(*ends).impairments(tick)
+            assert again.rules.link(*ends).impairments(tick) == once.rules.link(*ends).impairments(
+                tick
+            )
 
 
 def test_the_end_of_a_silence_is_written_without_defaults() -> None:

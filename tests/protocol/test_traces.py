@@ -19,7 +19,7 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "record_link.py"
 
 def test_a_trace_is_followed_and_repeated() -> None:
     """Messages have the delays of the rows at their instants, lost ones none, and again from the start."""
-    link = setup(TRACE).link("agent1", "agent2")
+    link = setup(TRACE).rules.link("agent1", "agent2")
     delays = [link.delays(tick) for tick in range(8)]
     assert delays == 2 * [[0.01], [0.3], [], [0.02]]
 
@@ -33,7 +33,7 @@ def test_rows_hold_until_the_next() -> None:
 
 def test_losses_act_beside_a_trace() -> None:
     """Loss of the link takes messages that the trace has delivered."""
-    link = setup(TRACE, "links.loss=1.0").link("agent1", "agent2")
+    link = setup(TRACE, "links.loss=1.0").rules.link("agent1", "agent2")
     assert [link.delays(tick) for tick in range(4)] == [[], [], [], []]
 
 
@@ -41,7 +41,7 @@ def test_losses_act_beside_a_trace() -> None:
 def test_a_delay_given_later_takes_the_place_of_recorded_ones(before: str) -> None:
     """From the change on messages have its delay; a change of the loss leaves the recorded ones."""
     change = "links.change=[{at_s=0.1,loss=0.0},{at_s=0.2,delay_s=0.6}]"
-    link = setup(before, change).link("agent1", "agent2")
+    link = setup(before, change).rules.link("agent1", "agent2")
     assert {delay for tick in range(4) for delay in link.delays(tick)} <= {0.01, 0.02, 0.3, 0.4}
     assert [link.delays(tick) for tick in range(4, 8)] == 4 * [[0.6]]
 
@@ -53,9 +53,9 @@ def test_a_trace_comes_from_a_file(tmp_path: Path) -> None:
     source = str(tmp_path / "scenario.toml")
     (tmp_path / "roof.csv").write_text("t_s,delay_s\n0.0,0.02\n0.05,lost\n")
     built = Setup.of(validate(tree, source), source)
-    assert built.link("agent2", "agent1").delays(0) == [0.02]
-    assert built.link("agent2", "agent1").delays(1) == []
-    assert built.link("agent1", "agent2").delays(1) == [0.0]
+    assert built.rules.link("agent2", "agent1").delays(0) == [0.02]
+    assert built.rules.link("agent2", "agent1").delays(1) == []
+    assert built.rules.link("agent1", "agent2").delays(1) == [0.0]
     for content in (
         "0.0,0.02\n0.05,0.1\n",
         "t_s,delay_s\n0.0,0.1\n",

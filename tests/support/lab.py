@@ -29,7 +29,7 @@ from transport.deploy.folders import render
 from transport.deploy.inventory import DeployError, Host, Inventory
 from transport.deploy.placements import Placement, placements
 from transport.deploy.units import command
-from transport.protocol.network.endpoints import process_names
+from transport.protocol.network.mesh import process_names
 from transport.protocol.network.parent import ENVIRONMENT, python
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup

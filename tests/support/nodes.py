@@ -5,6 +5,7 @@ from typing import Any
 
 from transport.agent import node as agent_node
 from transport.coordinator import node as coordinator_node
+from transport.flight.roles import team_view
 from transport.plant import node as plant_node
 from transport.protocol.admission.gate import Rejections
 from transport.protocol.admission.plausibility import check_plausible
@@ -17,8 +18,8 @@ class _Checked:
     """A node that counts the messages its gate would refuse for their content or moment."""
 
     def __init__(self, setup: Setup, *args: Any, **options: Any) -> None:
-        self.rejected, self.shape = Rejections(), setup.shape
-        super().__init__(setup, *args, **options)  # type: ignore[call-arg]
+        self.rejected, self.shape = Rejections(), setup.rules.shape
+        super().__init__(*args, **options)
 
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
         """Handle an event, unless it is a message that is refused."""
@@ -37,13 +38,22 @@ class _Checked:
 class AgentNode(_Checked, agent_node.AgentNode):
     """Agent behind the checks."""
 
+    def __init__(self, setup: Setup, *args: Any, **options: Any) -> None:
+        super().__init__(setup, setup, *args, **options)
+
 
 class PlantNode(_Checked, plant_node.PlantNode):
     """Plant behind the checks."""
 
+    def __init__(self, setup: Setup, *args: Any, **options: Any) -> None:
+        super().__init__(setup, setup, *args, **options)
+
 
 class CoordinatorNode(_Checked, coordinator_node.CoordinatorNode):
     """Coordinator behind the checks."""
+
+    def __init__(self, setup: Setup, **options: Any) -> None:
+        super().__init__(setup, setup.rules, team_view(setup), **options)
 
 
 def refused(node: Any) -> list[tuple[str, str, int]]:

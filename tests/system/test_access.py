@@ -46,7 +46,7 @@ class Guarded:
 
     def __init__(self, name: str, port: int) -> None:
         self.at = f"tls/127.0.0.1:{port}"
-        self.gate = Gate(name, KEYS, setup().shape)
+        self.gate = Gate(name, KEYS, setup().rules.shape)
         security = Security(keyring("one"), TEAM)
         place = Place(
             run=KEYS.run, endpoints=Endpoints(listen=[self.at], connect=[], security=security)

@@ -32,7 +32,7 @@ class Plant:
     """The bus of a plant, and its counts of refused messages."""
 
     def __init__(self, port: int) -> None:
-        self.gate = Gate("plant", KEYS, setup().shape)
+        self.gate = Gate("plant", KEYS, setup().rules.shape)
         self.rejections = self.gate.rejections
         place = Place(
             run=KEYS.run,

@@ -11,7 +11,7 @@ import pytest
 from tests.support.commands import PATIENCE_S, settings
 from tests.support.lab import unavailable
 from transport.log.run_log import read_log
-from transport.protocol.network.endpoints import process_names
+from transport.protocol.network.mesh import process_names
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 
 NAMES = [*process_names(read_scenario(find_scenario("resilient"))), "recorder"]

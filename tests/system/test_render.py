@@ -21,7 +21,8 @@ from transport.deploy.folders import render
 from transport.deploy.inventory import DeployError, Inventory, read_inventory
 from transport.deploy.placements import placements
 from transport.deploy.units import command
-from transport.protocol.network.endpoints import Endpoints, endpoints_of, process_names
+from transport.protocol.network.endpoints import Endpoints
+from transport.protocol.network.mesh import endpoints_of, process_names
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.wire.key_expressions import ROUTER
 

@@ -29,7 +29,7 @@ from tests.support.results import here
 from tests.support.runs import ready
 from transport.cli.main import app
 from transport.cli.operate import Exporter, process_endpoints
-from transport.protocol.network.endpoints import process_names
+from transport.protocol.network.mesh import process_names
 from transport.protocol.wire.key_expressions import Keys
 from transport.report.report import write_report
 

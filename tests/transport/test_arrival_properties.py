@@ -101,7 +101,7 @@ def test_no_plan_is_used_before_it_arrives(network: tuple[str, ...]) -> None:
     reports = [message for message in recorded(run) if isinstance(message, StepReport)]
     for report in reports:
         for peer, age in zip(report.peers, report.plan_ages, strict=True):
-            delays = run.link(f"agent{peer}", f"agent{report.agent}").delays
+            delays = run.rules.link(f"agent{peer}", f"agent{report.agent}").delays
             if age < 0:
                 continue
             assert 1 <= age <= MOST_AGE

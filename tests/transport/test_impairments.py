@@ -47,7 +47,7 @@ def newest(run: Setup, ends: tuple[str, str], tick: int, after: int) -> int:
 
     `after`: ticks from sending until a message without delay can be used.
     """
-    link = run.link(*ends)
+    link = run.rules.link(*ends)
     usable = [k for k in range(tick + 1) if min(link.usable_ticks(k, after), default=TICKS) <= tick]
     return max(usable, default=-1)
 

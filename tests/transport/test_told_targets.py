@@ -266,9 +266,9 @@ def test_a_plan_with_an_impossible_target_is_refused(changes: dict[str, Any], re
     """By every process, with the reason; a genuine one is admitted."""
     plan = runs.plan(RUN, 2, 3)
     carried = msgspec.structs.replace(GOOD, **changes)
-    check_carried(msgspec.structs.replace(plan, targets=(encode(GOOD),)), RUN.shape)
+    check_carried(msgspec.structs.replace(plan, targets=(encode(GOOD),)), RUN.rules.shape)
     with pytest.raises(MessageError) as refused:
-        check_carried(msgspec.structs.replace(plan, targets=(encode(carried),)), RUN.shape)
+        check_carried(msgspec.structs.replace(plan, targets=(encode(carried),)), RUN.rules.shape)
     assert refused.value.reason == reason
 
 
@@ -288,7 +288,7 @@ def test_a_confirmation_that_cannot_be_is_refused(changes: dict[str, Any], reaso
     plan = runs.plan(run, 2, 3)
     carried = msgspec.structs.replace(GOOD, **changes)
     with pytest.raises(MessageError) as refused:
-        check_carried(msgspec.structs.replace(plan, targets=(encode(carried),)), run.shape)
+        check_carried(msgspec.structs.replace(plan, targets=(encode(carried),)), run.rules.shape)
     assert refused.value.reason == reason
 
 
@@ -303,7 +303,7 @@ def test_what_a_plan_carries_is_bounded() -> None:
         assert refused.value.reason == "out_of_range"
     for carried in ((one, one), (b"no target",), (encode(plan),)):
         with pytest.raises(MessageError):
-            check_carried(msgspec.structs.replace(plan, targets=carried), RUN.shape)
+            check_carried(msgspec.structs.replace(plan, targets=carried), RUN.rules.shape)
 
 
 def test_who_is_told_is_checked() -> None:

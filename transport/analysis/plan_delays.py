@@ -67,7 +67,7 @@ def first_uses(
 def _links(setup: Setup, log: RunLog) -> dict[tuple[int, int], Link]:
     """Return the links by sender and receiver, with all changes of the run."""
     links = {
-        (sender, receiver): setup.link(agent_name(sender), agent_name(receiver))
+        (sender, receiver): setup.rules.link(agent_name(sender), agent_name(receiver))
         for sender in setup.agents
         for receiver in setup.agents
         if sender != receiver

@@ -13,7 +13,7 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.model.rotations import rotation
 from transport.protocol.scenario.faults.scripted_faults import failures
-from transport.protocol.scenario.setup.collisions import Contact, first_contact
+from transport.protocol.scenario.setup.collisions import Contact
 from transport.protocol.scenario.setup.cost_of_run import StageCost
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import PlantState, Target
@@ -143,7 +143,7 @@ def series_of(setup: Setup, log: RunLog) -> Series:
         on_rods=on_rods,
         separation_m=separation_m,
         clearance_m=clearance_m.min(axis=0, initial=np.inf),
-        contact=first_contact(setup, states),
+        contact=setup.contacts().over(states),
         violations=violations_of(setup, ticks, u, separation_m, clearance_m[..., 0]),
         local_error=_local_errors(states),
     )

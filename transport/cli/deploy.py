@@ -8,7 +8,7 @@ from typer import Option
 from transport.cli.options import FormatOption, LargeOption, ScenarioOption, SetOption, read_setup
 from transport.cli.output import Format, show
 from transport.deploy.inventory import read_inventory
-from transport.protocol.network.endpoints import process_names
+from transport.protocol.network.mesh import process_names
 from transport.protocol.wire.key_expressions import ROUTER
 
 

@@ -17,7 +17,8 @@ from transport.cli.options import FormatOption, ScenarioOption, SetOption, read_
 from transport.cli.output import Format, blame, facts, fail, show
 from transport.flight.groups import split_groups
 from transport.flight.signals import take_interrupt
-from transport.protocol.network.endpoints import Endpoints, default_mesh, process_names, security_of
+from transport.protocol.network.endpoints import Endpoints
+from transport.protocol.network.mesh import default_mesh, process_names, security_of
 from transport.protocol.network.session import BusError, Reach, ask
 from transport.protocol.scenario.files.named_files import points_of
 from transport.protocol.scenario.links.link_changes import PERFECT

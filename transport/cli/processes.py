@@ -35,12 +35,8 @@ from transport.cli.output import Format, blame, fail
 from transport.flight.fork_server import serve
 from transport.model.compiled import needs_compilation
 from transport.protocol.network.bus import Place
-from transport.protocol.network.endpoints import (
-    Endpoints,
-    endpoints_of,
-    process_names,
-    security_of,
-)
+from transport.protocol.network.endpoints import Endpoints
+from transport.protocol.network.mesh import endpoints_of, process_names, security_of
 from transport.protocol.network.node_process import Journal, run_node, use_one_thread
 from transport.protocol.network.parent import wake_with_its_end
 from transport.protocol.network.steady_clock import wall_offset_ns
@@ -49,6 +45,7 @@ from transport.protocol.scenario.setup.model_objects import kinds_of
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.key_expressions import ROUTER, Keys
 from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER, agent_name, vehicle_name
+from transport.protocol.wire.node_interface import Node
 
 if TYPE_CHECKING:
     from transport.mpc.law.present_law import Regulation
@@ -207,7 +204,7 @@ def agent(
     place = options.place(agent_name(number))
     node = AgentNode(setup, number, place.incarnation, time.perf_counter_ns)
     node.warm_up()
-    raise typer.Exit(run_node(node, place, setup, _others(setup, node.name)))
+    raise typer.Exit(_run(node, place, setup))
 
 
 @with_options(ProcessOptions)
@@ -221,14 +218,14 @@ def coordinator(
 
     Example: transport coordinator --observer recorder
     """
-    from transport.coordinator.node import CoordinatorNode
+    from transport.flight.roles import coordinator_of
 
     setup = options.setup()
     place = options.place(COORDINATOR)
-    node = CoordinatorNode(setup, place.incarnation, observer or [], wall_offset_ns())
+    node = coordinator_of(setup, place.incarnation, observer or [], wall_offset_ns())
     others = [*_others(setup, COORDINATOR), *(observer or [])]
     raise typer.Exit(
-        run_node(node, place, setup, others, on_interrupt=node.interrupt, linger_for=others)
+        run_node(node, place, setup.rules, others, on_interrupt=node.interrupt, linger_for=others)
     )
 
 
@@ -255,7 +252,12 @@ def plant(options: ProcessOptions) -> None:
         autopilots = Autopilots(setup, port)
         node = PlayedPlant(setup, autopilots, place.incarnation, wall_offset_ns())
     node.warm_up()
-    raise typer.Exit(run_node(node, place, setup, _others(setup, PLANT)))
+    raise typer.Exit(_run(node, place, setup))
+
+
+def _run(node: Node, place: Place, setup: Setup) -> int:
+    """Run a node that follows the coordinator, as a process of its run; return the exit code."""
+    return run_node(node, place, setup.rules, _others(setup, node.name))
 
 
 def _others(setup: Setup, name: str) -> list[str]:
@@ -304,7 +306,7 @@ def vehicle(
         offset_ns = wall_offset_ns()
         node = VehicleNode(setup, uav, driver, place.incarnation, offset_ns, stands=stands)
         node.warm_up()
-        raise typer.Exit(run_node(node, place, setup, _others(setup, node.name)))
+        raise typer.Exit(_run(node, place, setup))
     finally:
         driver.close()
 
@@ -366,7 +368,7 @@ def router(
         signal.signal(number, lambda *_: is_over.set())
 
     journal = Journal("any", ROUTER)
-    with route(endpoints.checked(ROUTER, setup.scenario)):
+    with route(endpoints.checked(ROUTER, insecure=setup.scenario.network.insecure)):
         journal.log("listening", at=", ".join(listen))
         # A signal that a thread of Zenoh takes does not wake this one.
         while not is_over.wait(_LOOKS_FOR_SIGNALS_S):

@@ -17,7 +17,7 @@ from transport.cli.output import Format, fail
 from transport.cli.processes import serve_processes
 from transport.flight.fork_server import fork_into_server
 from transport.mpc.settings import AloneGains
-from transport.protocol.network.endpoints import process_names
+from transport.protocol.network.mesh import process_names
 from transport.protocol.scenario.checks.relations import after_the_end
 from transport.protocol.scenario.setup.acting_alone import lacks
 from transport.protocol.scenario.setup.run_setup import Setup

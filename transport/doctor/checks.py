@@ -15,7 +15,8 @@ from transport.agent.node import AgentNode
 from transport.flight.harness import HarnessError, reserved_ports
 from transport.model import compiler, native
 from transport.model.compiled import compile_functions
-from transport.protocol.network.endpoints import Endpoints, default_mesh, process_names
+from transport.protocol.network.endpoints import Endpoints
+from transport.protocol.network.mesh import default_mesh, process_names
 from transport.protocol.network.session import fetch_answer, open_session
 from transport.protocol.scenario.setup.model_objects import kinds_of
 from transport.protocol.scenario.setup.run_setup import Setup

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import threadpoolctl
 
 from transport.agent.node import AgentNode
-from transport.coordinator.node import CoordinatorNode
+from transport.flight.roles import coordinator_of
 from transport.flight.signals import check_interrupt
 from transport.plant.node import PlantNode
 from transport.protocol.scenario.faults.scripted_faults import Fault, due
@@ -68,7 +68,7 @@ class InMemoryRun:
         self._stopwatch = stopwatch
         self._keys = Keys(setup.scenario.name)
 
-        self._coordinator = CoordinatorNode(setup)
+        self._coordinator = coordinator_of(setup)
         agents = [AgentNode(setup, agent, stopwatch=stopwatch) for agent in setup.agents]
         nodes: list[Node] = [self._coordinator, PlantNode(setup), *agents]
         self.nodes = {node.name: node for node in nodes}  # the running ones by name

@@ -13,12 +13,12 @@ from contextlib import suppress
 from transport.log.run_log import channel_of
 from transport.log.writer import LogWriter
 from transport.protocol.admission.gate import Gate, Sample
+from transport.protocol.admission.participant import check_target
 from transport.protocol.admission.plausibility import check_plausible
 from transport.protocol.network.bus import Arrival, Bus, BusOptions, Interrupted, Left, Place
 from transport.protocol.network.session import BusError
 from transport.protocol.network.steady_clock import SteadyClock
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.scenario.targets.target_messages import check_target
 from transport.protocol.wire import messages as wire
 from transport.protocol.wire.codec import Header, decode, encode
 from transport.protocol.wire.errors import MessageError
@@ -97,7 +97,7 @@ class Recorder:
         self.members: Set[str] = frozenset()
         self.requests: queue.SimpleQueue[wire.Request] = queue.SimpleQueue()
         self._keys = Keys(place.run)
-        self.gate = Gate(RECORDER, self._keys, setup.shape, self._check_moment, _UNREAD)
+        self.gate = Gate(RECORDER, self._keys, setup.rules.shape, self._check_moment, _UNREAD)
 
         self._say = say
         self._writing = threading.Lock()  # notes come from another thread
@@ -105,7 +105,7 @@ class Recorder:
         gather_s = _GATHER_PACED_S if setup.scenario.clock.speed > 0.0 else _GATHER_S
         options = BusOptions(serves=True, gather_s=gather_s)
         self._is_starting = is_starting
-        self._bus = bus_of(RECORDER, place, setup.scenario.digest(), self.gate, options)
+        self._bus = bus_of(RECORDER, place, setup.rules.digest, self.gate, options)
         # The recorder begins when the viewer of the run is ready: the coordinator sees it before.
         self._bus.announce()
         self._clock = SteadyClock()
@@ -128,7 +128,7 @@ class Recorder:
                     parts = [decode(part) for part in message.parts]
                 for part in parts:
                     if isinstance(part, wire.PlantState):
-                        check_plausible(part, self.setup.shape)
+                        check_plausible(part, self.setup.rules.shape)
                         return part
         return None
 

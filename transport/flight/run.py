@@ -35,7 +35,8 @@ from transport.flight.run_files import (
 from transport.flight.signals import collected_signals
 from transport.log.writer import LogWriter
 from transport.protocol.network.bus import Place
-from transport.protocol.network.endpoints import Endpoints, mesh, process_names
+from transport.protocol.network.endpoints import Endpoints
+from transport.protocol.network.mesh import mesh, process_names
 from transport.protocol.network.security import Security
 from transport.protocol.network.session import check_usable
 from transport.protocol.scenario.sections.vehicles_section import DEFAULT_VEHICLE_PORT
@@ -182,7 +183,10 @@ def _reserved(setup: Setup, folder: Path) -> Iterator[_Addresses]:
     # The port of the recorder comes first, so that it is taken even if a wanted one is not free.
     with reserved_ports(scenario.network.host, [any_port, *wanted]) as (own_port, *ports):
         places = mesh(scenario, [*names, RECORDER], [*ports, own_port])
-        checked_places = {name: place.checked(name, scenario) for name, place in places.items()}
+        insecure = scenario.network.insecure
+        checked_places = {
+            name: place.checked(name, insecure=insecure) for name, place in places.items()
+        }
         recorder = checked_places.pop(RECORDER)
         run = folder.name if Keys.allows(folder.name) else scenario.name
         yield _Addresses(run=run, processes=checked_places, recorder=recorder)

@@ -187,7 +187,7 @@ class LogTail:
         if setup is None:
             setup = setup_in(self.parser.metadata.get(METADATA, {}), self._path.parent)
         # The log of an in-memory run has no bundles.
-        shape = None if setup is None else replace(setup.shape, relayed=False)
+        shape = None if setup is None else replace(setup.rules.shape, relayed=False)
         return Gate(RECORDER, _KEYS, shape)
 
 

@@ -17,7 +17,6 @@ from matplotlib.transforms import ScaledTranslation
 from transport.log.run_log import RunLog
 from transport.protocol.scenario.links.link_changes import scripted_changes
 from transport.protocol.scenario.sections.clock_section import first_tick
-from transport.protocol.scenario.setup.collisions import first_contact
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import PlantState
 from transport.report.style import COLUMN_IN, POINTS_PER_IN, SMALL, TEXT, shade_phases
@@ -251,7 +250,7 @@ def _marks(setup: Setup, log: RunLog) -> Iterator[Mark]:
         if first_tick(time_s, period_s) <= last:
             yield Mark(time_s=time_s, text=text, of_links=True)
 
-    contact = first_contact(setup, log.of(PlantState))
+    contact = setup.contacts().over(log.of(PlantState))
     if contact is not None:
         yield Mark(time_s=round(contact.at_s, 3), text=contact.text, of_links=False)
 

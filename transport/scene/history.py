@@ -6,7 +6,6 @@ from itertools import groupby
 
 from transport.protocol.scenario.links.link_changes import words_of
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.scenario.targets.target_messages import target_in_words
 from transport.protocol.wire.messages import (
     Airtime,
     Control,
@@ -79,7 +78,7 @@ class RunHistory:
                 self.events.append((message.tick, words_of(message)))
             case Target() if message.number == len(self.setup.maneuver.targets) + 1:
                 self.setup = self.setup.after([message])
-                self.events.append((message.tick, target_in_words(message)))
+                self.events.append((message.tick, message.in_words()))
             case Roster():
                 self._add_roster(message)
             case FaultNote():

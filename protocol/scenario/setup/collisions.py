@@ -1,14 +1,13 @@
 """Contacts of two UAVs, each a sphere (`system.uav.radius_m`), by the states of the plant."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.protocol.scenario.faults.scripted_faults import failures
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.faults.scripted_faults import Fault, failures
 from transport.protocol.wire.messages import PlantState
 
 
@@ -32,15 +31,27 @@ class Contacts:
 
     Between two ticks UAVs move along straight lines: one that passes through another within a sampling
     period touches it. UAVs without a radius, and released ones, touch nothing.
+
+    positions: Positions of the UAVs in a state of the plant, (N, 3), m.
+    radii_m: Radius of each UAV, 0 for none.
+    faults: Scripted faults, of which the releases count.
+
+    Attributes:
+        first: The first contact so far.
     """
 
-    def __init__(self, setup: Setup) -> None:
-        self._model = setup.model
-        self._period_s = setup.settings.sampling_period_s
+    def __init__(
+        self,
+        positions: Callable[[Array], Array],
+        radii_m: Sequence[float],
+        faults: Sequence[Fault],
+        period_s: float,
+    ) -> None:
+        self._positions = positions
+        self._period_s = period_s
         self._releases = [
-            (fault.tick, fault.uav) for fault in failures(setup.faults) if fault.do == "release"
+            (fault.tick, fault.uav) for fault in failures(faults) if fault.do == "release"
         ]
-        radii_m = [uav.radius_m or 0.0 for uav in setup.scenario.system.uav]  # 0: none
         # Pairs, 0-based, and the distances at which they touch.
         self._pairs_m = {
             (i, j): radii_m[i] + radii_m[j]
@@ -55,8 +66,7 @@ class Contacts:
         if not self._pairs_m or self.first is not None:
             return None
         tick = plant_state.tick
-        N = self._model.system.N
-        r_I = self._model.outputs(plant_state.x)[: 3 * N].reshape(N, 3)
+        r_I = self._positions(plant_state.x)
         # Nothing is known across a gap in the record.
         is_next = self._before is not None and self._before[0] == tick - 1
         start_I = self._before[1] if is_next and self._before is not None else r_I
@@ -81,13 +91,11 @@ class Contacts:
         )
         return self.first
 
-
-def first_contact(setup: Setup, states: Iterable[PlantState]) -> Contact | None:
-    """Return the first contact of a run from its plant states, ascending; None if there is none."""
-    contacts = Contacts(setup)
-    for plant_state in states:
-        contacts.add(plant_state)
-    return contacts.first
+    def over(self, states: Iterable[PlantState]) -> Contact | None:
+        """Return the first contact of a run from its plant states, ascending; None if there is none."""
+        for plant_state in states:
+            self.add(plant_state)
+        return self.first
 
 
 def _first_within(start: Array, end: Array, distance: float) -> float | None:

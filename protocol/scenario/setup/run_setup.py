@@ -33,18 +33,20 @@ from transport.protocol.scenario.checks.reference_limits import (
     too_close_at_hover,
     touching_at_hover,
 )
-from transport.protocol.scenario.faults.scripted_faults import Fault, failures, scripted
-from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.faults.faults_of_scenario import scripted
+from transport.protocol.scenario.faults.scripted_faults import Fault, failures
 from transport.protocol.scenario.sections.run_size import ticks_of
 from transport.protocol.scenario.sections.scenario_errors import HoverError, ScenarioError
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.setup.acting_alone import check_design, hands_over, may_act_alone
+from transport.protocol.scenario.setup.collisions import Contacts
 from transport.protocol.scenario.setup.model_objects import (
     building,
     maneuver_of,
     obstacle_of,
     system_of,
 )
+from transport.protocol.scenario.setup.run_rules import RunRules
 from transport.protocol.scenario.targets.target_messages import check_scripted, target_of
 from transport.protocol.wire.messages import Target as TargetMessage
 from transport.protocol.wire.node_interface import RunShape
@@ -73,12 +75,12 @@ class Setup:
     """A scenario turned into a system, a maneuver and controller settings."""
 
     scenario: Scenario
+    rules: RunRules  # all that does not depend on the team and its path
     system: System
     hover: Hover  # at the origin
     model: Model  # equations of motion, compiled when they are first evaluated
     reference: Reference  # with the targets so far
     settings: ControllerSettings  # the same for every agent
-    owned: tuple[tuple[int, ...], ...]  # 0-based UAVs of agent 1, agent 2, ...
     # Design of the law of UAVs alone, whose gains `settings` has; None where none of them acts alone.
     alone: AloneDesign | None = None
 
@@ -103,12 +105,12 @@ class Setup:
         instants = ticks_of(scenario) + settings.horizon + 2
         setup = Setup(
             scenario=scenario,
+            rules=rules_of(scenario),
             system=system,
             hover=equilibrium,
             model=Model(system),
             reference=Reference(path, settings.sampling_period_s, instants),
             settings=settings,
-            owned=tuple(tuple(uav - 1 for uav in group) for group in scenario.owned),
         )
         setup._check(source)
         return setup._with_gains_alone(source)
@@ -285,59 +287,76 @@ class Setup:
     @property
     def agents(self) -> tuple[int, ...]:
         """Agent ids, 1-based."""
-        return tuple(range(1, len(self.owned) + 1))
+        return self.rules.agents
+
+    @property
+    def owned(self) -> tuple[tuple[int, ...], ...]:
+        """UAVs of agent 1, agent 2, ..., 0-based."""
+        return self.rules.owned
 
     @property
     def ticks(self) -> int:
         """Sampling instants of the run: t_k < duration of the maneuver."""
-        return ticks_of(self.scenario)
+        return self.rules.ticks
 
     @property
     def period_ns(self) -> int:
-        """Return the sampling period, ns."""
-        return round(self.settings.sampling_period_s * 1e9)
+        """Sampling period, ns."""
+        return self.rules.period_ns
 
-    @cached_property
-    def shape(self) -> RunShape:
-        """What the messages of the run must fit."""
-        clock = self.scenario.clock
-        owned = {}
-        limits = {}
-        for agent, uavs in enumerate(self.owned, start=1):
-            owned[agent] = tuple(uav + 1 for uav in uavs)
-            limits[agent] = self.settings.lower(len(uavs)), self.settings.upper(len(uavs))
-        return RunShape(
-            owned=owned,
-            limits=limits,
-            uavs=self.system.N,
-            ticks=self.ticks,
-            period_s=self.settings.sampling_period_s,
-            delay=1 if clock.next_tick else 0,
-            negotiation_iterations=self.scenario.controller.negotiation_iterations,
-            vehicle_sensors=self.sensors.vehicle,
-            # The coordinator, which waits for all plans, hands them on.
-            relayed=clock.mode == "lockstep",
-            by_vehicles=self.scenario.has_vehicles,
-            confirms=self.scenario.controller.targets == "confirmed",
-        )
-
-    def link(self, sender: str, receiver: str) -> Link:
-        """Return the link that carries one process's messages to another.
-
-        Plans, or measurements from the plant.
-        """
-        period_s = self.settings.sampling_period_s
-        return Link(
-            self.scenario.links, sender, receiver, seed=self.scenario.seed, period_s=period_s
-        )
-
-    @cached_property
+    @property
     def faults(self) -> tuple[Fault, ...]:
         """Scripted faults, in the order of time."""
-        return scripted(self.scenario)
+        return self.rules.faults
+
+    def contacts(self) -> Contacts:
+        """Return what tells the first contact of two UAVs of this run."""
+        return Contacts(
+            self.positions_I,
+            [uav.radius_m or 0.0 for uav in self.scenario.system.uav],
+            self.faults,
+            self.settings.sampling_period_s,
+        )
+
+    def positions_I(self, x: Array) -> Array:
+        """Return the positions of the UAVs in a state of the plant, (N, 3), m."""
+        return self.model.outputs(x)[: 3 * self.system.N].reshape(-1, 3)
 
     def initial_state(self) -> np.ndarray:
         """Return the state of hover at the start of the maneuver, at rest, (12 + 12 N,)."""
         x = self.hover.x.copy()
         x[:3] += self.maneuver.start_I
         return x
+
+
+def rules_of(scenario: Scenario) -> RunRules:
+    """Return the rules of a run."""
+    settings = scenario.controller
+    owned = dict(enumerate(scenario.owned, start=1))
+    limits = {
+        agent: (settings.lower(len(uavs)), settings.upper(len(uavs)))
+        for agent, uavs in owned.items()
+    }
+    shape = RunShape(
+        owned=owned,
+        limits=limits,
+        uavs=len(scenario.system.uav),
+        ticks=ticks_of(scenario),
+        period_s=settings.sampling_period_s,
+        delay=1 if scenario.clock.next_tick else 0,
+        negotiation_iterations=settings.negotiation_iterations,
+        vehicle_sensors=scenario.plant.sensors == "vehicle",
+        # The coordinator, which waits for all plans, hands them on.
+        relayed=scenario.clock.mode == "lockstep",
+        by_vehicles=scenario.has_vehicles,
+        confirms=settings.targets == "confirmed",
+    )
+    return RunRules(
+        digest=scenario.digest(),
+        shape=shape,
+        seed=scenario.seed,
+        clock=scenario.clock,
+        links=scenario.links,
+        faults=scripted(scenario),
+        has_plant=scenario.has_plant,
+    )

@@ -1,16 +1,17 @@
 """Targets given during a run: messages of the coordinator, each of which makes a new reference."""
 
+from collections.abc import Mapping
 from operator import itemgetter
+from typing import Any
 
 from transport.model.target import Target
 from transport.protocol.scenario.sections.clock_section import first_tick
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
-from transport.protocol.scenario.sections.scenario_errors import RequestError
+from transport.protocol.scenario.sections.scenario_errors import RequestError, requested
 from transport.protocol.scenario.targets.planned_run import PlannedRun
 from transport.protocol.scenario.targets.target_timing import spline, straight, target_fields
 from transport.protocol.wire import messages
-from transport.protocol.wire.errors import MessageError
-from transport.protocol.wire.names import COORDINATOR, agent_name
+from transport.protocol.wire.names import COORDINATOR
 from transport.protocol.wire.node_interface import Outbox
 
 
@@ -33,25 +34,32 @@ def target_of(message: messages.Target, period_s: float, *, has_ground: bool) ->
     )
 
 
-def check_target(count: int, message: messages.Target) -> None:
-    """Raise MessageError for a target that is neither the next one after a count nor a repeated one."""
-    if message.number > count + 1:
-        raise MessageError("future", f"target {message.number} after {count}")
-
-
-def target_in_words(message: messages.Target) -> str:
-    """Return a target in words."""
-    x, y, z = message.points[-1 if message.lands else 0].tolist()
-    told = f", told to {', '.join(map(agent_name, message.to))}" if message.to else ""
-    return f"{'landing' if message.lands else 'target'} ({x:g}, {y:g}, {z:g}) m{told}"
-
-
 def scripted(setup: PlannedRun) -> list[tuple[int, TargetSection]]:
     """Return the targets of a scenario with their ticks, in the order of time."""
     period_s = setup.settings.sampling_period_s
     sections = setup.scenario.maneuver.target
     timed = [(first_tick(section.at_s, period_s), section) for section in sections]
     return sorted(timed, key=itemgetter(0))
+
+
+class TargetTiming:
+    """Timing of targets one after the other: each from the path that leads to those before."""
+
+    def __init__(self, setup: PlannedRun) -> None:
+        self._setup = setup  # with the targets so far
+
+    def fields(self, wanted: TargetSection | Mapping[str, Any], tick: int) -> dict[str, Any]:
+        """Return the fields of the message of a target from a tick on: a section, or a request of one.
+
+        Raises: RequestError: the request is not valid, or the team cannot fly to the target.
+        """
+        if not isinstance(wanted, TargetSection):
+            wanted = requested(TargetSection, dict(wanted))
+        return target_fields(self._setup, wanted, tick)
+
+    def follow(self, message: messages.Target) -> None:
+        """Let the path lead to a target that is told."""
+        self._setup = self._setup.after([message])
 
 
 def check_scripted(setup: PlannedRun) -> None:
@@ -66,7 +74,6 @@ def check_scripted(setup: PlannedRun) -> None:
         )
 
     out = Outbox(COORDINATOR, 0)
+    timing = TargetTiming(setup)
     for number, (tick, section) in enumerate(timed, start=1):
-        numbers = target_fields(setup, section, tick)
-        message = out.stamp(messages.Target, number=number, **numbers)
-        setup = setup.after([message])
+        timing.follow(out.stamp(messages.Target, number=number, **timing.fields(section, tick)))
