@@ -14,7 +14,8 @@ class OpenStep(Protocol):
     """A tick that has been begun and whose plan has not been made."""
 
     received: Received
-    negotiation: int  # exchanges of plans still to come
+    # Calls of `plan` still to come: all but the last of them return a proposal, and plans are exchanged.
+    negotiation: int
 
 
 S = TypeVar("S", bound=OpenStep)

@@ -12,7 +12,7 @@ import numpy as np
 
 from transport.agent.estimation.filter.belief import Belief
 from transport.agent.estimation.received_states import Reports, by_uav
-from transport.agent.planning.step_report import step_report
+from transport.agent.planning.step_report import step_plan, step_report
 from transport.agent.received import Received
 from transport.model import state
 from transport.model.arrays import Array
@@ -128,19 +128,8 @@ class AlonePlanner:
         self._has_planned = True
         rows = steps_alone(setup.settings.sampling_period_s)
         inputs = np.tile(self._inputs, (min(rows, setup.settings.horizon), 1))
-        plan = out.stamp(
-            Plan,
-            tick=k,
-            agent=self._agent,
-            start_tick=k + int(setup.scenario.clock.next_tick),
-            uavs=tuple(uav + 1 for uav in self._owned),
-            uav_states=self._said(k),
-            inputs=inputs,
-            corrections=np.zeros((0, inputs.shape[1])),
-            status="solved",
-            negotiation=0,
-            shared=True,
-        )
+        states = self._said(k)
+        plan = step_plan(k, self._agent, out, setup, uav_states=states, inputs=inputs)
 
         now_ns = self._stopwatch()
         started_ns = step.received.started_ns

@@ -15,7 +15,13 @@ from transport.agent.estimation.filter.belief import Belief
 from transport.agent.estimation.predicted_motion import STEPS
 from transport.agent.estimation.team_estimate import Expected, TeamEstimate
 from transport.agent.planning.hand_over_inputs import HandOver
-from transport.agent.planning.step_report import NO_AGE, StageTimes, numbers_note, step_report
+from transport.agent.planning.step_report import (
+    NO_AGE,
+    StageTimes,
+    numbers_note,
+    step_plan,
+    step_report,
+)
 from transport.agent.received import Received
 from transport.agent.silence.freshness import Freshness
 from transport.model import motors
@@ -71,7 +77,7 @@ class Step:
     uav_states: Array  # states or measurements of the owned UAVs for the plan, (owned, 12 or 80)
     start_tick: int  # first tick that the plan is for
     problem: Problem
-    negotiation: int  # solves still to come; after each but the last one plans are exchanged
+    negotiation: int
     result: StepResult | None = None
 
 
@@ -83,7 +89,6 @@ class Planner:
         self._agent = agent
         self._stopwatch = stopwatch
         self._owned = setup.owned[agent - 1]
-        self._numbers = tuple(uav + 1 for uav in self._owned)
         self._controller = Controller(
             setup.model,
             setup.hover,
@@ -265,12 +270,11 @@ class Planner:
         # `decide` is asked once a tick: the others assume a shared plan from then on.
         is_last = step.negotiation == 0
         is_shared = not is_last or self._sharing.decide(corrections)
-        return out.stamp(
-            Plan,
-            tick=received.tick,
-            agent=self._agent,
-            start_tick=step.start_tick,
-            uavs=self._numbers,
+        return step_plan(
+            received.tick,
+            self._agent,
+            out,
+            self._setup,
             uav_states=step.uav_states,
             inputs=result.U,
             corrections=result.c,

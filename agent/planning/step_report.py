@@ -1,4 +1,4 @@
-"""Report of an agent's step: ages and counts of messages, times of its stages, numbers for the log."""
+"""Messages of an agent's step: its plan, its report with ages, counts and times, numbers for the log."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 
 from transport.agent.received import Received
-from transport.protocol.wire.messages import STAGES, Note, StepReport
+from transport.model.arrays import Array
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.wire.messages import STAGES, Note, Plan, StepReport
 from transport.protocol.wire.node_interface import Outbox
 
 # Stages counted as computation, not waiting or publishing.
@@ -57,6 +59,38 @@ def numbers_note(
         problem=problem,
         names=tuple(numbers),
         values=list(numbers.values()),
+    )
+
+
+def step_plan(
+    tick: int,
+    agent: int,
+    out: Outbox,
+    setup: Setup,
+    *,
+    uav_states: Array,
+    inputs: Array,
+    **fields: Any,
+) -> Plan:
+    """Return the plan, or proposal, of an agent, 1-based, at a tick.
+
+    Without further fields it is solved, the last of its tick, shared, and has no corrections.
+    """
+    is_as_solved = {
+        "corrections": np.zeros((0, inputs.shape[1])),
+        "status": "solved",
+        "negotiation": 0,
+        "shared": True,
+    }
+    return out.stamp(
+        Plan,
+        tick=tick,
+        agent=agent,
+        start_tick=tick + int(setup.scenario.clock.next_tick),
+        uavs=tuple(uav + 1 for uav in setup.owned[agent - 1]),
+        uav_states=uav_states,
+        inputs=inputs,
+        **{**is_as_solved, **fields},
     )
 
 

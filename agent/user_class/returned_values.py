@@ -10,34 +10,35 @@ import numpy as np
 from transport.agent.user_class.run_for_user import Run
 from transport.model.arrays import Array
 from transport.protocol.scenario.user_class.user_errors import OwnClassError, real_array
-from transport.protocol.wire.messages import MAX_NAME, MAX_NAMES
+from transport.protocol.wire.messages import MAX_NAME, MAX_NAMES, PlanStatus
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
     """Result of `step` or `negotiate` of a controller of the user, each part by name."""
 
-    inputs: (
-        Any  # (4 owned,) or (rows, 4 owned), of the ticks from the first on that the plan acts at
-    )
+    # (4 owned,) or (rows, 4 owned), of the ticks from the first on that the plan acts at.
+    inputs: Any
     data: Any = None  # for the other agents, in the shape that `run.share` has declared
     numbers: Mapping[str, float] = field(default_factory=dict)  # for the log, by name
     send: bool = True  # whether the other agents get the plan; see `Run.must_send`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Returned:
-    """Result of a step as arrays."""
+class Outcome:
+    """Result of a call as a plan has it: that of the class, or the shifted previous inputs with the reason."""
 
     inputs: Array  # (rows, 4 owned), of the ticks from the first on that the plan acts at
-    asked: Array  # the same before limits
-    data: Array  # flat, (k,); none without a declared shape
-    numbers: Mapping[str, float]  # for the log, by name
-    send: bool
-    shape: tuple[int, ...]  # of the inputs as they were returned
+    asked: Array | None = None  # as the class returned them, before limits; None if it did not
+    data: Array = field(default_factory=lambda: np.zeros(0))  # for the others, flat; none without
+    numbers: Mapping[str, float] = field(default_factory=dict)  # for the log, by name
+    status: PlanStatus = "solved"
+    send: bool = True  # whether the others get the plan
+    problem: str = ""  # why the step failed; empty if it did not
+    unchanged: int = 0  # ticks for which the inputs have been the same, if that is suspicious
 
 
-def converted(returned: object, method: str, data_shape: tuple[int, ...] | None) -> Returned:
+def converted(returned: object, method: str, data_shape: tuple[int, ...] | None) -> Outcome:
     """Return the result of a method as arrays and numbers.
 
     Raises: OwnClassError: the data are not those that the class has declared.
@@ -45,15 +46,14 @@ def converted(returned: object, method: str, data_shape: tuple[int, ...] | None)
     """
     step = returned if isinstance(returned, Step) else _parts(returned, data_shape)
     inputs = real_array(step.inputs)
-    return Returned(
+    return Outcome(
         inputs=np.atleast_2d(inputs),
-        asked=np.atleast_2d(inputs),
+        asked=inputs,
         data=_data(step.data, method, data_shape),
         numbers={
             str.__str__(str(name)): float(value) for name, value in dict(step.numbers).items()
         },
         send=bool(step.send),
-        shape=inputs.shape,
     )
 
 
@@ -91,30 +91,31 @@ def _data(given: object, method: str, shape: tuple[int, ...] | None) -> Array:
     return data.reshape(-1)
 
 
-def checked(returned: Returned, method: str, run: Run) -> Returned:
+def checked(outcome: Outcome, method: str, run: Run) -> Outcome:
     """Return the result of a method with its inputs within the limits.
 
     Raises: OwnClassError: with got and expected.
     """
-    _check_shape(returned, method, run)
-    _check_names(returned.numbers, method)
-    _check_finite(returned, method)
-    return replace(returned, inputs=np.clip(returned.inputs, run.lower, run.upper))
+    _check_shape(outcome, method, run)
+    _check_names(outcome.numbers, method)
+    _check_finite(outcome, method)
+    return replace(outcome, inputs=np.clip(outcome.inputs, run.lower, run.upper))
 
 
-def _check_shape(returned: Returned, method: str, run: Run) -> None:
-    inputs = returned.inputs
+def _check_shape(outcome: Outcome, method: str, run: Run) -> None:
+    inputs = outcome.inputs
     columns = len(run.lower)
     is_right = inputs.ndim == 2 and inputs.shape[1] == columns
     if not is_right or not 1 <= len(inputs) <= run.horizon:
         expected = f"expected shape ({columns},) or (1 to {run.horizon}, {columns})"
-        raise OwnClassError(f"{method}: {expected}, got {returned.shape}")
+        got = () if outcome.asked is None else outcome.asked.shape
+        raise OwnClassError(f"{method}: {expected}, got {got}")
 
 
-def _check_finite(returned: Returned, method: str) -> None:
-    inputs = {f"input {list(place)}": u for place, u in np.ndenumerate(returned.inputs)}
-    data = {f"data {place}, counted row by row": d for place, d in enumerate(returned.data)}
-    for name, value in {**inputs, **data, **returned.numbers}.items():
+def _check_finite(outcome: Outcome, method: str) -> None:
+    inputs = {f"input {list(place)}": u for place, u in np.ndenumerate(outcome.inputs)}
+    data = {f"data {place}, counted row by row": d for place, d in enumerate(outcome.data)}
+    for name, value in {**inputs, **data, **outcome.numbers}.items():
         if not math.isfinite(value):
             expected = "expected finite inputs, data and numbers for the log"
             raise OwnClassError(f"{method}: {expected}, got {name} = {value}")

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from transport.agent.user_class.returned_values import Returned, checked, converted
+from transport.agent.user_class.returned_values import Outcome, checked, converted
 from transport.agent.user_class.run_for_user import Run
 from transport.protocol.scenario.user_class.user_errors import errors_of, new_object
 from transport.protocol.scenario.user_class.user_import import own_class
@@ -26,15 +26,15 @@ class OwnObject:
             self._object.start(run)
         run.started()
 
-    def step(self, measurement: Measurement, plans: Sequence[Plan]) -> Returned:
+    def step(self, measurement: Measurement, plans: Sequence[Plan]) -> Outcome:
         """Return the result of a step, checked. Raises: OwnClassError: it fails."""
         return self._result("step", lambda: self._object.step(measurement, plans))
 
-    def negotiate(self, iteration: int, proposals: Sequence[Plan]) -> Returned:
+    def negotiate(self, iteration: int, proposals: Sequence[Plan]) -> Outcome:
         """Return the result of an exchange, checked. Raises: OwnClassError: it fails."""
         return self._result("negotiate", lambda: self._object.negotiate(iteration, proposals))
 
-    def _result(self, method: str, call: Callable[[], object]) -> Returned:
+    def _result(self, method: str, call: Callable[[], object]) -> Outcome:
         with errors_of(method):
             returned = call()
 

@@ -15,10 +15,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from transport.agent.estimation.received_states import Reports, by_uav
-from transport.agent.planning.step_report import numbers_note, step_report
+from transport.agent.planning.step_report import numbers_note, step_plan, step_report
 from transport.agent.received import Received
 from transport.agent.silence.freshness import Freshness, Repetition
-from transport.agent.user_class.returned_values import Returned
+from transport.agent.user_class.returned_values import Outcome
 from transport.agent.user_class.run_for_user import run_of
 from transport.agent.user_class.user_object import OwnObject
 from transport.model.arrays import Array
@@ -30,7 +30,7 @@ from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.user_class.user_errors import OwnClassError
 from transport.protocol.scenario.user_class.user_import import own_class, version_of
-from transport.protocol.wire.messages import STAGES, Measurement, Message, Note, Plan, PlanStatus
+from transport.protocol.wire.messages import STAGES, Measurement, Message, Note, Plan
 from transport.protocol.wire.node_interface import Outbox
 
 PROJECT = "mpc"  # the controller of the project
@@ -104,29 +104,13 @@ def plan_shapes(setup: Setup) -> dict[str, PlanShape]:
     }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
-    """Result of a call: that of the class, or the shifted previous inputs with the reason."""
-
-    inputs: Array  # (rows, 4 owned)
-    asked: Array | None = (
-        None  # the same as the class returned them, before limits; None if it did not
-    )
-    data: Array  # for the others, flat; none after a failure
-    numbers: Mapping[str, float]  # for the log, by name
-    status: PlanStatus
-    send: bool  # whether the others get the plan
-    problem: str = ""  # why the step failed; empty if it did not
-    unchanged: int = 0  # ticks for which the inputs have been the same, if that is suspicious
-
-
 @dataclass(slots=True, kw_only=True)
 class OwnStep:
     """An open tick of a controller of the user."""
 
     received: Received
     start_tick: int  # first tick that the plan is for
-    negotiation: int  # calls of `plan` still to come; after one, exchanges still to come
+    negotiation: int
     plans: Sequence[Plan]  # of the others, for the next call
     iteration: int = 0  # exchanges so far
     outcome: Outcome | None = None  # of the last call
@@ -312,36 +296,16 @@ class OwnPlanner:
     def _outcome(self, step: OwnStep) -> Outcome:
         """Return the result of the class; the shifted previous plan if it has none."""
         shifted = self._previous.from_tick(step.start_tick)
-        without = Outcome(inputs=shifted, data=_NO_DATA, numbers={}, status="solved", send=True)
         if self._measurement is None:
-            return without
+            return Outcome(inputs=shifted)
         try:
-            returned = self._returned(self._measurement, step)
+            if self._object is None:
+                raise OwnClassError(self._problem)
+            if step.iteration == 0:
+                return self._object.step(self._measurement, step.plans)
+            return self._object.negotiate(step.iteration, step.plans)
         except OwnClassError as error:
-            return Outcome(
-                inputs=shifted,
-                data=_NO_DATA,
-                numbers={},
-                status="numerical",
-                send=True,
-                problem=str(error),
-            )
-        return Outcome(
-            inputs=returned.inputs,
-            asked=returned.asked,
-            data=returned.data,
-            numbers=returned.numbers,
-            status="solved",
-            send=returned.send,
-        )
-
-    def _returned(self, measurement: Measurement, step: OwnStep) -> Returned:
-        """Return what the class returns, checked. Raises: OwnClassError: it fails."""
-        if self._object is None:
-            raise OwnClassError(self._problem)
-        if step.iteration == 0:
-            return self._object.step(measurement, step.plans)
-        return self._object.negotiate(step.iteration, step.plans)
+            return Outcome(inputs=shifted, status="numerical", problem=str(error))
 
     def _without_repetition(self, step: OwnStep, outcome: Outcome) -> Outcome:
         """Return the last outcome of a tick, with the time for which the class has repeated itself."""
@@ -367,15 +331,13 @@ class OwnPlanner:
         """Return the plan, or proposal, of an outcome."""
         tick = step.received.tick
         stale = self._freshness.age(tick, is_solved=outcome.status == "solved")
-        return out.stamp(
-            Plan,
-            tick=step.received.tick,
-            agent=self._agent,
-            start_tick=step.start_tick,
-            uavs=tuple(uav + 1 for uav in self._owned),
-            uav_states=self._uav_states(step.received.tick),
+        return step_plan(
+            tick,
+            self._agent,
+            out,
+            self._setup,
+            uav_states=self._uav_states(tick),
             inputs=outcome.inputs,
-            corrections=np.zeros((0, outcome.inputs.shape[1])),
             status=outcome.status,
             negotiation=step.negotiation,
             shared=is_shared,
