@@ -52,6 +52,7 @@ EXPERIMENTS: Mapping[str, Asked] = {
     "scaling": Asked({"max": 12}, seeds=3),
     "radio": Asked({"sharing": ["always", "on_change"]}, seeds=1),
     WEATHER: Asked(seeds=2),
+    "information": Asked(),
 }
 # Pages of experiments with a page of their own.
 OWN_PAGES = {"radio": ROOT / "docs" / "radio.md"}

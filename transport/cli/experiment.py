@@ -23,6 +23,7 @@ from transport.experiments import (
     comparison,
     comparison_report,
     design_experiments,
+    information_experiment,
     network_experiments,
     radio_experiment,
     weather_experiment,
@@ -37,11 +38,12 @@ from transport.protocol.scenario.scenario_file import find_scenario, read_scenar
 from transport.protocol.scenario.sections.run_size import ADMITTED, most_workers
 from transport.protocol.scenario.sections.schema import Scenario
 
-# The four modules are imported for their effect: each declares its experiments in `EXPERIMENTS`.
+# The five modules are imported for their effect: each declares its experiments in `EXPERIMENTS`.
 __all__ = [
     "EXPERIMENTS",
     "ExperimentOptions",
     "design_experiments",
+    "information_experiment",
     "network_experiments",
     "radio_experiment",
     "weather_experiment",
@@ -138,7 +140,7 @@ class ExperimentOptions:
             experiment.points,
             self.changes(),
             self.repetitions,
-            timed=experiment.drawn_as == _TIMED,
+            more=experiment.more,
             allow_large=self.allow_large,
             simulated_before=simulated_before,
         )

@@ -23,6 +23,7 @@ _EXPERIMENTS = {
     "radio": ("experiment:COMMANDS", "Effect of the radio channel that the team itself fills."),
     "agile": ("experiment:COMMANDS", "Fast flight: the payload's error over speed."),
     "weather": ("experiment:COMMANDS", "Worth of the network in weather."),
+    "information": ("experiment:COMMANDS", "Targets that one agent knows."),
     "paper": ("experiment:paper", "The paper's claim: centralized against distributed."),
     "scaling": ("experiment:COMMANDS", "Growth of cost, computation and messages."),
 }

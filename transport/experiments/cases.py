@@ -116,14 +116,17 @@ class Point:
     # Number of UAVs and UAVs per agent, as of `transport scenario new`.
     team: tuple[int, int] | None = None
     scenario: str = ""  # file or name
+    # Further settings of each seed, which begins anew after the last one: such as a random instant.
+    by_seed: tuple[tuple[str, ...], ...] = ()
 
-    def read(self, settings: Sequence[str] = ()) -> Scenario:
-        """Return the scenario with settings, then those of the point, of any size.
+    def read(self, settings: Sequence[str] = (), seed: int = 0) -> Scenario:
+        """Return the scenario with settings, then those of the point and of a seed, of any size.
 
         Raises: ScenarioError: naming file or setting, field, expected, got.
         """
         path = find_scenario(self.scenario)
-        changes = [*settings, *self.settings]
+        drawn = self.by_seed[seed % len(self.by_seed)] if self.by_seed else ()
+        changes = [*settings, *self.settings, *drawn]
         if self.team is None:
             return read_scenario(path, changes, allow_large=True)
 
@@ -152,20 +155,19 @@ def cases_of(
     settings: Sequence[str],
     seeds: int,
     *,
-    timed: bool = False,
+    more: More | None = None,
     allow_large: bool = False,
     simulated_before: bool = False,
 ) -> list[Case]:
     """Return every run of a sweep: each point with the seeds 0, 1, ...
 
-    A deterministic point has one seed. The settings are applied before those of the points. Timed
-    points have the numbers of `resource_use` and are all repeated. With `allow_large` runs may
+    A deterministic point has one seed. The settings are applied before those of the points. Runs have
+    further numbers by `more`; with `resource_use` all are repeated. With `allow_large` runs may
     exceed the limits of `protocol.scenario.sections.run_size`. Points that have been simulated before are not
     set up, which takes a second for a large team.
 
     Raises: ScenarioError: a point that cannot be simulated, naming file, field, expected, got.
     """
-    more = resource_use if timed else None
     cases = []
     for index, point in enumerate(points):
         path = find_scenario(point.scenario)
@@ -174,7 +176,8 @@ def cases_of(
             check_size(scenario, str(path))
         if not simulated_before:
             check(scenario, path)
-        cases += cases_of_point(index, scenario, path, seeds, more=more)
+        drawn = [point.read(settings, seed) for seed in range(seeds if point.by_seed else 0)]
+        cases += cases_of_point(index, scenario, path, seeds, drawn, more=more)
     return cases
 
 
@@ -187,9 +190,17 @@ def check(scenario: Scenario, path: Path) -> None:
 
 
 def cases_of_point(
-    index: int, scenario: Scenario, path: Path, seeds: int, *, more: More | None = None
+    index: int,
+    scenario: Scenario,
+    path: Path,
+    seeds: int,
+    drawn: Sequence[Scenario] = (),
+    *,
+    more: More | None = None,
 ) -> list[Case]:
     """Return the runs of the point with an index, whose scenario comes from a file; as `cases_of`.
+
+    With a scenario for each seed, `drawn`, these are run.
 
     Raises: ScenarioError: the scenario is in real time.
     """
@@ -199,9 +210,10 @@ def cases_of_point(
         raise ScenarioError(str(path), "clock.mode", problem)
 
     is_repeated = more is resource_use or is_random(scenario)
+    scenarios = drawn or [scenario] * (seeds if is_repeated else 1)
     cases = []
-    for seed in range(seeds if is_repeated else 1):
-        seeded = scenario.model_copy(update={"seed": seed})
+    for seed, unseeded in enumerate(scenarios):
+        seeded = unseeded.model_copy(update={"seed": seed})
         key = key_of(seeded)
         cases.append(Case(point=index, scenario=seeded, source=str(path), key=key, more=more))
     return cases

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from transport.experiments import comparison
-from transport.experiments.cases import Case, cases_of
+from transport.experiments.cases import Case, cases_of, resource_use
 from transport.experiments.cases import simulate as simulate_here
 from transport.experiments.comparison import CENTRALIZED, Cell, Curve
 from transport.experiments.comparison_figures import draw_costs, draw_maneuver
@@ -114,7 +114,7 @@ def plan(options: ComparisonOptions, *, simulated_before: bool = False) -> Compa
         reference=reference,
         cells=cells,
         measurement=measurement,
-        timed=cases(measurement.points, [*options.settings, maneuver], repeats, timed=True),
+        timed=cases(measurement.points, [*options.settings, maneuver], repeats, more=resource_use),
         experiment=experiment,
         cases=cases(experiment.points, options.settings, options.seeds),
     )

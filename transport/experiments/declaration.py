@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Self
 
-from transport.experiments.cases import Point
+from transport.experiments.cases import More, Point
 from transport.protocol.scenario.sections.scenario_keys import (
     UNITS,
     ending_of,
@@ -55,6 +55,9 @@ _COLUMNS: Mapping[str, tuple[Any, ...]] = {
     "uavs": ("number of UAVs",),
     "terminal": ("terminal weight",),
     "share_threshold": ("threshold", "% of the input's range; 0: all plans sent", 100.0),
+    "rule": ("rule of the agents that learn a target from plans",),
+    "cost_mean": ("mean cost", "$10^{-3}$", 1e3),
+    "away_rms_m": ("away, rms", "cm", 100.0),
 }
 
 
@@ -122,6 +125,7 @@ class Experiment:
     name: str  # of the command
     x: str = ""  # columns along the axes
     y: str = ""
+    shown: str = "cost_mean"  # number in a map
     drawn_as: Literal[
         "curves", "scaling", "variants", "sharing", "tracking", "radio", "weather", "arena"
     ] = "curves"
@@ -135,6 +139,7 @@ class Experiment:
     scenarios: Sequence[str] = ("paper", "resilient")  # none: teams of its own
     seeds: int = 1
     jobs: int | None = None  # runs at a time; None: one for each core
+    more: More | None = None  # further numbers of each run
     maneuver: str = ""  # setting; empty: the scenario's own
     quick_maneuver: str = QUICK_MANEUVER
 

@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from transport.experiments.cases import Point, refused
+from transport.experiments.cases import Point, refused, resource_use
 from transport.experiments.declaration import NONE, Values, declared
 from transport.experiments.network_experiments import NETWORKS
 from transport.protocol.scenario.scenario_file import ScenarioError, with_settings
@@ -214,6 +214,7 @@ def _event(at_s: float, action: str, agent: int) -> str:
 @declared(
     "uavs",
     drawn_as="scaling",
+    more=resource_use,
     curves="ownership",
     scenarios=(),
     jobs=1,

@@ -40,6 +40,6 @@ def fill(figure: Figure, experiment: Experiment, measured: Sequence[PointStatist
     elif experiment.drawn_as == "arena":
         draw_arena(figure, measured)
     elif experiment.y:
-        draw_maps(figure, axis(experiment.x), axis(experiment.y), scenarios)
+        draw_maps(figure, axis(experiment.x), axis(experiment.y), axis(experiment.shown), scenarios)
     else:
         draw_curves(figure, experiment, scenarios)

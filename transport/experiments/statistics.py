@@ -15,6 +15,7 @@ from transport.experiments.cases import ERROR, Point, Result
 # Numbers of a point beside those of its runs.
 FIRST_DIVERGED = "first_lost_s"
 COST_RATIO = "cost_ratio"
+WORST_ATTITUDE = "attitude_worst_deg"
 
 # Quantile of Student's distribution at the upper end of a 95 % confidence interval.
 _QUANTILE = 0.975
@@ -63,6 +64,7 @@ class PointStatistics:
     diverged_s: tuple[float, ...]  # scenario times at which the other runs ended, ascending, s
     numbers: Mapping[str, Estimate | None]  # over the completed runs, by name (cases.NUMBERS)
     cost_ratio: float | None
+    attitude_worst_deg: float | None  # over the completed runs
 
     def mean(self, name: str) -> float | None:
         """Return the mean of a number, or the cost ratio; None where no run was completed."""
@@ -90,6 +92,7 @@ class PointStatistics:
             "errors": self.errors,
             FIRST_DIVERGED: min(self.diverged_s, default=None),
             COST_RATIO: self.cost_ratio,
+            WORST_ATTITUDE: self.attitude_worst_deg,
         }
         for name, value in self.numbers.items():
             row[name] = value and value.mean
@@ -134,6 +137,9 @@ def _of_point(point: Point, results: Sequence[Result], names: Sequence[str]) -> 
         diverged_s=tuple(sorted(end_s for end_s in ends_s if end_s is not None)),
         numbers=estimates,
         cost_ratio=None,
+        attitude_worst_deg=max(
+            (numbers.get("attitude_max_deg") or 0.0 for numbers in completed), default=None
+        ),
     )
 
 
@@ -195,11 +201,18 @@ _COLUMNS = [
     _AGE,
 ]
 
+_WORST_ATTITUDE = Column("worst\n(deg)", WORST_ATTITUDE, 1.0, 1)
+
 # Columns in place of `_COLUMNS`, by the label of the points that selects them; the first label counts.
 _FURTHER = {
     "weather": [
         *(_DIVERGED, _ERROR, _LARGEST_ERROR),
         *(_COST, _RATIO, _ATTITUDE, _APART, _AGE),
+    ],
+    "rule": [
+        Column("away rms\n(cm)", "away_rms_m", 100.0, 1, True),
+        Column("known\n(s)", "known_s"),
+        *(_DIVERGED, _ERROR, _ATTITUDE, _WORST_ATTITUDE, _APART),
     ],
     "share_threshold": [
         Column("plans\nsent (%)", "plans_shared_share", 100.0, 1, True),

@@ -73,7 +73,8 @@ def test_a_scenario_without_a_network_to_choose_keeps_its_own() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["latency", "loss", "jitter", "kill", "matrix", "horizon", "deaths", "sharing"]
+    "name",
+    ["latency", "loss", "jitter", "kill", "matrix", "horizon", "deaths", "sharing"],
 )
 def test_every_point_is_valid(name: str) -> None:
     """All points are valid scenarios with distinct fingerprints.
