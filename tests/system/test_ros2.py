@@ -75,9 +75,9 @@ def subscribe(
 
 
 class Publisher:
-    """Publisher of /target, by the other implementation."""
+    """Publisher of targets, by the other implementation."""
 
-    def __init__(self, sdk: Any, port: int) -> None:
+    def __init__(self, sdk: Any, port: int, topic: str = "/target") -> None:
         whole, digest = described(POSE, POSE_DEFINITION, DEFINITIONS)
         described_as = {
             "msg_definition": whole,
@@ -85,7 +85,7 @@ class Publisher:
             "domain_id": DOMAIN,
             "router_port": port,
         }
-        self._publisher = sdk.ROS2Publisher("/target", POSE, **described_as)
+        self._publisher = sdk.ROS2Publisher(topic, POSE, **described_as)
         self.close = self._publisher.close
 
     def send(self, x: float, y: float, z: float, frame: str = "map") -> None:
@@ -245,10 +245,14 @@ def test_targets_come_from_outside(sdk: Any, tmp_path: Path) -> None:
                 return wait_for(lambda: targets()[-1:] == [[place[0], -place[1], -place[2]]], 3.0)
 
             assert wait_for(is_known)
+        to_one = Publisher(sdk, sdk.port, "/agent2/target")
+        to_one.send(0.5, -0.5, 10.2)
+        assert wait_for(lambda: [target.to for target in log.of(Target)] == [(), (), (2,)])
+        to_one.close()
         for _ in range(200):
             send(float("nan"), 0.0, 0.0)
         send(1.0, 0.0, 10.0, frame="odom")
-        assert targets()[-1] == [0.5, 0.5, -10.5]
+        assert targets()[-1] == [0.5, 0.5, -10.2]
         flooded = len(log.of(PlantState))
         assert wait_for(lambda: len(log.of(PlantState)) > flooded + 30)
         run.send_signal(signal.SIGINT)
@@ -261,7 +265,10 @@ def test_targets_come_from_outside(sdk: Any, tmp_path: Path) -> None:
             process.kill()
             process.communicate()
     assert "/target: expected a finite position" in errors or "expected the frame" in errors
-    script = (f"{{at_s={t.tick * 0.05!r},points_m={t.points.tolist()}}}" for t in log.of(Target))
+    script = (
+        f"{{at_s={t.tick * 0.05!r},points_m={t.points.tolist()},to={[*t.to]}}}"
+        for t in log.of(Target)
+    )
     until = log.of(PlantState)[-1].tick - 10
     alone = simulated_before(
         until, tmp_path / "run" / "scenario.toml", f"maneuver.target=[{','.join(script)}]"

@@ -22,7 +22,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from transport.cli.ros2 import PacedStart
 from transport.report.ros2 import (
-    TARGET,
+    TARGET_TYPE,
     GoalError,
     Ros2Messages,
     cdr,
@@ -152,7 +152,7 @@ def stamped(frame: str, place: tuple[float, float, float]) -> bytes:
     """Return a pose at a place as bytes."""
     header = {"stamp": {"sec": 7, "nanosec": 5}, "frame_id": frame}
     return cdr(
-        TARGET[1], {"header": header, "pose": {"position": dict(zip("xyz", place, strict=True))}}
+        TARGET_TYPE, {"header": header, "pose": {"position": dict(zip("xyz", place, strict=True))}}
     )
 
 

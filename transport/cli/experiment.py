@@ -54,7 +54,7 @@ _OUT = (
 )
 _SCENARIO = (
     "Scenario file or name; default: paper and resilient (hover: also centralized; "
-    "deaths, sharing: resilient; agile: eight; weather: five). Repeatable."
+    "deaths, sharing: resilient; agile: eight; information: precise; weather: five). Repeatable."
 )
 _QUICK_SEEDS = 2
 # Experiments that are drawn so measure processor times.

@@ -6,6 +6,7 @@ target becomes the request of `transport target`.
 
 import os
 import time
+from collections.abc import Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ from transport.flight.live import read as read_live_run
 from transport.log.run_log import LogTail, setup_of
 from transport.protocol.network.rmw_zenoh import RosNode
 from transport.protocol.wire.messages import PlantState
+from transport.protocol.wire.names import agent_name
 from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder
 
@@ -51,7 +53,7 @@ def ros2(
     Poses, twists, plans, transforms and markers of payload and UAVs, at every tick, until the run
     ends or is killed. The command reads the log of the run as it grows: no process of the run waits
     for it or knows it. A geometry_msgs/PoseStamped on /target, in the frame inertial or map, sends
-    the payload to its position, as transport target does.
+    the payload to its position, as transport target does; on /agent2/target only that agent is told.
 
     Exit codes: 0 the run has ended; 2 no such run; 4 no router; 130 Ctrl-C.
 
@@ -71,8 +73,9 @@ def ros2(
     )
     messages = Ros2Messages(SceneBuilder(setup, history), start.stamps_apart_ns)
 
+    told = {"/target": (), **{f"/{agent_name(agent)}/target": (agent,) for agent in setup.agents}}
     with blame("--connect"):
-        node = _node(connect, domain, messages)
+        node = _node(connect, domain, messages, told)
 
     commands = Commands(live_run, lambda text, _: typer.echo(text, err=True))
     with closing(node):
@@ -84,19 +87,21 @@ def ros2(
             history=history,
             start=start,
         )
-        targets = _Targets(node=node, commands=commands)
+        targets = _Targets(node=node, commands=commands, told=told)
         _publish(reader, _Publisher(messages=messages, node=node), targets)
 
 
-def _node(connect: str, domain: int, messages: "Ros2Messages") -> RosNode:
+def _node(
+    connect: str, domain: int, messages: "Ros2Messages", target_topics: Iterable[str]
+) -> RosNode:
     """Return a node that publishes the topics of a run and hears targets."""
-    from transport.report.ros2 import TARGET, types
+    from transport.report.ros2 import TARGET_TYPE, types
 
     published = {
         topic: (kind, types().hash_rihs01(kind)) for topic, kind in messages.topics.items()
     }
-    target_topic, target_type = TARGET
-    heard = {target_topic: (target_type, types().hash_rihs01(target_type))}
+    target = TARGET_TYPE, types().hash_rihs01(TARGET_TYPE)
+    heard = dict.fromkeys(target_topics, target)
     return RosNode(connect, domain, published, heard)
 
 
@@ -213,25 +218,26 @@ class _Publisher:
 
 @dataclass(slots=True, kw_only=True)
 class _Targets:
-    """Targets from ROS 2: the newest of each interval is handed on; a refused one is told."""
+    """Targets from ROS 2: the newest of a topic in each interval is handed on; a refused one is told."""
 
     node: RosNode
     commands: Commands
+    told: Mapping[str, tuple[int, ...]]  # agents that are told by topic; none for all
     next_s: float = 0.0  # steady-clock time of the next one
 
     def hand_on(self) -> None:
-        """Send the payload to the newest target, if one has come and the interval is over."""
-        from transport.report.ros2 import TARGET, GoalError, goal_in
+        """Send the payload to the newest targets, if some have come and the interval is over."""
+        from transport.report.ros2 import GoalError, goal_in
 
         if time.monotonic() < self.next_s:
             return
-        topic, _ = TARGET
-        data = self.node.take(topic)
-        if data is None:
-            return
+        for topic, agents in self.told.items():
+            data = self.node.take(topic)
+            if data is None:
+                continue
 
-        self.next_s = time.monotonic() + _TARGETS_APART_S
-        try:
-            self.commands.target(goal_in(data))
-        except GoalError as error:
-            typer.echo(f"{topic}: {error}", err=True)
+            self.next_s = time.monotonic() + _TARGETS_APART_S
+            try:
+                self.commands.target(goal_in(data), agents)
+            except GoalError as error:
+                typer.echo(f"{topic}: {error}", err=True)

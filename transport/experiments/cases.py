@@ -116,7 +116,7 @@ class Point:
     # Number of UAVs and UAVs per agent, as of `transport scenario new`.
     team: tuple[int, int] | None = None
     scenario: str = ""  # file or name
-    # Further settings of each seed, which begins anew after the last one: such as a random instant.
+    # Further settings of each seed, such as a random instant: as many runs as there are settings here.
     by_seed: tuple[tuple[str, ...], ...] = ()
 
     def read(self, settings: Sequence[str] = (), seed: int = 0) -> Scenario:
@@ -125,7 +125,7 @@ class Point:
         Raises: ScenarioError: naming file or setting, field, expected, got.
         """
         path = find_scenario(self.scenario)
-        drawn = self.by_seed[seed % len(self.by_seed)] if self.by_seed else ()
+        drawn = self.by_seed[seed] if self.by_seed else ()
         changes = [*settings, *self.settings, *drawn]
         if self.team is None:
             return read_scenario(path, changes, allow_large=True)
@@ -176,7 +176,7 @@ def cases_of(
             check_size(scenario, str(path))
         if not simulated_before:
             check(scenario, path)
-        drawn = [point.read(settings, seed) for seed in range(seeds if point.by_seed else 0)]
+        drawn = [point.read(settings, seed) for seed in range(len(point.by_seed))]
         cases += cases_of_point(index, scenario, path, seeds, drawn, more=more)
     return cases
 

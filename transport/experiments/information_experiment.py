@@ -11,10 +11,10 @@ from transport.experiments.weather_experiment import SENSORS, WEATHER
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.state import R0
-from transport.protocol.scenario.file import with_settings
-from transport.protocol.scenario.schema import Scenario
-from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import given_values
+from transport.protocol.scenario.scenario_file import with_settings
+from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.team_of_any_size import given_values
 from transport.protocol.wire.messages import PlantState
 
 # Four targets, 2 to 4 m apart, one every 3 s, in a run that is long enough for 10 s of silence and the way after it.
@@ -52,7 +52,6 @@ NETWORKS: Mapping[str, tuple[str, ...]] = {
 _SILENT_S = {
     name: float(name.split()[0]) for name in list(NETWORKS) if "silence" in name or "own" in name
 }
-_INSTANTS = 10  # then they begin anew
 
 
 def away(setup: Setup, summary: Any, log: RunLog) -> Mapping[str, float | None]:
@@ -104,14 +103,17 @@ def _payload(log: RunLog) -> Array:
     y="network",
     shown="away_rms_m",
     more=away,
-    scenarios=("precise", "resilient"),
-    seeds=10,
+    scenarios=("precise",),
+    seeds=3,
     maneuver=_HOVER,
     quick_maneuver=_HOVER,
     rule=Values(list(RULES), "NAME", "Rules.", quick=[ALL, "eager", "confirmed"]),
     network=Values(list(NETWORKS), "NAME", "Networks.", quick=["perfect", "200 ms"]),
+    instants=Values(10, "COUNT", "Random instants at which a silence begins.", 2, least=1),
 )
-def information(scenario: Scenario, rule: Sequence[str], network: Sequence[str]) -> Iterator[Point]:
+def information(
+    scenario: Scenario, rule: Sequence[str], network: Sequence[str], instants: int
+) -> Iterator[Point]:
     """Targets that one agent knows.
 
     Four targets are told to agent 1, and the others learn them from plans: followed at once (eager),
@@ -134,7 +136,7 @@ def information(scenario: Scenario, rule: Sequence[str], network: Sequence[str])
                 (_targets(to), *NETWORKS[name], *RULES[way]),
                 baseline=way == ALL,
                 group=name,
-                by_seed=_silences(scenario, _SILENT_S[name]) if name in _SILENT_S else (),
+                by_seed=_silences(scenario, _SILENT_S.get(name, 0.0), instants),
             )
 
 
@@ -144,13 +146,15 @@ def _targets(to: str) -> str:
     return f"maneuver.target=[{','.join(entries)}]"
 
 
-def _silences(scenario: Scenario, silent_s: float) -> tuple[tuple[str, ...], ...]:
+def _silences(scenario: Scenario, silent_s: float, instants: int) -> tuple[tuple[str, ...], ...]:
     """Return for each seed a silence of all agents from a random instant between two targets on."""
+    if not silent_s:
+        return ()
     rng = np.random.default_rng(0)
     others = range(1, len(scenario.owned))  # all but one: that one hears no agent either
     first_s, last_s = _TARGETS[0][0], _TARGETS[-1][0]
     settings = []
-    for start_s in rng.uniform(first_s, last_s, _INSTANTS):
+    for start_s in rng.uniform(first_s, last_s, instants):
         times = f"start_s={start_s:.2f},end_s={start_s + silent_s:.2f}"
         cuts = [f"{{between=['agent{agent}'],{times}}}" for agent in others]
         settings.append((f"links.partition=[{','.join(cuts)}]",))

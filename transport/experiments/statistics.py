@@ -64,7 +64,7 @@ class PointStatistics:
     diverged_s: tuple[float, ...]  # scenario times at which the other runs ended, ascending, s
     numbers: Mapping[str, Estimate | None]  # over the completed runs, by name (cases.NUMBERS)
     cost_ratio: float | None
-    attitude_worst_deg: float | None  # over the completed runs
+    attitude_worst_deg: float | None = None  # over the completed runs
 
     def mean(self, name: str) -> float | None:
         """Return the mean of a number, or the cost ratio; None where no run was completed."""

@@ -155,9 +155,10 @@ class Commands:
         """Make all links perfect, those of the plant included."""
         self._requests.put((COORDINATOR, "link", {"all": True, "settings": PERFECT}))
 
-    def target(self, place: Array) -> None:
-        """Send the payload to a position, (3,), inertial frame, m."""
-        self._requests.put((COORDINATOR, "target", {"points_m": [place.tolist()]}))
+    def target(self, place: Array, to: Sequence[int] = ()) -> None:
+        """Send the payload to a position, (3,), inertial frame, m, of which some agents are told, or all."""
+        told = {"to": [*to]} if to else {}
+        self._requests.put((COORDINATOR, "target", {"points_m": [place.tolist()], **told}))
 
     def land(self) -> None:
         """Let the team come down where it is."""
@@ -183,7 +184,8 @@ def _result_in_words(kind: str, content: Mapping[str, Any], answer: Mapping[str,
     """Return a sentence about a request that was accepted."""
     if kind == "target":
         what = "landing" if content.get("land") else "target"
-        place = f"{what} " + "({:g}, {:g}, {:g}) m".format(*answer["point_m"])
+        told = "".join(f", told to {agent_name(agent)}" for agent in content.get("to", ()))
+        place = f"{what} " + "({:g}, {:g}, {:g}) m".format(*answer["point_m"]) + told
         duration_s = answer["ends_s"] - answer["t_s"]
         return f"{place}: arrives at t = {answer['ends_s']:.1f} s, in {duration_s:.1f} s"
     if kind == "link":

@@ -30,8 +30,7 @@ from transport.scene.scene import SceneBuilder
 _GEOMETRY = "geometry_msgs/msg"
 # Metadata record with the header of the log; another name than in a log, which a bag is not.
 _HEADER = "exported run"
-# Topic and type of targets.
-TARGET = "/target", f"{_GEOMETRY}/PoseStamped"
+TARGET_TYPE = f"{_GEOMETRY}/PoseStamped"
 # Values of fields that are not given; of other types 0.
 _EMPTY = {"string": "", "bool": False}
 
@@ -82,7 +81,7 @@ def goal_in(data: bytes) -> Array:
         empty one, or "map".
     """
     try:
-        goal: Any = types().deserialize_cdr(data, TARGET[1])
+        goal: Any = types().deserialize_cdr(data, TARGET_TYPE)
     except SerdeError as error:
         raise GoalError(f"expected a PoseStamped ({error})") from error
 

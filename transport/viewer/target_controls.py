@@ -8,6 +8,7 @@ import numpy as np
 
 from transport.flight.live import Commands
 from transport.model.arrays import Array
+from transport.protocol.wire.names import agent_name
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
 from transport.viewer.widgets import NOTIFICATION_S
@@ -25,6 +26,7 @@ _STEPS = {
 _STEP_M = 0.5
 # A page sends what is typed later than a click, by less than this, s.
 _TYPED_S = 0.3
+_ALL = "all agents"
 
 
 class TargetControls:
@@ -35,6 +37,7 @@ class TargetControls:
         self._send_target = commands.target
         gui = server.gui
         start_I: Array = builder.setup.maneuver.path(np.zeros(1))[0][0]
+        self._agents = {agent_name(agent): agent for agent in builder.setup.agents}
 
         self.folder = gui.add_folder("Target")
         with self.folder:
@@ -44,6 +47,12 @@ class TargetControls:
                 "x, y, down (m)",
                 _in_text(start_I),
                 hint="inertial frame, z points down: an altitude of 10 m is -10",
+            )
+            self._told = gui.add_dropdown(
+                "told",
+                (_ALL, *self._agents),
+                hint="the others learn it from the plans of the agent that is told",
+                visible=len(self._agents) > 1 and not builder.setup.scenario.has_vehicles,
             )
             there = gui.add_button(
                 "Go there", hint="as transport target X Y Z; or drag the arrows in the scene"
@@ -90,7 +99,11 @@ class TargetControls:
     def _send(self, target_I: Array) -> None:
         self.handle.position = target_I
         self._typed.value = _in_text(target_I)
-        self._send_target(target_I)
+        self._send_to_told(target_I)
+
+    def _send_to_told(self, target_I: Array) -> None:
+        agent = self._agents.get(self._told.value)
+        self._send_target(target_I, () if agent is None else (agent,))
 
     def _step(self, step_I: Array, _: object) -> None:
         self._send(_to_centimetres(np.array(self.handle.position) + step_I))
@@ -118,7 +131,7 @@ class TargetControls:
         if event.phase == "start":
             self._dragged_from_I = target_I
         elif event.phase == "end" and not np.array_equal(self._dragged_from_I, target_I):
-            self._send_target(target_I)
+            self._send_to_told(target_I)
 
 
 def _to_centimetres(position_I: Array) -> Array:

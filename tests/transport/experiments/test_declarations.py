@@ -96,6 +96,24 @@ def test_every_point_is_valid(name: str) -> None:
     assert set(repetitions) <= {1, 2}
 
 
+def test_targets_that_one_agent_knows() -> None:
+    """All rules of a silence have the same instants, one for each seed; a rule with a stop has no other rows."""
+    flown = scenarios("precise", settings=(EXPERIMENTS["information"].maneuver,))
+    points = EXPERIMENTS["information"].experiment(flown, {}).points
+    silent = [point for point in points if point.labels["network"] == "5 s of silence"]
+    assert len(silent) == 5
+    assert len({point.by_seed for point in silent}) == 1
+    assert {point.labels["network"] for point in points if "stop" in str(point.labels["rule"])} == {
+        point.labels["network"] for point in points if point.by_seed
+    }
+
+    cases = cases_of(silent[1:2], [EXPERIMENTS["information"].maneuver], 3)
+    starts_s = [case.scenario.links.partition[0].start_s for case in cases]
+    assert 1.0 < min(starts_s) < max(starts_s) < 10.0
+    assert len(set(starts_s)) == len(cases) == 10
+    assert [target.to for target in cases[0].scenario.maneuver.target] == [[1]] * 4
+
+
 @pytest.mark.parametrize(
     ("setting", "expected"),
     [

@@ -36,7 +36,7 @@ def built(name: str, *of: str, **given: Any) -> Experiment:
 
 
 LATENCY = built("latency", delay=[0.1, 0.4])
-OF_RADIO = ("air_delivered_share", "airtime_share")
+FURTHER = ("air_delivered_share", "airtime_share", "away_rms_m", "known_s")
 RADIO = replace(EXPERIMENTS["radio"], points=tuple(EXPERIMENTS["radio"].build(
     max=8, sizes=[3, 4], rate=[6.0], offsets=["slots", "none"], sharing=["always"], distance=[1.0]
 )))  # fmt: skip
@@ -50,13 +50,14 @@ EVERY = (
     built("ablation"),
     built("horizon", horizon=[5, 30], terminal=[1.0]),
     built("hover", "paper", "centralized", "resilient"),
+    built("information", "precise", "resilient"),
     built("matrix", delay=[0.1, 0.2], loss=[0.1, 0.3]),
 )
 
 
 def completed(cost: float, attitude_deg: float) -> Result:
     """A completed run."""
-    numbers: dict[str, float | None] = dict.fromkeys((*NUMBERS, *OF_RADIO), 0.5)
+    numbers: dict[str, float | None] = dict.fromkeys((*NUMBERS, *FURTHER), 0.5)
     numbers |= {"cost_mean": cost, "attitude_max_deg": attitude_deg, "lost_s": None}
     return Result(key="k", outcome="completed", reason="", numbers=numbers)
 
@@ -69,7 +70,7 @@ def diverged(at_s: float) -> Result:
 
 def made(experiment: Experiment, results: Callable[[Point], list[Result]]) -> list[PointStatistics]:
     """Statistics of an experiment's points, with invented results."""
-    names = (*NUMBERS[1:], *OF_RADIO)
+    names = (*NUMBERS[1:], *FURTHER)
     return statistics_of(experiment.points, [results(point) for point in experiment.points], names)
 
 
