@@ -23,12 +23,12 @@ from transport.agent.planning.alone_planner import ALONE, AlonePlanner
 from transport.agent.planning.mpc_planner import Planner
 from transport.agent.planning.step_report import numbers_note
 from transport.agent.received import Received
-from transport.agent.silence.stopping import Stopping
 from transport.agent.user_class.user_planner import PROJECT, OwnPlanner
 from transport.protocol.admission.arrivals import Arrivals
 from transport.protocol.admission.carried import Place, carried_by, place_of
 from transport.protocol.admission.known_targets import KnownTargets
 from transport.protocol.admission.participant import Participant
+from transport.protocol.admission.stopping import MOSTLY, Stopping
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import (
@@ -40,8 +40,6 @@ from transport.protocol.wire.messages import (
     Target,
 )
 from transport.protocol.wire.names import agent_name
-
-_MOSTLY = 0.5  # share of acting alone from which on an agent stops in silence
 
 
 def planner_of(setup: Setup, agent: int, stopwatch: Callable[[], int]) -> AgentPlanner[Any]:
@@ -229,7 +227,7 @@ class AgentNode(Participant):
         _, v_I = self._targets.setup.maneuver.path(now_s)
         loss = self._stopping.advance(
             self._tick,
-            is_alone=self._planner.share_alone > _MOSTLY,  # until now
+            is_alone=self._planner.share_alone > MOSTLY,  # until now
             roster=received.agents,
             speed_mps=float(np.linalg.norm(v_I)),
         )

@@ -16,13 +16,13 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.model.hover import motor_off_state, no_inputs, released_state
 from transport.model.parameters import Payload
-from transport.model.slowing import STOP_S, Slowing
 from transport.plant.actuators import INNER_STEP_S, MOTOR_OFF, ActuatorSchedule, Motors, inner_loop
 from transport.plant.engines import UNKNOWN_ERROR, Engine
 from transport.plant.environment import Environment, Sensors, payload_during
 from transport.protocol.admission.carried import Place, carried_by, place_of
 from transport.protocol.admission.known_targets import KnownTargets
 from transport.protocol.admission.participant import Participant
+from transport.protocol.admission.stopping import Stopping
 from transport.protocol.scenario.faults.scripted_faults import OF_PLANT, Fault
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import (
@@ -100,9 +100,9 @@ class PlantNode(Participant):
         # Targets that the team knows, and by target the agents whose plans have carried it.
         self._targets = KnownTargets(setup)
         self._informed: dict[Place, set[int]] = {}
-        # Ticks by which the path of each agent, and that of the fail-safe, is behind.
-        self._lags: dict[int, int] = {}
-        self._lag = 0
+        self._stopping: Stopping | None = None
+        if setup.scenario.controller.silence == "stop":
+            self._stopping = Stopping(self._period_s, setup.ticks)
         fail_safe = self._whole_team.law.fail_safe
         self._schedule = ActuatorSchedule(setup.hover.u, fail_safe, setup.settings)
         own = [fault for fault in setup.faults if fault.do in OF_PLANT]
@@ -164,17 +164,23 @@ class PlantNode(Participant):
             self._whole_team.follow(reference, reference.change)
         self._renew_fail_safe()
 
-    def _hear_lags(self, plans: Sequence[Plan]) -> None:
-        """Let the fail-safe fall behind by the time by which all agents on the roster are behind."""
-        for plan in plans:
-            self._lags[plan.agent] = max(plan.lag, self._lags.get(plan.agent, 0))
-        lag = min((self._lags.get(agent, 0) for agent in self._membership.since), default=0)
-        if lag <= self._lag:
+    def _keep_pace(self, plans: Sequence[Plan]) -> None:
+        """Let the fail-safe stop in silence and go on with the agents on the roster."""
+        stopping = self._stopping
+        if stopping is None:
             return
-        since_s, lost_s = self._k * self._period_s, (lag - self._lag) * self._period_s
-        self._lag = lag
-        self._targets.slow(Slowing(since_s=since_s, lost_s=lost_s, ramp_s=STOP_S))
-        self._renew_team()
+        stopping.hear(plans)
+        roster = self._membership.since
+        _, v_I = self._targets.setup.maneuver.path(np.array([self._k * self._period_s]))
+        loss = stopping.advance(
+            self._k,
+            is_alone=stopping.is_any_alone(roster),
+            roster=roster,
+            speed_mps=float(np.linalg.norm(v_I)),
+        )
+        if loss is not None:
+            self._targets.slow(loss)
+            self._renew_team()
 
     def _hear_targets(self, plans: Sequence[Plan]) -> None:
         """Let the fail-safe follow the targets that plans of all agents on the roster have carried."""
@@ -362,7 +368,7 @@ class PlantNode(Participant):
         for plan in usable:
             self._schedule.add(plan)
         self._hear_targets(usable)
-        self._hear_lags(usable)
+        self._keep_pace(usable)
         return lost
 
     def _commands(self) -> tuple[Array, tuple[int, ...]]:

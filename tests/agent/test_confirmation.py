@@ -1,6 +1,6 @@
 """Targets followed once all on the roster have them: docs/equations.md, "Targets told to some"."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,20 +25,34 @@ class Team:
     has: dict[int, int] = field(default_factory=dict)  # tick at which each agent got the target
     follows: dict[int, int] = field(default_factory=dict)  # and from which on it follows it
     begins: dict[int, int] = field(default_factory=dict)  # first tick of its motion, as it knows it
+    members: Sequence[int] = ()  # on the roster
 
-    def run(self, ticks: int, since: Sequence[int] = (0,) * M) -> None:
-        """Run some ticks; an agent whose `since` is later starts anew there, without what it had."""
-        agents = {agent: Unconfirmed(agent) for agent in range(1, M + 1)}
+    def run(
+        self, ticks: int, since: Sequence[int] = (), deaths: Mapping[int, int] | None = None
+    ) -> None:
+        """Run some ticks; an agent whose `since` is later starts anew there, without what it had.
+
+        By `deaths` an agent is off the roster from a tick on.
+        """
+        self.members = range(1, len(self.passes) + 1)
+        since = since or (0,) * len(self.passes)
+        agents = {agent: Unconfirmed(agent) for agent in self.members}
         decided: dict[int, Target] = {}
         sent: dict[int, list[tuple[int, Target]]] = {}
         for tick in range(TOLD, TOLD + ticks):
+            for agent in [agent for agent in agents if (deaths or {}).get(agent) == tick]:
+                del agents[agent]
+                decided.pop(agent, None)
+                self.follows.pop(agent, None)
+                self.begins.pop(agent, None)
+                self.members = [member for member in self.members if member != agent]
             for agent, start in enumerate(since, start=1):
-                if start == tick:
+                if start == tick and agent in agents:
                     agents[agent] = Unconfirmed(agent)
                     decided.pop(agent, None)
                     self.has.pop(agent, None)
                     self.follows.pop(agent, None)
-            if tick == TOLD:
+            if tick == TOLD and 1 in agents:
                 self._take(agents, decided, 1, TARGET, tick)
             for sender, target in sent.get(tick - self.delay, []):
                 for receiver in agents:
@@ -49,7 +63,7 @@ class Team:
 
             began = {agent: start if tick >= start else 0 for agent, start in enumerate(since, 1)}
             for agent, unconfirmed in agents.items():
-                for target in unconfirmed.confirmed(tick, range(1, M + 1), began):
+                for target in unconfirmed.confirmed(tick, self.members, began):
                     self._take(agents, decided, agent, target, tick)
             sent[tick] = [
                 (agent, target)
@@ -76,8 +90,8 @@ class Team:
         decided[agent] = target
         self.begins[agent] = target.begins
         self.follows.setdefault(agent, tick)
-        # No agent follows it before all have it.
-        assert self.has.keys() == set(range(1, M + 1))
+        # No agent follows it before all on the roster have it.
+        assert self.has.keys() >= set(self.members)
         agents[agent].forget((target.tick, target.number))
 
 
@@ -129,6 +143,25 @@ def test_an_agent_that_starts_anew_has_to_hear_it_anew() -> None:
         team = Team(delay, passes, rng)
         team.run(400, since=(0, 0, 0, restart))
         assert team.follows.keys() == set(range(1, M + 1))
+
+
+def test_eight_agents_with_deaths_and_new_starts() -> None:
+    """All that are left begin together, or none does: the one that was told may die right after it."""
+    rng = np.random.default_rng(8)
+    followed = 0
+    for _ in range(100):
+        passes = rng.uniform(0.1, 1.0, (8, 8))
+        dead = [1, *(int(agent) for agent in rng.choice(range(2, 9), 2, replace=False))]
+        team = Team(int(rng.integers(1, 6)), passes, rng)
+        team.run(
+            300,
+            since=[int(start) for start in rng.choice([0, TOLD + 3, TOLD + 12], 8)],
+            deaths={agent: TOLD + int(rng.integers(0, 15)) for agent in dead},
+        )
+        assert set(team.follows) in (set(), set(team.members))
+        assert len(set(team.begins.values())) <= 1
+        followed += bool(team.follows)
+    assert 50 < followed < 100
 
 
 def test_start_up_with_loss_is_at_most_that_of_news_without_gossip() -> None:

@@ -4,10 +4,10 @@ import numpy as np
 
 from tests.support import logs, runs
 from tests.support.runs import plan, setup
-from transport.agent.silence.stopping import Stopping
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
 from transport.model.state import R0
+from transport.protocol.admission.stopping import Stopping
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import Message, Plan, PlantState
 
@@ -108,6 +108,20 @@ def test_a_target_told_to_one_in_silence_waits_for_the_others() -> None:
     assert np.abs(path[:180, 1]).max() < 0.05
     assert np.linalg.norm(path[-1] - [6.0, 2.0, -10.0]) < 0.05
     assert attitude_deg < 2.0
+
+
+def test_a_death_in_the_silence_does_not_keep_the_others_from_going_on() -> None:
+    """The agents that are left rest, are equally far behind, and arrive; the UAV without an agent goes with them."""
+    died = "faults.event=[{at_s=6.5,do='kill',target='agent3'}]"
+    made, attitude_deg = flown(STOP, SILENT, died, "clock.on_agent_loss=continue")
+    path = np.array([one.x[R0] for one in made if isinstance(one, PlantState)])
+    last = [one for one in made if isinstance(one, Plan) and one.tick == len(path) - 1]
+    assert {one.agent for one in last} == {1, 2, 4}
+    assert len({one.lag for one in last}) == 1
+    assert 40 < last[0].lag < 80
+    assert np.linalg.norm(path[180] - path[170]) < 0.1
+    assert np.linalg.norm(path[-1] - [6.0, 0.0, -10.0]) < 0.05
+    assert attitude_deg < 5.0
 
 
 def test_without_silence_a_run_keeps_its_bits() -> None:

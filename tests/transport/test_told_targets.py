@@ -195,6 +195,20 @@ def test_a_target_survives_the_agent_that_was_told() -> None:
     assert abs(positions(log)[-1][0] - 0.4) < REACHED_M
 
 
+@pytest.mark.parametrize(
+    ("after_s", "arrives"), [(0.0, False), (0.05, True)], ids=["before", "after"]
+)
+def test_a_target_is_lost_only_before_its_first_plan(after_s: float, *, arrives: bool) -> None:
+    """The agent that was told dies at that tick, or one later: one plan that carries it is enough."""
+    death = f"faults.event=[{{at_s={TOLD_S + after_s},do='kill',target='agent2'}}]"
+    settings = (targets(to(2)), death, "clock.on_agent_loss='continue'", "links.delay_s=0.1")
+    log = flown("resilient", HOVER % 14, *settings)
+    others = {1, 3, 4}
+    assert first_carried(log).keys() - {2} == (others if arrives else set())
+    # The load still swings.
+    assert abs(positions(log)[-1][0] - (0.4 if arrives else 0.0)) < 0.15
+
+
 def test_an_agent_that_hears_two_at_once_has_the_path_of_one_that_heard_both_in_turn() -> None:
     """Whatever was heard first: the path follows from the targets alone."""
     run = runs.ready("resilient", HOVER % 20)

@@ -6,6 +6,9 @@ Another may know what it does not. The states of an agent:
     stopping   it acts alone by more than half, or hears that another one does wholly: the path comes to a
                rest within `STOP_S`, at most at 1 m/s^2 in the mean
 
+The path of UAVs whose agents are gone stops and goes on by the same rule, as one that acts alone as much as
+the newest plan of any agent on the roster does.
+
 Once neither holds, it goes on. Plans carry the lag; who hears of a larger one loses the difference, so that all
 end at the largest, the least progress. Source: docs/equations.md (77).
 """
@@ -18,6 +21,7 @@ from transport.protocol.wire.messages import Plan
 
 # Mean deceleration of a stop, m/s^2: the largest is twice that.
 _MEAN_MPS2 = 1.0
+MOSTLY = 0.5  # share of acting alone from which on an agent stops
 
 
 class Stopping:
@@ -51,6 +55,11 @@ class Stopping:
             newest = self._newest.get(plan.agent)
             if newest is None or plan.tick > newest.tick:
                 self._newest[plan.agent] = plan
+
+    def is_any_alone(self, roster: Iterable[int]) -> bool:
+        """Return whether an agent on the roster acts alone by more than half, as its newest plan says."""
+        heard = [self._newest[agent] for agent in roster if agent in self._newest]
+        return any(plan.alone > MOSTLY for plan in heard)
 
     def advance(
         self, k: int, *, is_alone: bool, roster: Iterable[int], speed_mps: float
