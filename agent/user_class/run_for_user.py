@@ -14,6 +14,7 @@ from transport.agent.user_class.user_estimate import OwnEstimate
 from transport.model.arrays import Array, frozen
 from transport.model.linearisation import Model
 from transport.model.parameters import System
+from transport.model.target import Target
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import MAX_DATA, Plan
@@ -95,6 +96,11 @@ class Run(Layout):
         """Return the reference state at a tick, (12 + 12 N,), held after the maneuver."""
         X_ref = self._setup.X_ref
         return np.array(X_ref[min(tick, len(X_ref) - 1)])
+
+    @property
+    def targets(self) -> tuple[Target, ...]:
+        """Targets that this agent knows and follows, in the order in which they were told."""
+        return self._setup.maneuver.targets
 
     def follow(self, setup: Setup) -> None:
         """Take the reference from a run with a further target."""

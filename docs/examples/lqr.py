@@ -35,10 +35,12 @@ class LQR:
         """Return one row of inputs from the newest states."""
         run = self.run
         self.update(measurement, messages)
-        self.inputs = (
-            run.u_hover - self.K @ (self.x - run.reference(run.tick + run.delay))[self.free]
-        )
+        self.inputs = run.u_hover - self.K @ (self.x - self.goal())[self.free]
         return self.inputs.reshape(-1, 4)[list(run.owned)].ravel()
+
+    def goal(self):
+        """Return the reference state at the tick at which the inputs act."""
+        return self.run.reference(self.run.tick + self.run.delay)
 
     def update(self, measurement, messages):
         """Take in the newest states; those of the others are at least one period late."""

@@ -151,6 +151,38 @@ def test_the_examples_fly(
     assert plant_states(once)[-1].x.tobytes() == plant_states(again)[-1].x.tobytes()
 
 
+def test_a_class_knows_the_targets_of_its_own_agent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Followers of a leader are behind by the age of its reference; by targets in plans they lead ahead.
+
+    Agent 3 knows the target of agent 1 a delay later, and none before.
+    """
+    monkeypatch.chdir(EXAMPLES)
+    hover = "maneuver.phase=[{name='hover',duration_s=8.0,displacement_m=[0,0,0]}]"
+    target = "maneuver.target=[{at_s=1.0,points_m=[[1.0,0.0,-10.0]]%s}]"
+    late = "links.delay_s=0.1"
+
+    def flown(name: str, to: str) -> list[Message]:
+        return recorded(setup(hover, target % to, f"agents.controller={name}", late))
+
+    rule, leader = flown("predicting:Predicting", ",to=[1]"), flown("leader:Leader", ",to=[1]")
+    all_told = np.array([one.x[:3] for one in plant_states(flown("predicting:Predicting", ""))])
+    away_m = [
+        np.sqrt(
+            ((np.array([one.x[:3] for one in plant_states(run)]) - all_told) ** 2).sum(1).mean()
+        )
+        for run in (rule, leader)
+    ]
+    assert away_m[1] > 2.0 * away_m[0] > 0.0
+    known = [
+        (note.tick, note.values[0])
+        for note in leader
+        if isinstance(note, Note) and note.agent == 3 and note.names == ("targets",)
+    ]
+    first = min(tick for tick, number in known if number)
+    assert first == 20 + 2
+    assert {number for tick, number in known if tick < first} == {0.0}
+
+
 @pytest.mark.parametrize("step", WRONG)
 def test_a_wrong_step_is_a_failure(
     step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

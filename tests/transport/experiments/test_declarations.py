@@ -100,7 +100,7 @@ def test_targets_that_one_agent_knows() -> None:
     """All rules of a silence have the same instants, one for each seed; a rule with a stop has no other rows."""
     flown = scenarios("precise", settings=(EXPERIMENTS["information"].maneuver,))
     points = EXPERIMENTS["information"].experiment(flown, {}).points
-    silent = [point for point in points if point.labels["network"] == "5 s of silence"]
+    silent = [point for point in points if point.labels["network"] == "5 s, own sensors"]
     assert len(silent) == 5
     assert len({point.by_seed for point in silent}) == 1
     assert {point.labels["network"] for point in points if "stop" in str(point.labels["rule"])} == {
