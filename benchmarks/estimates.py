@@ -27,17 +27,14 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.model.compiled import compile_functions
 from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.teams.drawn_team import NOISE
 from transport.protocol.wire.messages import STAGES, Message, Plan, PlantState
 
-# The sensors of a small autopilot with satellite navigation.
+# The sensors of a small autopilot, with the filter that needs no others.
 SENSORS: Mapping[str, Any] = {
     "plant.sensors": "vehicle",
     "controller.estimator": "kalman",
-    "plant.noise.position_m": 0.01,
-    "plant.noise.velocity_mps": 0.02,
-    "plant.noise.attitude_rad": 0.00873,
-    "plant.noise.rate_rads": 0.01745,
-    "plant.noise.specific_force_mps2": 0.3,
+    **{f"plant.noise.{name}": value for name, value in NOISE.items()},
 }
 LATE: Mapping[str, Any] = {"links.delay_s": 0.2, "links.loss": 0.3}
 FORCES: Mapping[str, Any] = {**LATE, "controller.disturbance.estimate": True}

@@ -26,6 +26,7 @@ from rich.console import Console
 
 from benchmarks.runs import origin
 from docs.tables import FLOWN, ROOT, place, put, table
+from transport.experiments.weather_experiment import FORCES, SENSORS
 from transport.flight.memory import simulate
 from transport.flight.progress import compile_models
 from transport.model.arrays import Array
@@ -34,17 +35,8 @@ from transport.protocol.scenario.scenario_file import find_scenario, read_scenar
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, Note, PlantState
 
-# The sensors of a small autopilot with satellite navigation, forces estimated, plans 100 ms late.
-VEHICLE = (
-    "plant.sensors=vehicle",
-    "controller.estimator=kalman",
-    "controller.disturbance.estimate=true",
-    "plant.noise.position_m=0.01",
-    "plant.noise.velocity_mps=0.02",
-    "plant.noise.attitude_rad=0.0087",
-    "plant.noise.rate_rads=0.0175",
-    "plant.noise.specific_force_mps2=0.3",
-)
+# The sensors of a small autopilot, forces estimated; plans 100 ms late.
+VEHICLE = (*SENSORS, FORCES)
 LATE = ("links.delay_s=0.1",)
 ALONE = ("agents.controller=alone",)
 _FROM_S = (4.0, 10.0)  # range of the instant at which the silence begins

@@ -21,6 +21,7 @@ from rich.console import Console
 
 from benchmarks.runs import origin
 from docs.tables import ROOT, put, table
+from transport.experiments.weather_experiment import FORCES, SENSORS
 from transport.experiments.workers import Workers
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.search.candidate import Base, Candidate
@@ -95,17 +96,12 @@ PLANTED = {
     ),
 }
 
-SENSORS = (
-    "plant.sensors=vehicle",
-    "controller.estimator=kalman",
-    "plant.noise={position_m=0.01,velocity_mps=0.02,attitude_rad=0.0087,rate_rads=0.0175,"
-    "specific_force_mps2=0.3}",
-    "controller.disturbance.estimate=true",
-)
 READY = {
     "resilient": Case(scenario="resilient", over=("silence", "deaths", "links", "gusts")),
     "precise, sensors of the vehicles": Case(
-        scenario="precise", settings=SENSORS, over=("silence", "deaths", "links", "gusts")
+        scenario="precise",
+        settings=(*SENSORS, FORCES),
+        over=("silence", "deaths", "links", "gusts"),
     ),
     "windy": Case(scenario="windy", over=("silence", "deaths", "links")),
     "eight": Case(scenario="eight", over=("silence", "links")),

@@ -23,18 +23,14 @@ from simulations import (
     values,
 )
 
+from transport.experiments.weather_experiment import SENSORS
+
 LATE = ("links.delay_s=0.2", "links.loss=0.3")
 IMPAIRED = ("links.delay_s=0.1", "links.loss=0.3")
 ESTIMATE = "controller.disturbance.estimate=true"
 HEAVIER = "plant.payload_mass_factor"
 UNKNOWN_DRAG = "controller.knows_drag=false"
 MUJOCO, CABLES = "plant.engine=mujoco", "plant.mujoco.suspension=cables"
-# The sensors of a small autopilot with satellite navigation.
-SENSORS = (
-    "plant.sensors=vehicle",
-    "controller.estimator=kalman",
-    "plant.noise={position_m=0.01,velocity_mps=0.02,attitude_rad=0.0087,rate_rads=0.0175,specific_force_mps2=0.3}",
-)
 DETAILS = {
     "result": outcome,
     "mean cost": COST,

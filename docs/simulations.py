@@ -39,12 +39,10 @@ class Table(NamedTuple):
 
     name: str
     first: Sequence[str]  # headings of a row's first cells
-    rows: Mapping[
-        str | tuple[str, ...], Sequence[Run | None]
-    ]  # runs of each row by its first cells
-    columns: Mapping[
-        str, Callable[..., str]
-    ]  # the other cells, given the results of all runs of a row
+    # Runs of each row by its first cells.
+    rows: Mapping[str | tuple[str, ...], Sequence[Run | None]]
+    # The other cells, given the results of all runs of a row.
+    columns: Mapping[str, Callable[..., str]]
 
 
 def listed(name: str, first: str, rows: Mapping[str, Run], columns: Mapping[str, Cell]) -> Table:

@@ -34,9 +34,7 @@ class Run(Layout):
     owned: tuple[int, ...]  # its UAVs
     system: System  # masses, inertias, attachment points and rod lengths; N is `system.N`
     model: Model  # equations of motion; `model.linearise(x, u)` has the derivatives
-    settings: (
-        ControllerSettings  # `[controller]`: weights, limits, distances, as the scenario states
-    )
+    settings: ControllerSettings  # `[controller]`: weights, limits, distances
     x_hover: Array  # state of the hover at the origin, (12 + 12 N,)
     u_hover: Array  # inputs of the hover, (4 N,), N and N m
     lower: Array  # smallest inputs of the owned UAVs, (4 owned,); inputs are clipped to them

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from transport.agent.estimation.predicted_motion import STEPS
 from transport.agent.estimation.team_estimate import TeamEstimate
 from transport.agent.received import Received
 from transport.model import motors
@@ -9,8 +10,6 @@ from transport.model.arrays import Array
 from transport.mpc.controller import Controller
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Plan
-
-_STEPS = 2  # of the integration over a sampling period, as the estimator's own
 
 
 class OwnEstimate:
@@ -99,7 +98,7 @@ class OwnEstimate:
         self.u_before = team.announced.in_force(k, before=k, x=x)
         settings = self._setup.settings
         period = motors.Period(
-            duration_s=settings.sampling_period_s, steps=_STEPS, lag_s=settings.motor_lag_s
+            duration_s=settings.sampling_period_s, steps=STEPS, lag_s=settings.motor_lag_s
         )
         x_end = motors.integrate(
             self._controller.model,

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from msgspec.structs import replace
 
+from transport.experiments.weather_experiment import SENSORS
 from transport.flight.memory import simulate
 from transport.model import state
 from transport.model.arrays import Array
@@ -40,15 +41,7 @@ SHORT = (
 
 # Sensors of the vehicles alone, with the noise of a small autopilot, and the filter that needs no
 # more.
-VEHICLE = (
-    *("plant.sensors=vehicle", "controller.estimator=kalman", "controller.prediction=closed_loop"),
-    *(
-        "plant.noise.position_m=0.01",
-        "plant.noise.velocity_mps=0.02",
-        "plant.noise.attitude_rad=0.0087",
-    ),
-    *("plant.noise.rate_rads=0.0175", "plant.noise.specific_force_mps2=0.3"),
-)
+VEHICLE = (*SENSORS, "controller.prediction=closed_loop")
 
 # One UAV in place of the paper's four, above the payload's centre of mass.
 SINGLE_UAV = (

@@ -6,18 +6,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from transport.experiments.cases import Point, check_names, refused
 from transport.experiments.declaration import Values, declared
 from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.teams.drawn_team import NOISE
 
-# Sensors of the vehicles: 1 cm, 2 cm/s, 0.5 deg, 1 deg/s, 0.3 m/s^2; and the estimate of forces.
+# Sensors of the vehicles, those of a small autopilot, with the filter that needs no others.
 SENSORS = (
     "plant.sensors=vehicle",
     "controller.estimator=kalman",
-    "controller.disturbance.estimate=true",
-    "plant.noise.position_m=0.01",
-    "plant.noise.velocity_mps=0.02",
-    "plant.noise.attitude_rad=0.0087",
-    "plant.noise.rate_rads=0.0175",
-    "plant.noise.specific_force_mps2=0.3",
+    *(f"plant.noise.{name}={value!r}" for name, value in NOISE.items()),
 )
+FORCES = "controller.disturbance.estimate=true"
 
 
 def _gusts(speed_mps: float) -> str:
@@ -75,7 +72,7 @@ def weather(scenario: Scenario, network: Sequence[str], air: Sequence[str]) -> I
         names = [NONE]
     elif len(scenario.owned) == 1:
         names = [PERFECT]
-    sensors = SENSORS if scenario.controller.prediction == "closed_loop" else ()
+    sensors = (*SENSORS, FORCES) if scenario.controller.prediction == "closed_loop" else ()
     for day, settings in WEATHER.items():
         if day not in air:
             continue

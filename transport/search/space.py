@@ -1,7 +1,7 @@
 """Space of a search: which events are drawn, within which bounds, from a point of the unit cube."""
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -184,17 +184,21 @@ def _check_effect(bounds: Bounds, kinds: Sequence[str], duration_s: float, sourc
                 raise ScenarioError(source, f"{kind}.{key}", problem)
 
 
+# Whether 1 is worse than 0 in a coordinate.
+_SEVERE, _MILD = True, False
+
+
 @dataclass(frozen=True, slots=True)
 class Slot:
     """Room for one event: its coordinates in the unit cube, and the event at a point of them."""
 
-    severe: str  # a letter for each coordinate: "+" where 1 is worse than 0, "." elsewhere
-    event: Callable[[Array], Event | None]
+    coordinates: Mapping[str, bool]  # by name, in their order: whether 1 is worse than 0
+    event: Callable[..., Event | None]  # at the coordinates, each by its name
 
     @property
     def dimension(self) -> int:
         """Return the number of coordinates."""
-        return len(self.severe)
+        return len(self.coordinates)
 
 
 class Space:
@@ -215,7 +219,7 @@ class Space:
         ends = np.cumsum([0, *(slot.dimension for slot in slots)]).tolist()
         self.layout = Layout(
             events=tuple(slice(begin, end) for begin, end in itertools.pairwise(ends)),
-            severe=np.array([mark == "+" for slot in slots for mark in slot.severe]),
+            severe=np.array([severe for slot in slots for severe in slot.coordinates.values()]),
         )
         corners = (np.full(self.dimension, end) for end in (0.0, 1.0))
         if not any(self.candidate(corner).events for corner in corners):
@@ -224,8 +228,9 @@ class Space:
 
     def candidate(self, point: Array) -> Candidate:
         """Return the candidate at a point of the unit cube, (dimension,)."""
-        slots = zip(self._slots, self.layout.events, strict=True)
-        events = [slot.event(point[part]) for slot, part in slots]
+        events = []
+        for slot, part in zip(self._slots, self.layout.events, strict=True):
+            events.append(slot.event(**dict(zip(slot.coordinates, point[part], strict=True))))
         return Candidate(_with_one_seed([event for event in events if event is not None]))
 
     @property
@@ -256,8 +261,16 @@ def _choice(count: int, share: float) -> int:
 
 
 def _silences(bounds: SilenceBounds, agents: int) -> list[Slot]:
-    def event(point: Array) -> Silence | None:
-        active, start, duration, loss, kind, agent, other = point
+    def event(  # noqa: PLR0913  # one for each coordinate
+        *,
+        active: float,
+        start: float,
+        duration: float,
+        loss: float,
+        kind: float,
+        agent: float,
+        other: float,
+    ) -> Silence | None:
         if active < _ACTIVE:
             return None
         who = bounds.who[_choice(len(bounds.who), kind)]
@@ -272,12 +285,26 @@ def _silences(bounds: SilenceBounds, agents: int) -> list[Slot]:
             loss=_between(bounds.loss, loss),
         )
 
-    return [Slot("+.++...", event)] * bounds.count
+    return [
+        Slot(
+            {
+                "active": _SEVERE,
+                "start": _MILD,
+                "duration": _SEVERE,
+                "loss": _SEVERE,
+                "kind": _MILD,
+                "agent": _MILD,
+                "other": _MILD,
+            },
+            event,
+        )
+    ] * bounds.count
 
 
 def _deaths(bounds: DeathBounds, agents: int) -> list[Slot]:
-    def event(point: Array) -> Death | None:
-        active, at, agent, returns, back = point
+    def event(
+        *, active: float, at: float, agent: float, returns: float, back: float
+    ) -> Death | None:
         if active < _ACTIVE:
             return None
         return Death(
@@ -286,12 +313,15 @@ def _deaths(bounds: DeathBounds, agents: int) -> list[Slot]:
             back_after_s=_between(bounds.back_after_s, back) if returns > _ACTIVE else None,
         )
 
-    return [Slot("+....", event)] * bounds.count
+    return [
+        Slot(
+            {"active": _SEVERE, "at": _MILD, "agent": _MILD, "returns": _MILD, "back": _MILD}, event
+        )
+    ] * bounds.count
 
 
 def _links(bounds: LinksBounds, _: int) -> list[Slot]:
-    def event(point: Array) -> Links | None:
-        delay, jitter, loss = point
+    def event(*, delay: float, jitter: float, loss: float) -> Links | None:
         links = Links(
             delay_s=_between(bounds.delay_s, delay),
             jitter_s=_between(bounds.jitter_s, jitter),
@@ -299,39 +329,39 @@ def _links(bounds: LinksBounds, _: int) -> list[Slot]:
         )
         return links if any([links.delay_s, links.jitter_s, links.loss]) else None
 
-    return [Slot("+++", event)]
+    return [Slot({"delay": _SEVERE, "jitter": _SEVERE, "loss": _SEVERE}, event)]
 
 
 def _gusts(bounds: GustsBounds, _: int) -> list[Slot]:
-    def event(point: Array) -> Gusts | None:
-        speed_mps = _between(bounds.speed_mps, point[0])
-        return Gusts(speed_mps=speed_mps, seed=_choice(_SEEDS, point[1])) if speed_mps else None
+    def event(*, speed: float, seed: float) -> Gusts | None:
+        speed_mps = _between(bounds.speed_mps, speed)
+        return Gusts(speed_mps=speed_mps, seed=_choice(_SEEDS, seed)) if speed_mps else None
 
-    return [Slot("+.", event)]
+    return [Slot({"speed": _SEVERE, "seed": _MILD}, event)]
 
 
 def _mass(bounds: MassBounds, _: int) -> list[Slot]:
-    def event(point: Array) -> ModelError | None:
-        mass, lag = point
+    def event(*, mass: float, lag: float) -> ModelError | None:
         error = ModelError(
             mass_factor=_between(bounds.mass_factor, mass),
             motor_lag_s=_between(bounds.motor_lag_s, lag),
         )
         return error if error != ModelError() else None
 
-    return [Slot(".+", event)]
+    return [Slot({"mass": _MILD, "lag": _SEVERE}, event)]
 
 
 def _sensors(bounds: SensorsBounds, _: int) -> list[Slot]:
-    def event(point: Array) -> Sensors:
-        return Sensors(factor=_between(bounds.factor, point[0]), seed=_choice(_SEEDS, point[1]))
+    def event(*, factor: float, seed: float) -> Sensors:
+        return Sensors(factor=_between(bounds.factor, factor), seed=_choice(_SEEDS, seed))
 
-    return [Slot("+.", event)]
+    return [Slot({"factor": _SEVERE, "seed": _MILD}, event)]
 
 
 def _targets(bounds: TargetsBounds, _: int) -> list[Slot]:
-    def event(point: Array) -> TargetEvent | None:
-        active, at, distance, azimuth, elevation = point
+    def event(
+        *, active: float, at: float, distance: float, azimuth: float, elevation: float
+    ) -> TargetEvent | None:
         if active < _ACTIVE:
             return None
         away_m = _between(bounds.distance_m, distance)
@@ -343,14 +373,25 @@ def _targets(bounds: TargetsBounds, _: int) -> list[Slot]:
 
         return TargetEvent(at_s=_between(bounds.at_s, at), offset_m=(x, y, z))
 
-    return [Slot("+....", event)] * bounds.count
+    return [
+        Slot(
+            {
+                "active": _SEVERE,
+                "at": _MILD,
+                "distance": _MILD,
+                "azimuth": _MILD,
+                "elevation": _MILD,
+            },
+            event,
+        )
+    ] * bounds.count
 
 
 def _team(bounds: TeamBounds, _: int) -> list[Slot]:
-    def event(point: Array) -> DrawnTeam | None:
-        return DrawnTeam(seed=_choice(bounds.seeds, point[0]))
+    def event(*, seed: float) -> DrawnTeam | None:
+        return DrawnTeam(seed=_choice(bounds.seeds, seed))
 
-    return [Slot(".", event)]
+    return [Slot({"seed": _MILD}, event)]
 
 
 _SLOTS: dict[str, Callable[[Any, int], list[Slot]]] = {

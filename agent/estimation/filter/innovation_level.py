@@ -26,9 +26,7 @@ class LevelRule:
     first: float  # level at the start
     least: float
     white: float  # mu: squared slow part at which the level stays; 1 is that of white innovations
-    by_prediction: (
-        bool  # whether an entry counts as much as the prediction errs in it, not the sensor
-    )
+    by_prediction: bool  # whether an entry counts as much as the prediction errs in it
     rate: float  # gamma: change of the level's logarithm in a tick per excess of the slow part
 
 

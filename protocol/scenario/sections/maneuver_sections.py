@@ -23,9 +23,8 @@ class PhaseSection(Section):
     """name of the phase in progress display and figures"""
     duration_s: Positive
     """duration of the phase"""
-    displacement_m: Annotated[
-        Vector, Key(within=(0.0, 1e5))
-    ]  # that of a path from a file: a difference of its rows
+    # That of a path from a file is a difference of its rows.
+    displacement_m: Annotated[Vector, Key(within=(0.0, 1e5))]
     """displacement of the payload over the phase, inertial frame; up is negative z"""
     kind: PhaseKind = "move"
     """take_off and land are vertical, from and to the ground, where the payload stands for a

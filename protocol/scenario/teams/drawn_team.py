@@ -68,6 +68,7 @@ _APART_M = 0.4
 _SEPARATION = 0.75
 # Tension of each rod at hover, over the mean: twice the least that a path may leave.
 _TAUT = 2.0 * LEAST_TENSION
+# Noise of the sensors of a small autopilot with satellite navigation: 1 cm, 2 cm/s, 0.5 deg, 1 deg/s.
 NOISE = {
     "position_m": 0.01,
     "velocity_mps": 0.02,
