@@ -27,18 +27,17 @@ from docs.tables import ROOT, table
 # Processor time of a run in memory, s: the least of some, after one that fills the caches.
 IN_MEMORY = """
 import gc, sys, time
+from rich.console import Console
+from transport.cli.options import read_setup
 from transport.flight.memory import simulate
-from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
-from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.scenario.teams.team_of_any_size import Team, resized
+from transport.flight.progress import compile_models
 
-name, uavs, runs = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
-path = find_scenario(name)
-scenario = read_scenario(path)
-setup = Setup.of(resized(scenario, Team(uavs=uavs, group=1), path.name) if uavs else scenario, path.name)
+setup = read_setup(sys.argv[1], allow_large=True)
+compile_models([setup.scenario], Console(stderr=True))
+setup = read_setup(sys.argv[1], ["seed=0"], allow_large=True)  # with the compiled model
 simulate(setup)
 times = []
-for _ in range(runs):
+for _ in range(int(sys.argv[2])):
     gc.collect()
     gc.disable()
     begun_s = time.process_time()
@@ -55,7 +54,12 @@ REAL_TIME = (
 
 def command(tree: Path, *arguments: str) -> list[str]:
     """Return the command that runs `transport` of a version."""
-    return [str(tree / ".venv" / "bin" / "python"), "-P", "-m", "transport", *arguments]
+    return [python_of(tree), "-P", "-m", "transport", *arguments]
+
+
+def python_of(tree: Path) -> str:
+    """Return the interpreter of a version."""
+    return str(tree / ".venv" / "bin" / "python")
 
 
 def in_memory(
@@ -64,13 +68,23 @@ def in_memory(
     """Return the measurement of runs in memory, with `uavs` of a team of another size."""
 
     def measured(tree: Path, environment: Mapping[str, str]) -> dict[str, float]:
-        python = str(tree / ".venv" / "bin" / "python")
-        arguments = [python, "-c", IN_MEMORY, name, str(uavs), str(runs)]
-        done = subprocess.run(
-            arguments, check=True, capture_output=True, env=environment, cwd=tree, text=True
-        )
-        size = f", N = {uavs}" if uavs else ""
-        return {f"`{name}`{size} in memory, s of processor time": float(done.stdout.split()[-1])}
+        with tempfile.TemporaryDirectory(prefix="against-") as parent:
+            scenario = name
+            if uavs:
+                scenario = f"{parent}/team.toml"
+                size = ["--uavs", str(uavs), "--from", name, "--out", scenario]
+                subprocess.run(
+                    command(tree, "scenario", "new", *size),
+                    check=True, capture_output=True, env=environment,
+                )  # fmt: skip
+            arguments = [python_of(tree), "-P", "-c", IN_MEMORY, scenario, str(runs)]
+            done = subprocess.run(
+                arguments, check=True, capture_output=True, env=environment, text=True
+            )
+        size_text = f", N = {uavs}" if uavs else ""
+        return {
+            f"`{name}`{size_text} in memory, s of processor time": float(done.stdout.split()[-1])
+        }
 
     return measured
 
