@@ -58,6 +58,14 @@ def all_finite(array: Array) -> bool:
     return math.isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
 
 
+def within(array: Array, largest: float) -> bool:
+    """Return whether all magnitudes are at most the largest; NaN is not.
+
+    The first test takes a third of the time, and settles all but large numbers.
+    """
+    return bool(np.vdot(array, array) <= largest**2 or np.abs(array).max(initial=0.0) <= largest)
+
+
 def assign(instance: object, **values: Any) -> None:
     """Set the fields of a frozen dataclass while it is constructed."""
     for name, value in values.items():

@@ -53,6 +53,7 @@ class CompiledStep:
         self._functions = functions
         self._length_s = np.zeros(1)
         self._kept = native.Addresses()
+        self._copies = native.Addresses()  # of arrays that controllers with the same model differ in
 
         # CasADi's sizes of the rooms: arguments, results, integers and numbers.
         sizes = (ctypes.c_longlong * 4)()
@@ -97,8 +98,8 @@ class CompiledStep:
             feedback.varies,
             self._kept.of("K", feedback.K),
             native.address(feedback.at_x),
-            self._kept.of("lower", feedback.lower),
-            self._kept.of("upper", feedback.upper),
+            self._copies.copied("lower", feedback.lower),
+            self._copies.copied("upper", feedback.upper),
             native.address(Z),
             native.address(U),
         )

@@ -105,6 +105,11 @@ class Addresses:
         kept = self._kept.get(name)
         return None if kept is None else kept[0]
 
+    def address_of(self, name: str, array: npt.NDArray[Any]) -> int | None:
+        """Return the address of an array if a name stands for it."""
+        kept = self._kept.get(name)
+        return None if kept is None or kept[0] is not array else kept[1]
+
     def of(self, name: str, array: npt.NDArray[Any]) -> int:
         """Return the address of an array, which a name stands for from now on.
 

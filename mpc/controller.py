@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transport.model import state
-from transport.model.arrays import Array, all_finite, frozen
+from transport.model.arrays import Array, all_finite, frozen, within
 from transport.model.discretisation import Discrete, euler, zero_order_hold
 from transport.model.hover import Hover
 from transport.model.linearisation import Jacobians, Linearisation, Model
@@ -245,7 +245,7 @@ class Controller:
     def _followed(self, linear: Linear, law: FeedbackLaw) -> Rollout | None:
         """Return the trajectory of the nonlinear model under the law, unless it tilts too far."""
         trajectory = rollout(self.model, self._actuation, linear.z0, law, linear.forces)
-        tilt = np.abs(trajectory.Z[:, self._tilts]).max()
+        tilt = np.abs(trajectory.Z.take(self._tilts, axis=1)).max()
         if tilt < _STEEPEST and all_finite(trajectory.Z):
             return trajectory
         return None
@@ -320,7 +320,7 @@ class Controller:
                 # exactly.
                 best = self._decision.clip(prediction.U_free + self._decision.inputs(z))
                 inputs = self._decision.clip(w * best + (1.0 - w) * inputs)
-        if all_finite(inputs) and np.abs(c).max(initial=0.0) <= LARGEST:
+        if all_finite(inputs) and within(c, LARGEST):
             return StepResult(U=inputs, c=c, solution=solution)
         return self.give_up(U, law, None if is_solved else solution)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from transport.model import motors, state
-from transport.model.arrays import Array
+from transport.model.arrays import Array, within
 from transport.model.hover import Hover
 from transport.model.linearisation import Model
 
@@ -54,7 +54,7 @@ class Motion:
         model = self.model_at(tick)
         period = motors.Period(duration_s=self.period_s, steps=self.steps, lag_s=self.lag_s)
         end = motors.integrate(model, x, u, period, forces)
-        if not np.abs(end).max() <= state.LARGEST:  # NaN too
+        if not within(end, state.LARGEST):
             return self.reference_at(tick + 1)
         return self.moved(end, tick + 1)
 

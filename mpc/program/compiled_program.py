@@ -167,8 +167,10 @@ class CompiledProgram:
 
         Only a read-only array that is the same object has certainly the same numbers.
         """
-        if array.flags.writeable or self._kept.array(name) is not array:
-            self._changed.add(name)
+        kept = self._kept.address_of(name, array)
+        if kept is not None and not array.flags.writeable:
+            return kept
+        self._changed.add(name)
         return self._kept.of(name, array)
 
     def _like_before(self, name: str, array: Array) -> Array:
