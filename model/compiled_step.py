@@ -53,7 +53,9 @@ class CompiledStep:
         self._functions = functions
         self._length_s = np.zeros(1)
         self._kept = native.Addresses()
-        self._copies = native.Addresses()  # of arrays that controllers with the same model differ in
+        self._copies = (
+            native.Addresses()
+        )  # of arrays that controllers with the same model differ in
 
         # CasADi's sizes of the rooms: arguments, results, integers and numbers.
         sizes = (ctypes.c_longlong * 4)()

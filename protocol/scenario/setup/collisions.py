@@ -10,6 +10,8 @@ from transport.model.arrays import Array
 from transport.protocol.scenario.faults.scripted_faults import Fault, failures
 from transport.protocol.wire.messages import PlantState
 
+_ROUNDING_M = 1e-6  # more than that of the lengths by which pairs are left out
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contact:
@@ -58,6 +60,8 @@ class Contacts:
             for i, j in combinations(range(len(radii_m)), 2)
             if radii_m[i] and radii_m[j]
         }
+        self._pairs = np.array([*self._pairs_m], dtype=np.intp).reshape(-1, 2)
+        self._distances_m = np.array([*self._pairs_m.values()])
         self._before: tuple[int, Array] | None = None  # tick and positions, (N, 3)
         self.first: Contact | None = None
 
@@ -74,8 +78,9 @@ class Contacts:
 
         released = {uav for since, uav in self._releases if since <= tick}
         contacts = []
-        for (i, j), distance_m in self._pairs_m.items():
+        for i, j in self._may_touch(start_I, r_I):
             if not released & {i, j}:
+                distance_m = self._pairs_m[i, j]
                 share = _first_within(start_I[i] - start_I[j], r_I[i] - r_I[j], distance_m)
                 if share is not None:
                     contacts.append((share, i, j))
@@ -96,6 +101,15 @@ class Contacts:
         for plant_state in states:
             self.add(plant_state)
         return self.first
+
+    def _may_touch(self, start_I: Array, end_I: Array) -> list[tuple[int, int]]:
+        """Return the pairs that are no farther apart than they move: nearly always none."""
+        one, other = self._pairs.T
+        start = start_I[one] - start_I[other]
+        way = end_I[one] - end_I[other] - start
+        apart_m = np.sqrt((start**2).sum(axis=1)) - np.sqrt((way**2).sum(axis=1))
+        near = self._pairs[apart_m <= self._distances_m + _ROUNDING_M]
+        return [(int(i), int(j)) for i, j in near]
 
 
 def _first_within(start: Array, end: Array, distance: float) -> float | None:
