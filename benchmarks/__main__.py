@@ -33,8 +33,8 @@ from benchmarks.runs import (
     times_ms,
 )
 from docs.tables import ROOT, place, put, table
-from transport.model import native
 from transport.model.arrays import Array
+from transport.model.kernels import native
 from transport.plant.node import PlantNode
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.codec import decode, encode

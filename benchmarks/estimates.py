@@ -25,7 +25,7 @@ from transport.agent.node import AgentNode
 from transport.flight.memory import InMemoryRun
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.compiled import compile_functions
+from transport.model.kernels.casadi_functions import compile_functions
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.teams.drawn_team import NOISE
 from transport.protocol.wire.messages import STAGES, Message, Plan, PlantState

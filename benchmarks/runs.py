@@ -18,8 +18,8 @@ from rich.console import Console
 from transport.flight import memory
 from transport.flight.progress import compile_models
 from transport.flight.run_files import machine
-from transport.model import native
 from transport.model.arrays import Array
+from transport.model.kernels import native
 from transport.mpc.controller import Controller
 from transport.mpc.program.qp_solvers import QP
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario

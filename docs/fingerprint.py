@@ -16,7 +16,7 @@ import threadpoolctl
 from tables import ROOT
 
 from transport.agent.user_class.user_planner import controller_versions
-from transport.model import compiler, native
+from transport.model.kernels import compiler, native
 from transport.plant.engines import engine_version
 from transport.protocol.scenario.sections.schema import Scenario
 

@@ -10,12 +10,12 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array, all_finite, frozen, within
-from transport.model.discretisation import Discrete, euler, zero_order_hold
-from transport.model.hover import Hover
-from transport.model.linearisation import Jacobians, Linearisation, Model
-from transport.model.motors import with_lag
-from transport.model.native import Places
-from transport.model.obstacles import Obstacle
+from transport.model.kernels.native import Places
+from transport.model.linear.discretisation import Discrete, euler, zero_order_hold
+from transport.model.linear.linearisation import Jacobians, Linearisation, Model
+from transport.model.linear.motor_lag import with_lag
+from transport.model.physics.hover import Hover
+from transport.model.physics.obstacles import Obstacle
 from transport.model.state import LARGEST
 from transport.mpc.law.present_law import Regulation
 from transport.mpc.program.constraints.user_constraints import OwnInputs, OwnStates

@@ -10,12 +10,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from transport.model.arrays import Array, continued, frozen
-from transport.model.flat import FlatReference, Track
-from transport.model.hover_reference import Reference as HoverReference
 from transport.model.identity import SharedResults, digest
-from transport.model.maneuver import Maneuver
-from transport.model.slowing import Slowing
-from transport.model.target import Target
+from transport.model.path.flat_reference import FlatReference, Track
+from transport.model.path.hover_reference import Reference as HoverReference
+from transport.model.path.maneuver import Maneuver
+from transport.model.path.target_and_stop import Slowing, Target
 
 # Instants before a target for which a track and its gains are kept: more than estimators look back
 # (`WINDOW` of agent/estimation/repeated_ticks.py).

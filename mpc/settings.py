@@ -12,7 +12,7 @@ from annotated_types import Interval
 from pydantic import BeforeValidator
 
 from transport.model.arrays import Array
-from transport.model.parameters import System
+from transport.model.physics.parameters import System
 from transport.model.section import (
     LAG_S,
     Key,

@@ -16,9 +16,10 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from transport.model import motors, state
+from transport.model import state
 from transport.model.arrays import Array
-from transport.model.parameters import System
+from transport.model.linear import motor_lag as motors
+from transport.model.physics.parameters import System
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.sections.plant_sections import MotorsSection, RotorsSection

@@ -11,8 +11,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.linearisation import Model
-from transport.model.parameters import System
+from transport.model.linear.linearisation import Model
+from transport.model.physics.parameters import System
 from transport.model.state import StateView
 from transport.plant.actuators import checked_firmware
 from transport.plant.environment import Environment, about

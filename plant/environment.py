@@ -13,11 +13,20 @@ from functools import lru_cache
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.hover import with_released
-from transport.model.linearisation import Model
-from transport.model.parameters import Payload, System, Uav
-from transport.model.rotations import rotation
-from transport.model.state import OMEGA0, R0, SENSED, SENSORS, THETA0, V0, StateView, is_measured
+from transport.model.linear.linearisation import Model
+from transport.model.physics.hover import with_released
+from transport.model.physics.parameters import Payload, System, Uav
+from transport.model.physics.rotations import rotation
+from transport.model.state import (
+    OMEGA0,
+    R0,
+    SENSED,
+    SENSORS,
+    THETA0,
+    V0,
+    StateView,
+    is_measured,
+)
 from transport.protocol.scenario.faults.scripted_faults import Load
 from transport.protocol.scenario.links.draws import Streams, draw_key
 from transport.protocol.scenario.sections.plant_sections import UavFactorsSection

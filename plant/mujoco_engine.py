@@ -8,9 +8,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from transport.model.arrays import Array
-from transport.model.hover import RELEASED_MASS_KG
-from transport.model.parameters import System, Uav, payload_half_size
-from transport.model.rotations import euler_angles, rotation
+from transport.model.physics.hover import RELEASED_MASS_KG
+from transport.model.physics.parameters import System, Uav, payload_half_size
+from transport.model.physics.rotations import euler_angles, rotation
 from transport.model.state import StateView
 from transport.protocol.scenario.sections.plant_sections import PlantSection
 

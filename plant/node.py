@@ -14,8 +14,8 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.hover import motor_off_state, no_inputs, released_state
-from transport.model.parameters import Payload
+from transport.model.physics.hover import motor_off_state, no_inputs, released_state
+from transport.model.physics.parameters import Payload
 from transport.plant.actuators import INNER_STEP_S, MOTOR_OFF, ActuatorSchedule, Motors, inner_loop
 from transport.plant.engines import UNKNOWN_ERROR, Engine
 from transport.plant.environment import Environment, Sensors, payload_during

@@ -67,11 +67,11 @@ def pytest_configure(config: pytest.Config) -> None:
         cache = getattr(config, "cache", None)  # absent with -p no:cacheprovider
         models = f"{register}/models" if cache is None else str(cache.mkdir("models"))
         os.environ["PAYLOAD_TRANSPORT_CACHE"] = models
-        from transport.model import compiled, native  # noqa: F401 - the import compiles
+        from transport.model.kernels import casadi_functions, native  # noqa: F401 - the import compiles
 
-        compiled.compile_functions(4)
-        compiled.compile_functions(3)
-        compiled.compile_functions(3, rates=True)
+        casadi_functions.compile_functions(4)
+        casadi_functions.compile_functions(3)
+        casadi_functions.compile_functions(3, rates=True)
 
 
 @pytest.fixture(autouse=True)
@@ -102,7 +102,7 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 @pytest.fixture(params=[2, 4, 8])
 def vector_width(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
     """Kernels with vectors of each width, in doubles; the compiler divides those wider than a register."""
-    from transport.model import native
+    from transport.model.kernels import native
 
     width = int(request.param)
     monkeypatch.setenv("PAYLOAD_TRANSPORT_NATIVE", str(width))

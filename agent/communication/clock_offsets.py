@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from transport.model import state
 from transport.model.arrays import Array, frozen
-from transport.model.rotations import cross, euler_rates, rotation
+from transport.model.physics.rotations import cross, euler_rates, rotation
 from transport.protocol.wire.messages import Plan
 
 _DOWN_I = np.array([0.0, 0.0, 1.0])

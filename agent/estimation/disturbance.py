@@ -15,9 +15,9 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.discretisation import zero_order_hold
-from transport.model.hover import Hover
-from transport.model.linearisation import Linearisation, Model
+from transport.model.linear.discretisation import zero_order_hold
+from transport.model.linear.linearisation import Linearisation, Model
+from transport.model.physics.hover import Hover
 
 # Unknowns: the force on the payload (3), and the horizontal force on each UAV (2).
 UNKNOWNS = 5

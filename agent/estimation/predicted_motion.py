@@ -5,10 +5,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from transport.model import motors, state
+from transport.model import state
 from transport.model.arrays import Array, within
-from transport.model.hover import Hover
-from transport.model.linearisation import Model
+from transport.model.linear import motor_lag as motors
+from transport.model.linear.linearisation import Model
+from transport.model.physics.hover import Hover
 
 # Integration steps per sampling period: local error below 1e-8 at 50 ms, with motor lag below 1e-5
 # after large jumps of the commands; far below any sensor.

@@ -14,7 +14,7 @@ from transport.agent.silence.hand_over_by_age import LESS_THAN_OTHERS, Silence
 from transport.agent.silence.integrator_states import HeldForces
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.hover import motor_off_state, released_state
+from transport.model.physics.hover import motor_off_state, released_state
 from transport.mpc.alone.alone_law import AloneLaw
 from transport.mpc.alone.uav_motion import Setpoint
 from transport.mpc.controller import Controller

@@ -9,7 +9,7 @@ from transport.agent.estimation.team_estimate import TeamEstimate
 from transport.agent.silence.hand_over_by_age import Mixture, mixed
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.rotations import rotation
+from transport.model.physics.rotations import rotation
 from transport.mpc.alone.alone_law import steps_alone
 from transport.mpc.alone.motion_by_own_sensors import OwnSensors
 from transport.mpc.alone.uav_motion import Motion, ahead, motion_of

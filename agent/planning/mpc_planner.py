@@ -24,9 +24,9 @@ from transport.agent.planning.step_report import (
 )
 from transport.agent.received import Received
 from transport.agent.silence.freshness import Freshness
-from transport.model import motors
 from transport.model.arrays import Array, ShapeError, frozen
-from transport.model.discretisation import Discrete
+from transport.model.linear import motor_lag as motors
+from transport.model.linear.discretisation import Discrete
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller, Horizon, StepResult
 from transport.mpc.program.feedback_law import FeedbackLaw

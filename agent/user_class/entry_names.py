@@ -4,8 +4,8 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.parameters import System
-from transport.model.rotations import rotation
+from transport.model.physics.parameters import System
+from transport.model.physics.rotations import rotation
 from transport.protocol.wire.messages import Measurement, Plan
 
 Source = Array | Measurement  # a state of the team, (12 + 12 N,), or a measurement of own UAVs

@@ -12,9 +12,9 @@ from transport.agent.received import Received
 from transport.agent.user_class.entry_names import Layout
 from transport.agent.user_class.user_estimate import OwnEstimate
 from transport.model.arrays import Array, frozen
-from transport.model.linearisation import Model
-from transport.model.parameters import System
-from transport.model.target import Target
+from transport.model.linear.linearisation import Model
+from transport.model.path.target_and_stop import Target
+from transport.model.physics.parameters import System
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import MAX_DATA, Plan

@@ -5,8 +5,8 @@ import numpy as np
 from transport.agent.estimation.predicted_motion import STEPS
 from transport.agent.estimation.team_estimate import TeamEstimate
 from transport.agent.received import Received
-from transport.model import motors
 from transport.model.arrays import Array
+from transport.model.linear import motor_lag as motors
 from transport.mpc.controller import Controller
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Plan

@@ -27,8 +27,8 @@ from agentlib_mpc.models.casadi_model import (
 )
 
 from transport.model.arrays import Array
-from transport.model.dynamics import Symbols, motion, outputs
-from transport.model.linearisation import Model
+from transport.model.linear.linearisation import Model
+from transport.model.physics.dynamics import Symbols, motion, outputs
 from transport.model.state import INPUTS
 from transport.mpc.program.stage_cost import Cost
 from transport.protocol.scenario.setup.run_setup import Setup

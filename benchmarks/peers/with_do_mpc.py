@@ -21,7 +21,7 @@ import numpy as np
 import transport
 from transport.agent.user_class.run_for_user import Run
 from transport.model.arrays import Array
-from transport.model.dynamics import Symbols, motion, outputs
+from transport.model.physics.dynamics import Symbols, motion, outputs
 from transport.mpc.program.stage_cost import Cost
 from transport.protocol.wire.messages import Measurement, Plan
 

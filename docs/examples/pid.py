@@ -7,7 +7,7 @@ In the folder of this file: transport run resilient --set agents.controller=pid:
 
 import numpy as np
 
-from transport.model.rotations import rotation
+from transport.model.physics.rotations import rotation
 
 GAINS = 4.0, 0.4, 4.0  # of the position error, its integral and its derivative: 1/s^2, 1/s^3, 1/s
 STIFFNESS, DAMPING = 100.0, 16.0  # of the attitude: 1/s^2, 1/s

@@ -24,7 +24,7 @@ import math
 import numpy as np
 
 from transport import Step
-from transport.model.rotations import rotation
+from transport.model.physics.rotations import rotation
 
 K_P, K_V, K_S, K_I = 6.0, 5.0, 0.5, 2.5  # 1/s^2, 1/s, 1/(s sqrt(m)), 1/s^3
 FORGETS = 20.0  # s

@@ -26,7 +26,7 @@ import numpy as np
 with warnings.catch_warnings(action="ignore"):  # of parts of do-mpc that are not used
     import do_mpc
 
-from transport.model.dynamics import Symbols, motion, outputs
+from transport.model.physics.dynamics import Symbols, motion, outputs
 
 IPOPT = {
     "ipopt.tol": 1e-5,

@@ -12,8 +12,8 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.parameters import System
-from transport.model.rotations import rotation
+from transport.model.physics.parameters import System
+from transport.model.physics.rotations import rotation
 from transport.mpc.alone.attitude_loop import OuterGain, attitude_loop
 from transport.mpc.alone.thrust_direction import roll_and_pitch, roll_and_pitch_slopes
 from transport.mpc.alone.uav_motion import (
@@ -55,7 +55,7 @@ class AloneLaw:
     """Control law of one UAV, 0-based, that carries its share of the payload with a hover thrust, N.
 
     A further term of the force belongs in `force`, its derivatives in `gain`, `gain_along` and
-    `by_sensors`, its numbers in `numbers`, and its twin in `alone_inputs` of model/kernels.c. Tests
+    `by_sensors`, its numbers in `numbers`, and its twin in `alone_inputs` of model/kernels/kernels.c. Tests
     compare each of them with `inputs`.
     """
 
@@ -78,7 +78,7 @@ class AloneLaw:
         self._damping = loop.damping
 
     def numbers(self) -> Array:
-        """Return the numbers of the law in the order of the struct `alone_law` of model/kernels.c, (29,)."""
+        """Return the numbers of the law in the order of the struct `alone_law` of model/kernels/kernels.c, (29,)."""
         uav = self._system.uavs[self._uav]
         gains = self._gains
         rod = [uav.rho, [uav.rod_length]]

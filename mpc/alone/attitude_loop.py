@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.parameters import System
+from transport.model.physics.parameters import System
 
 # The loop on moments of a UAV that keeps level: slow enough for the moment limits of small quadrotors,
 # faster than the pendulum of a rod.

@@ -1,14 +1,15 @@
 """The law of a UAV alone at a state of the team, by the compiled kernel.
 
-`model/kernels.c` computes what `mpc.alone.uav_motion.motion_of` and `AloneLaw.inputs` do, in a tenth of the time:
-on a late network an agent asks for the inputs of others alone at every tick that it estimates again.
+`kernels.c` computes what `uav_motion.motion_of` and `AloneLaw.inputs` do, in a tenth of the time: on a late
+network an agent asks for the inputs of others alone at every tick that it estimates again.
 """
 
 import numpy as np
 
-from transport.model import native, state
+from transport.model import state
 from transport.model.arrays import Array
-from transport.model.parameters import System
+from transport.model.kernels import native
+from transport.model.physics.parameters import System
 from transport.mpc.alone.alone_law import AloneLaw
 from transport.mpc.alone.uav_motion import Setpoint
 

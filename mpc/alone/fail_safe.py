@@ -7,12 +7,13 @@ from collections.abc import Collection
 
 import numpy as np
 
-from transport.model import flat, state
+from transport.model import state
 from transport.model.arrays import Array, rows
-from transport.model.flat import Track
-from transport.model.hover import hover_after_failures, with_released
 from transport.model.identity import digest
-from transport.model.parameters import ParameterError, System
+from transport.model.path import flat_reference as flat
+from transport.model.path.flat_reference import Track
+from transport.model.physics.hover import hover_after_failures, with_released
+from transport.model.physics.parameters import ParameterError, System
 from transport.mpc.alone.alone_law import GAINS, AloneLaw
 from transport.mpc.alone.attitude_loop import LEVELLING, LEVELLING_RAD_S, attitude_loop
 from transport.mpc.alone.uav_motion import Setpoint, motion_of, setpoint_of

@@ -9,8 +9,8 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.parameters import System
-from transport.model.rotations import euler_rates, rotation
+from transport.model.physics.parameters import System
+from transport.model.physics.rotations import euler_rates, rotation
 from transport.mpc.alone.uav_motion import Motion
 
 # Observer of the rod from the specific force: fast enough for the pendulum of a rod, slow enough for

@@ -7,8 +7,8 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.parameters import System
-from transport.model.rotations import cross, euler_rates, rotation
+from transport.model.physics.parameters import System
+from transport.model.physics.rotations import cross, euler_rates, rotation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.linearisation import Model
+from transport.model.linear.linearisation import Model
 from transport.mpc.reference import KEPT
 
 _STEPS = 2  # of the integration in a sampling period

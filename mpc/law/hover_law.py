@@ -6,9 +6,9 @@ from functools import cached_property
 import numpy as np
 
 from transport.model.arrays import Array, padded
-from transport.model.hover import Hover, hover_after_failures
 from transport.model.identity import SharedResults, digest
-from transport.model.linearisation import Model
+from transport.model.linear.linearisation import Model
+from transport.model.physics.hover import Hover, hover_after_failures
 from transport.model.state import input_slice
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.law.infinite_horizon_lqr import HoveringTeam, Regulator, Team, regulator

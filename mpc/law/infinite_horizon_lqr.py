@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from transport.model import state
 from transport.model.arrays import Array, frozen, padded
-from transport.model.discretisation import Discrete, zero_order_hold
-from transport.model.hover import Hover
-from transport.model.linearisation import Linearisation, Model
-from transport.model.motors import with_lag
+from transport.model.linear.discretisation import Discrete, zero_order_hold
+from transport.model.linear.linearisation import Linearisation, Model
+from transport.model.linear.motor_lag import with_lag
+from transport.model.physics.hover import Hover
 from transport.model.state import input_indices
 from transport.mpc.law.tangent import tangent
 from transport.mpc.program.feedback_law import FeedbackError

@@ -10,10 +10,10 @@ from collections.abc import Collection
 
 import numpy as np
 
-from transport.model import native
 from transport.model.arrays import Array
-from transport.model.hover import Hover
-from transport.model.linearisation import Model
+from transport.model.kernels import native
+from transport.model.linear.linearisation import Model
+from transport.model.physics.hover import Hover
 from transport.mpc.alone.alone_law import AloneLaw
 from transport.mpc.alone.compiled_alone_law import CompiledAloneLaw, CompiledSetpoint
 from transport.mpc.alone.fail_safe import FailSafe

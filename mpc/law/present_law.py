@@ -10,9 +10,9 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from transport.model.arrays import Array
-from transport.model.flat import Track
-from transport.model.hover import Hover
-from transport.model.linearisation import Model
+from transport.model.linear.linearisation import Model
+from transport.model.path.flat_reference import Track
+from transport.model.physics.hover import Hover
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.law.hover_law import Crew
 from transport.mpc.law.infinite_horizon_lqr import Team

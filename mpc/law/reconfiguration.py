@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from transport.model import flat
 from transport.model.arrays import Array, continued, padded
-from transport.model.flat import Track
 from transport.model.identity import SharedResults, digest
-from transport.model.parameters import ParameterError
+from transport.model.path import flat_reference as flat
+from transport.model.path.flat_reference import Track
+from transport.model.physics.parameters import ParameterError
 from transport.model.state import input_indices
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.alone.undisturbed_motion import ControlledTeam, UndisturbedMotion

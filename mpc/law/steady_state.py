@@ -10,7 +10,7 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array, frozen
-from transport.model.linearisation import Linearisation
+from transport.model.linear.linearisation import Linearisation
 from transport.mpc.law.infinite_horizon_lqr import HoveringTeam
 from transport.mpc.law.tangent import tangent
 

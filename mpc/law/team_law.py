@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from transport.model.arrays import Array, rows
-from transport.model.flat import Track
-from transport.model.hover import Hover
+from transport.model.path.flat_reference import Track
+from transport.model.physics.hover import Hover
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.law.hover_law import HoverLaw
 from transport.mpc.law.infinite_horizon_lqr import Regulator, Team

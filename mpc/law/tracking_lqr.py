@@ -7,9 +7,9 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array, frozen, padded, rows
-from transport.model.discretisation import zero_order_hold
-from transport.model.flat import Track
 from transport.model.identity import digest
+from transport.model.linear.discretisation import zero_order_hold
+from transport.model.path.flat_reference import Track
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.law.hover_law import HoverLaw
 from transport.mpc.program.feedback_law import FeedbackError, Gains

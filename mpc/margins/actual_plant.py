@@ -8,10 +8,10 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.discretisation import Discrete, zero_order_hold
-from transport.model.hover import hover
-from transport.model.linearisation import Linearisation, Model
-from transport.model.parameters import System
+from transport.model.linear.discretisation import Discrete, zero_order_hold
+from transport.model.linear.linearisation import Linearisation, Model
+from transport.model.physics.hover import hover
+from transport.model.physics.parameters import System
 
 # Size of F times the duration up to which a hold is computed at once; sizes below the other one are zero.
 _LARGEST, _SMALL = 256.0, 1e-12

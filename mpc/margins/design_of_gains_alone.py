@@ -18,11 +18,11 @@ import threadpoolctl
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.discretisation import zero_order_hold
-from transport.model.hover import hover
 from transport.model.identity import digest
-from transport.model.linearisation import Model
-from transport.model.parameters import System
+from transport.model.linear.discretisation import zero_order_hold
+from transport.model.linear.linearisation import Model
+from transport.model.physics.hover import hover
+from transport.model.physics.parameters import System
 from transport.mpc.alone.alone_law import AloneLaw
 from transport.mpc.law.tangent import tangent
 from transport.mpc.margins.actual_plant import Mismatch

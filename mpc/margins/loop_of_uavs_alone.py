@@ -7,8 +7,8 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.hover import hover
-from transport.model.parameters import System
+from transport.model.physics.hover import hover
+from transport.model.physics.parameters import System
 from transport.mpc.alone.alone_law import GAINS, AloneLaw
 from transport.mpc.alone.motion_by_own_sensors import OFFSET_GAIN, RATE_GAIN
 from transport.mpc.alone.uav_motion import MotionSlopes, hover_motion_slopes

@@ -12,9 +12,9 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.discretisation import zero_order_hold
-from transport.model.motors import with_lag
-from transport.model.parameters import ParameterError
+from transport.model.linear.discretisation import zero_order_hold
+from transport.model.linear.motor_lag import with_lag
+from transport.model.physics.parameters import ParameterError
 from transport.mpc.controller import Controller
 from transport.mpc.law.tangent import tangent
 from transport.mpc.margins.actual_plant import Mismatch, delayed_step

@@ -1,7 +1,7 @@
 """Prediction and QP of one step by the compiled kernels, in arrays that the next step overwrites.
 
-`model/kernels.c` computes what `mpc.program.prediction`, `mpc.program.horizon_cost`, `mpc.program.relaxation` and the
-constraints with `in_kernel` do, with fewer operations. Quantities that are those of the step before
+`kernels.c` computes what `prediction`, `horizon_cost` and `relaxation` and the constraints with
+`in_kernel` do, with fewer operations. Quantities that are those of the step before
 (derivatives at hover, gains, weights) are not computed again.
 """
 
@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from transport.model import native
 from transport.model.arrays import Array, frozen
-from transport.model.discretisation import Discrete
+from transport.model.kernels import native
+from transport.model.linear.discretisation import Discrete
 from transport.mpc.program.constraints.input_limits import Rates
 from transport.mpc.program.constraints.separation import Separation
 from transport.mpc.program.constraints.stack import Stack
@@ -30,7 +30,7 @@ frozen(_NO_GAIN)
 class CompiledProgram:
     """The struct `problem` of the kernels, its arrays, and the QP and prediction in them.
 
-    The names are those of `struct problem` in model/kernels.c. An array is handed over in one of these
+    The names are those of `struct problem` in model/kernels/kernels.c. An array is handed over in one of these
     ways:
 
     - `_set`: one of the struct's own, constant or written by the kernels;

@@ -6,7 +6,7 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.parameters import System
+from transport.model.physics.parameters import System
 from transport.mpc.settings import ControllerSettings
 
 

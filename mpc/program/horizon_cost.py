@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.native import Places
+from transport.model.kernels.native import Places
 from transport.mpc.program.decision import Decision
 from transport.mpc.program.prediction import Linear, Prediction, stacked
 

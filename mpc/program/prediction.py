@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from transport.model import native
 from transport.model.arrays import Array
-from transport.model.discretisation import Discrete
-from transport.model.linearisation import Linearisation
-from transport.model.native import Places
+from transport.model.kernels import native
+from transport.model.kernels.native import Places
+from transport.model.linear.discretisation import Discrete
+from transport.model.linear.linearisation import Linearisation
 from transport.mpc.program.feedback_law import FeedbackLaw
 from transport.mpc.program.rollout import Rollout
 

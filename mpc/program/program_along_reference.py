@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.linearisation import Model
-from transport.model.obstacles import Obstacle
+from transport.model.linear.linearisation import Model
+from transport.model.physics.obstacles import Obstacle
 from transport.mpc.program.constraints import constraints_of
 from transport.mpc.program.constraints.block import Constraint
 from transport.mpc.program.constraints.input_limits import Bounds, Rates, within_limits

@@ -14,8 +14,8 @@ import daqp
 import numpy as np
 import numpy.typing as npt
 
-from transport.model import native
 from transport.model.arrays import Array
+from transport.model.kernels import native
 from transport.mpc.settings import SolverName
 
 Status = Literal["solved", "infeasible", "limit", "numerical"]

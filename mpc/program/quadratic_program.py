@@ -4,9 +4,9 @@ from collections.abc import Collection
 
 import numpy as np
 
-from transport.model import native
 from transport.model.arrays import Array, frozen, padded
-from transport.model.discretisation import Discrete
+from transport.model.kernels import native
+from transport.model.linear.discretisation import Discrete
 from transport.model.state import input_indices
 from transport.mpc.program.compiled_program import CompiledProgram
 from transport.mpc.program.constraints import constraints_of

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from transport.model import motors
 from transport.model.arrays import Array, frozen
-from transport.model.compiled_step import Feedback
-from transport.model.linearisation import Model
-from transport.model.native import Places
+from transport.model.kernels.compiled_step import Feedback
+from transport.model.kernels.native import Places
+from transport.model.linear import motor_lag as motors
+from transport.model.linear.linearisation import Model
 from transport.mpc.program.decision import Decision
 from transport.mpc.program.feedback_law import FeedbackLaw
 from transport.mpc.settings import ControllerSettings

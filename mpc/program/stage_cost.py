@@ -5,8 +5,8 @@ from collections.abc import Collection
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.hover import Hover
-from transport.model.parameters import System
+from transport.model.physics.hover import Hover
+from transport.model.physics.parameters import System
 from transport.mpc.settings import Weights
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from transport.model.arrays import Array
-from transport.model.linearisation import Model
+from transport.model.linear.linearisation import Model
 from transport.mpc.program.decision import Decision
 from transport.mpc.program.feedback_law import FeedbackLaw, Gains
 from transport.mpc.program.prediction import Linear, Prediction, stacked

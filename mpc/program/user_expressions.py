@@ -21,9 +21,9 @@ import numpy.typing as npt
 
 from transport.model import state
 from transport.model.arrays import Array, frozen
-from transport.model.compiled import Compiled
-from transport.model.dynamics import Symbols, uav_positions
-from transport.model.parameters import Kind, System
+from transport.model.kernels.casadi_functions import Compiled
+from transport.model.physics.dynamics import Symbols, uav_positions
+from transport.model.physics.parameters import Kind, System
 from transport.mpc.settings import Constraint, CostTerm, SettingsError
 
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {

@@ -2,7 +2,7 @@
 
 import math
 
-from transport.model.parameters import Uav
+from transport.model.physics.parameters import Uav
 from transport.protocol.scenario.sections.plant_sections import RotorsSection
 from transport.protocol.scenario.setup.run_setup import Setup
 

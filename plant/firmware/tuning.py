@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.parameters import Uav
+from transport.model.physics.parameters import Uav
 from transport.plant.actuators import Rotors
 from transport.protocol.scenario.sections.plant_sections import RotorsSection
 from transport.protocol.scenario.setup.run_setup import Setup

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 from msgspec.structs import replace
 
-from transport.model.slowing import Slowing
+from transport.model.path.target_and_stop import Slowing
 from transport.protocol.admission.carried import Place, place_of
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.codec import encode

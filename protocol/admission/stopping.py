@@ -16,7 +16,7 @@ end at the largest, the least progress. Source: docs/equations.md (77).
 import math
 from collections.abc import Iterable
 
-from transport.model.slowing import STOP_S, Slowing
+from transport.model.path.target_and_stop import STOP_S, Slowing
 from transport.protocol.wire.messages import Plan
 
 # Mean deceleration of a stop, m/s^2: the largest is twice that.

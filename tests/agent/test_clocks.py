@@ -9,7 +9,7 @@ from tests.support.runs import SHORT, plant_states, ready, recorded, setup
 from transport.agent.communication.clock_offsets import Clocks
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.rotations import cross, euler_rates, rotation
+from transport.model.physics.rotations import cross, euler_rates, rotation
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.wire.messages import Plan
 

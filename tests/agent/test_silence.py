@@ -29,8 +29,8 @@ from transport.agent.silence.hand_over_by_age import LESS_THAN_OTHERS, SHARED, R
 from transport.flight.memory import InMemoryRun
 from transport.model import state
 from transport.model.arrays import Array, ShapeError
-from transport.model.hover import motor_off_state
-from transport.model.linearisation import Model
+from transport.model.linear.linearisation import Model
+from transport.model.physics.hover import motor_off_state
 from transport.mpc.controller import Controller
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.protocol.scenario.sections.schema import Scenario

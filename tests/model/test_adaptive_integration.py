@@ -11,8 +11,8 @@ from tests.support import reference
 from tests.support.random_systems import random_input, random_state, random_system
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.integration import StepLimits, integrate
-from transport.model.linearisation import Model
+from transport.model.linear.linearisation import Model
+from transport.model.physics.integration import StepLimits, integrate
 from transport.model.state import StateView
 from transport.protocol.scenario.sections.plant_sections import PlantSection
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from transport.model import compiler, native
 from transport.model.arrays import Array
+from transport.model.kernels import compiler, native
 
 DRIVER = Path(__file__).parent / "data" / "every_kernel.c"
 FLAGS = ("-O3", "-fno-math-errno", "-w")

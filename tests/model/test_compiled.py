@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from transport.model.compiled import Compiled
+from transport.model.kernels.casadi_functions import Compiled
 
 
 def test_compiled_functions_take_exactly_their_arguments() -> None:

@@ -9,8 +9,8 @@ import pytest
 from tests.support import naive
 from tests.support.random_systems import random_input, random_state, random_system
 from transport.model.arrays import Array, ShapeError
-from transport.model.discretisation import euler, zero_order_hold
-from transport.model.linearisation import Linearisation, Model
+from transport.model.linear.discretisation import euler, zero_order_hold
+from transport.model.linear.linearisation import Linearisation, Model
 
 PERIODS_S = [0.001, 0.02, 0.05, 0.3, 1.0, 2.0]
 # Both sides round; relative to the largest entry, which grows to 1e6 over 2 s far from equilibrium.

@@ -8,8 +8,8 @@ import pytest
 from tests.support import paper_form, reference
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
 from transport.model.arrays import Array
-from transport.model.linearisation import Model
-from transport.model.parameters import Payload
+from transport.model.linear.linearisation import Model
+from transport.model.physics.parameters import Payload
 from transport.model.state import StateView
 
 # The stored values carry up to 1.3e-11 of the engines' own error, in the same measure.

@@ -7,7 +7,8 @@ from tests.support.paper_form import K, attitude
 from tests.support.runs import SCENARIOS
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.hover import (
+from transport.model.linear.linearisation import Model
+from transport.model.physics.hover import (
     RELEASED_MASS_KG,
     hover,
     hover_after_failures,
@@ -15,8 +16,7 @@ from transport.model.hover import (
     no_inputs,
     released_state,
 )
-from transport.model.linearisation import Model
-from transport.model.parameters import ParameterError, System, table_1
+from transport.model.physics.parameters import ParameterError, System, table_1
 from transport.model.state import INPUTS, StateView
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup

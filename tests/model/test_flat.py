@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from transport.model.arrays import Array
-from transport.model.curves import Curve
-from transport.model.flat import FlatReference
-from transport.model.flight import flight
-from transport.model.hover import hover, hover_after_failures, with_released
-from transport.model.linearisation import Model
-from transport.model.maneuver import Maneuver
-from transport.model.parameters import ParameterError, Payload, System, Uav, table_1
-from transport.model.phase import Phase
+from transport.model.linear.linearisation import Model
+from transport.model.path.curves import Curve
+from transport.model.path.flat_reference import FlatReference
+from transport.model.path.flatness import flight
+from transport.model.path.maneuver import Maneuver
+from transport.model.path.phase import Phase
+from transport.model.physics.hover import hover, hover_after_failures, with_released
+from transport.model.physics.parameters import ParameterError, Payload, System, Uav, table_1
 from transport.model.state import input_slice, uav_slice
 
 # Central differences of order 8 over steps of 0.3 ms: rounding of numbers up to 10 over the step.

@@ -6,9 +6,9 @@ import pytest
 from tests.support.paper_form import K
 from tests.support.random_systems import random_inertia
 from transport.model.arrays import Array
-from transport.model.hover import hover
-from transport.model.linearisation import Model
-from transport.model.parameters import ParameterError, Payload, System, Uav, table_1
+from transport.model.linear.linearisation import Model
+from transport.model.physics.hover import hover
+from transport.model.physics.parameters import ParameterError, Payload, System, Uav, table_1
 from transport.model.state import INPUTS, StateView
 
 # Accelerations left by the rounding of least squares and of forces of up to 100 N, rad/s^2 and

@@ -8,8 +8,8 @@ from tests.support import reference
 from tests.support.paper_form import attitude
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
 from transport.model.arrays import Array
-from transport.model.linearisation import Model
-from transport.model.parameters import System
+from transport.model.linear.linearisation import Model
+from transport.model.physics.parameters import System
 from transport.model.state import StateView
 
 # Absolute, in the units of each state. The stored samples are good to 1.6e-9, our steps to 1e-9 on

@@ -19,9 +19,9 @@ from tests.support.random_systems import (
 )
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.hover import hover
-from transport.model.linearisation import Model
-from transport.model.parameters import Payload, System, table_1
+from transport.model.linear.linearisation import Model
+from transport.model.physics.hover import hover
+from transport.model.physics.parameters import Payload, System, table_1
 from transport.model.state import StateView
 
 # Sixth-order central differences: truncation ~ h^6 = 6e-17, rounding ~ eps / h = 1e-13 of the

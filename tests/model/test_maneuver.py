@@ -6,15 +6,15 @@ import pytest
 from tests.support.paper_form import K
 from tests.support.systems import paper_maneuver
 from transport.model.arrays import Array, ShapeError
-from transport.model.curves import Curve
-from transport.model.hover import hover
-from transport.model.hover_reference import Reference
-from transport.model.linearisation import Model
-from transport.model.maneuver import Maneuver
-from transport.model.parameters import ParameterError, table_1
-from transport.model.phase import Phase, PhaseKind, Profile
+from transport.model.linear.linearisation import Model
+from transport.model.path.curves import Curve
+from transport.model.path.hover_reference import Reference
+from transport.model.path.maneuver import Maneuver
+from transport.model.path.phase import Phase, PhaseKind, Profile
+from transport.model.path.target_and_stop import Target
+from transport.model.physics.hover import hover
+from transport.model.physics.parameters import ParameterError, table_1
 from transport.model.state import StateView
-from transport.model.target import Target
 
 PROFILES: list[Profile] = ["ramp", "min_jerk", "step"]
 # Sums of a few displacements of metres.

@@ -9,10 +9,10 @@ from scipy.linalg import expm
 
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
 from transport.model.arrays import Array
-from transport.model.discretisation import by_exponential, zero_order_hold
-from transport.model.linearisation import Model
-from transport.model.motors import Period, decay, integrate, with_lag
-from transport.model.parameters import table_1
+from transport.model.linear.discretisation import by_exponential, zero_order_hold
+from transport.model.linear.linearisation import Model
+from transport.model.linear.motor_lag import Period, decay, integrate, with_lag
+from transport.model.physics.parameters import table_1
 
 PERIOD_S = 0.05
 LAGS_S = (0.005, 0.03, 0.1)

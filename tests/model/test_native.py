@@ -15,13 +15,13 @@ from tests.support.random_systems import random_forces, random_input, random_sta
 from tests.support.runs import completed, ready
 from tests.support.same_flight import flight_bits
 from tests.support.systems import ring
-from transport.model import compiler, native
 from transport.model.arrays import ShapeError
-from transport.model.compiled import Compiled, compile_functions, functions
-from transport.model.compiled_step import Feedback
-from transport.model.discretisation import by_exponential, zero_order_hold
-from transport.model.hover import hover
-from transport.model.linearisation import Linearisation, Model
+from transport.model.kernels import compiler, native
+from transport.model.kernels.casadi_functions import Compiled, compile_functions, functions
+from transport.model.kernels.compiled_step import Feedback
+from transport.model.linear.discretisation import by_exponential, zero_order_hold
+from transport.model.linear.linearisation import Linearisation, Model
+from transport.model.physics.hover import hover
 from transport.mpc.program.prediction import free_response
 
 needs_compiler = pytest.mark.skipif(
@@ -209,7 +209,8 @@ def test_everything_works_without_a_compiler(environment: dict[str, str], tmp_pa
     The twins in Python do the work, and nothing is left in the cache.
     """
     code = (
-        "from transport.model import native; from transport.model.compiled import compile_functions, functions;"
+        "from transport.model.kernels import native;"
+        "from transport.model.kernels.casadi_functions import compile_functions, functions;"
         "print(native.AVAILABLE, compile_functions(1), functions(1)['derivative'].class_name())"
     )
     output = subprocess.run(

@@ -5,10 +5,10 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from transport.model.arrays import Array
-from transport.model.hover import hover
-from transport.model.obstacles import Obstacle, Solid, bodies, clearances
-from transport.model.parameters import table_1
-from transport.model.rotations import rotation
+from transport.model.physics.hover import hover
+from transport.model.physics.obstacles import Obstacle, Solid, bodies, clearances
+from transport.model.physics.parameters import table_1
+from transport.model.physics.rotations import rotation
 
 # Of the least-squares problem.
 SAME_M = 1e-7

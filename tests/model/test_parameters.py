@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from transport.model.arrays import ArrayLike, ShapeError
-from transport.model.parameters import Payload, Uav, table_1
+from transport.model.physics.parameters import Payload, Uav, table_1
 
 NAN, INF = float("nan"), float("inf")
 

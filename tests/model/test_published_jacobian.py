@@ -9,7 +9,7 @@ import pytest
 from tests.support.paper_form import accelerations, thrust_forces
 from tests.support.published_jacobian import PublishedModel
 from tests.support.random_systems import random_input, random_state, random_system
-from transport.model.linearisation import Model
+from transport.model.linear.linearisation import Model
 from transport.mpc.law.tangent import tangent
 
 # Relative to the largest entry: two linear solves of 6 + 3 N unknowns, and of 6, with conditions of

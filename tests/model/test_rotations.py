@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.support.random_systems import random_attitude
 from transport.model.arrays import Array
-from transport.model.rotations import euler_angles, euler_rates, rotation
+from transport.model.physics.rotations import euler_angles, euler_rates, rotation
 
 # Entries are sums of two products of numbers up to 1.
 ROUNDING = 1e-15

@@ -6,9 +6,9 @@ Their derivatives, and the specific force against the motion.
 import numpy as np
 
 from tests.support.runs import setup
-from transport.model.linearisation import Model
-from transport.model.parameters import table_1
-from transport.model.rotations import rotation
+from transport.model.linear.linearisation import Model
+from transport.model.physics.parameters import table_1
+from transport.model.physics.rotations import rotation
 from transport.model.state import SENSED, SPECIFIC_FORCE, StateView
 
 STEP = 1e-6  # of the differences

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from transport.model.curves import Curve
-from transport.model.maneuver import Maneuver
-from transport.model.phase import Phase
-from transport.model.slowing import Slowing
-from transport.model.target import Target
+from transport.model.path.curves import Curve
+from transport.model.path.maneuver import Maneuver
+from transport.model.path.phase import Phase
+from transport.model.path.target_and_stop import Slowing, Target
 
 STEP_S = 1e-4
 TOLERANCE = 1e-5  # of finite differences

@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
 from transport.model import state
-from transport.model.linearisation import Model
+from transport.model.linear.linearisation import Model
 
 
 @pytest.mark.parametrize("uavs", [[0], [1, 2], [0, 1, 2, 3], [0, 2], [2, 1], [3]])

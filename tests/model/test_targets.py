@@ -5,10 +5,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from transport.model.curves import ORDERS, Curve
-from transport.model.maneuver import Maneuver
-from transport.model.phase import Phase
-from transport.model.target import Target
+from transport.model.path.curves import ORDERS, Curve
+from transport.model.path.maneuver import Maneuver
+from transport.model.path.phase import Phase
+from transport.model.path.target_and_stop import Target
 
 RAMPS = Maneuver(
     start_I=[0.0, 0.0, -10.0],

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from tests.support import runs
-from transport.model import native, state
+from transport.model import state
 from transport.model.arrays import Array
-from transport.model.discretisation import zero_order_hold
-from transport.model.hover import hover
-from transport.model.parameters import System, table_1
+from transport.model.kernels import native
+from transport.model.linear.discretisation import zero_order_hold
+from transport.model.physics.hover import hover
+from transport.model.physics.parameters import System, table_1
 from transport.mpc.alone.alone_law import GAINS, AloneLaw, steps_alone
 from transport.mpc.alone.compiled_alone_law import CompiledAloneLaw, CompiledSetpoint
 from transport.mpc.alone.fail_safe import FailSafe

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.support import runs
-from transport.model import native
 from transport.model.arrays import Array
+from transport.model.kernels import native
 from transport.mpc.alone.uav_motion import motion_of
 from transport.mpc.law.laws_of_uavs_alone import AloneTeam
 from transport.mpc.law.present_law import Regulation

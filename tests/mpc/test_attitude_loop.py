@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from transport.model.parameters import System, table_1
+from transport.model.physics.parameters import System, table_1
 from transport.mpc.alone.attitude_loop import LEVELLING, OuterGain, attitude_loop
 
 PAPER = table_1()

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from transport.model import motors
-from transport.model.hover import hover
-from transport.model.linearisation import Model
-from transport.model.parameters import table_1
+from transport.model.linear import motor_lag as motors
+from transport.model.linear.linearisation import Model
+from transport.model.physics.hover import hover
+from transport.model.physics.parameters import table_1
 from transport.mpc.controller import Controller
 from transport.mpc.program.prediction import Prediction
 from transport.mpc.program.rollout import Actuation, rollout

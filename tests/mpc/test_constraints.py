@@ -10,7 +10,7 @@ import pytest
 from tests.support import naive
 from tests.support.systems import Setup, Situation, controller, paper_setup, situation, step
 from transport.model.arrays import Array
-from transport.model.hover import hover_after_failures
+from transport.model.physics.hover import hover_after_failures
 from transport.model.state import THETA, V0, uav_slice
 from transport.mpc.program.constraints.separation import pair_distances
 from transport.mpc.program.prediction import Prediction, convolve

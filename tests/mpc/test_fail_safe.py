@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from transport.model import state
-from transport.model.hover import hover
-from transport.model.parameters import table_1
+from transport.model.physics.hover import hover
+from transport.model.physics.parameters import table_1
 from transport.mpc.alone.fail_safe import FailSafe
 
 SYSTEM = table_1()

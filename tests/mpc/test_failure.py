@@ -9,10 +9,10 @@ from tests.model.test_failure import DEAD, larger
 from tests.support.systems import paper_setup
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.discretisation import zero_order_hold
-from transport.model.hover import hover, hover_after_failures
-from transport.model.linearisation import Model
-from transport.model.parameters import System, table_1
+from transport.model.linear.discretisation import zero_order_hold
+from transport.model.linear.linearisation import Model
+from transport.model.physics.hover import hover, hover_after_failures
+from transport.model.physics.parameters import System, table_1
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller, Horizon
 from transport.mpc.law.infinite_horizon_lqr import HoveringTeam, Regulator, Team, regulator

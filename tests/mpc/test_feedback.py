@@ -9,7 +9,7 @@ from scipy.linalg import solve_discrete_are
 from tests.support.systems import Situation, changed, paper_setup, situation
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.discretisation import zero_order_hold
+from transport.model.linear.discretisation import zero_order_hold
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller, Horizon
 from transport.mpc.law.infinite_horizon_lqr import HoveringTeam, regulator

@@ -8,9 +8,9 @@ import pytest
 from tests.support.linear_model import PERIOD_S, difference
 from tests.support.random_systems import with_drag
 from transport.model.arrays import Array
-from transport.model.hover import hover
-from transport.model.linearisation import Model
-from transport.model.parameters import System, table_1
+from transport.model.linear.linearisation import Model
+from transport.model.physics.hover import hover
+from transport.model.physics.parameters import System, table_1
 from transport.model.state import PAYLOAD, input_slice, uav_slice
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.controller import Controller

@@ -9,8 +9,8 @@ from scipy.linalg import expm
 
 from tests.support.systems import Situation, changed, paper_setup, situation
 from transport.model.arrays import Array
-from transport.model.linearisation import Linearisation
-from transport.model.native import Places
+from transport.model.kernels.native import Places
+from transport.model.linear.linearisation import Linearisation
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller, Horizon, StepResult
 from transport.mpc.law.infinite_horizon_lqr import HoveringTeam, regulator

@@ -8,9 +8,9 @@ import pytest
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.hover import hover
-from transport.model.parameters import table_1
-from transport.model.rotations import euler_rates, rotation
+from transport.model.physics.hover import hover
+from transport.model.physics.parameters import table_1
+from transport.model.physics.rotations import euler_rates, rotation
 from transport.mpc.alone.motion_by_own_sensors import OwnSensors
 from transport.mpc.alone.uav_motion import Motion, motion_of
 

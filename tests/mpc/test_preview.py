@@ -20,10 +20,10 @@ from tests.support.linear_model import (
 )
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.hover import Hover, hover
-from transport.model.linearisation import Model
-from transport.model.parameters import System, table_1
-from transport.model.phase import Profile
+from transport.model.linear.linearisation import Model
+from transport.model.path.phase import Profile
+from transport.model.physics.hover import Hover, hover
+from transport.model.physics.parameters import System, table_1
 from transport.model.state import input_indices
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.law.infinite_horizon_lqr import HoveringTeam, Regulator, regulator

@@ -9,9 +9,9 @@ import pytest
 from tests.support import naive
 from tests.support.programs import random_qp
 from tests.support.systems import paper_setup, ring_setup, situation
-from transport.model import native
 from transport.model.arrays import Array
-from transport.model.discretisation import Discrete
+from transport.model.kernels import native
+from transport.model.linear.discretisation import Discrete
 from transport.mpc.controller import Controller
 from transport.mpc.program.feedback_law import FeedbackLaw
 from transport.mpc.program.horizon_cost import CostToGo

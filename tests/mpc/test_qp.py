@@ -6,7 +6,7 @@ By hand, and against errors put in on purpose.
 import numpy as np
 import pytest
 
-from transport.model import native
+from transport.model.kernels import native
 from transport.mpc.program.qp_solvers import QP, residuals
 
 # A few products of small numbers: rounding only.

@@ -7,8 +7,8 @@ from tests.model.test_flat import ROUNDING, unequal
 from tests.model.test_targets import EIGHT, target
 from transport.agent.estimation.repeated_ticks import WINDOW
 from transport.model.arrays import Array
-from transport.model.flat import FlatReference
-from transport.model.hover import hover
+from transport.model.path.flat_reference import FlatReference
+from transport.model.physics.hover import hover
 from transport.mpc.reference import KEPT, Reference
 
 PERIOD_S = 0.05

@@ -24,9 +24,9 @@ from tests.support.linear_model import (
 from tests.support.systems import changed
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.hover import Hover, hover
-from transport.model.linearisation import Model
-from transport.model.parameters import System, table_1
+from transport.model.linear.linearisation import Model
+from transport.model.physics.hover import Hover, hover
+from transport.model.physics.parameters import System, table_1
 from transport.model.state import input_indices, input_slice
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.controller import Controller, Horizon, StepResult

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.systems import changed
-from transport.model.parameters import table_1
+from transport.model.physics.parameters import table_1
 from transport.model.section import Section
 from transport.model.state import StateView
 from transport.mpc.program.user_expressions import UserCosts

@@ -11,13 +11,13 @@ from tests.model.test_flat import unequal
 from tests.support import naive
 from tests.support.systems import INTEGRATION_STEPS
 from transport.model.arrays import Array
-from transport.model.curves import Curve
-from transport.model.flat import FlatReference, Track
-from transport.model.hover import hover
-from transport.model.linearisation import Model
-from transport.model.maneuver import Maneuver
-from transport.model.obstacles import Obstacle, Solid, clearances
-from transport.model.phase import Phase
+from transport.model.linear.linearisation import Model
+from transport.model.path.curves import Curve
+from transport.model.path.flat_reference import FlatReference, Track
+from transport.model.path.maneuver import Maneuver
+from transport.model.path.phase import Phase
+from transport.model.physics.hover import hover
+from transport.model.physics.obstacles import Obstacle, Solid, clearances
 from transport.model.state import R0, V0, StateView, input_slice, uav_slice
 from transport.mpc.controller import Controller, StepResult
 from transport.mpc.law.reconfiguration import recursion_of

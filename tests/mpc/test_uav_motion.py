@@ -6,9 +6,9 @@ import pytest
 from tests.support import runs
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.hover import hover
-from transport.model.parameters import table_1
-from transport.model.rotations import rotation
+from transport.model.physics.hover import hover
+from transport.model.physics.parameters import table_1
+from transport.model.physics.rotations import rotation
 from transport.mpc.alone.uav_motion import Motion, ahead, motion_of
 
 SYSTEM = table_1()

@@ -16,9 +16,9 @@ import pytest
 import transport
 from tests.support.commands import wait_for
 from tests.support.runs import SCENARIOS
-from transport.model import compiler
 from transport.model.arrays import Array
-from transport.model.rotations import rotation
+from transport.model.kernels import compiler
+from transport.model.physics.rotations import rotation
 from transport.model.state import OMEGA, StateView
 from transport.plant.actuators import Rotors, checked_firmware
 from transport.plant.firmware import betaflight, process

@@ -23,7 +23,7 @@ from transport.protocol.wire.messages import Control, Message
 # An engine of a person: another integrator of the same equations, to its tolerance.
 OWN = """
 from scipy.integrate import solve_ivp
-from transport.model.linearisation import Model
+from transport.model.linear.linearisation import Model
 
 class Own:
     version = "1.2"

@@ -6,7 +6,7 @@ import pytest
 from tests.support.runs import setup
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.rotations import rotation
+from transport.model.physics.rotations import rotation
 from transport.model.state import StateView
 from transport.plant.environment import Environment
 from transport.protocol.scenario.setup.run_setup import Setup

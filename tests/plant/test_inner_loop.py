@@ -5,10 +5,11 @@ import pytest
 from scipy.linalg import expm
 
 from tests.support.random_systems import random_input, random_state, random_system
-from transport.model import motors, state
-from transport.model.linearisation import Model
-from transport.model.motors import rate_places
-from transport.model.parameters import System
+from transport.model import state
+from transport.model.linear import motor_lag as motors
+from transport.model.linear.linearisation import Model
+from transport.model.linear.motor_lag import rate_places
+from transport.model.physics.parameters import System
 from transport.model.state import StateView, uav_slice
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.plant.actuators import INNER_STEP_S, RateLoop

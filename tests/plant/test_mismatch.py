@@ -9,7 +9,7 @@ from tests.support.runs import SHORT, completed, plant_states, setup
 from transport.analysis.events import events
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.rotations import rotation
+from transport.model.physics.rotations import rotation
 from transport.plant.engines import Engine
 from transport.plant.environment import Environment, about
 from transport.plant.node import PlantNode

@@ -19,8 +19,8 @@ from tests.support.random_systems import (
 from tests.support.runs import plant_states, ready, recorded
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.linearisation import Model
-from transport.model.parameters import System, payload_half_size, resting_height, table_1
+from transport.model.linear.linearisation import Model
+from transport.model.physics.parameters import System, payload_half_size, resting_height, table_1
 from transport.model.state import StateView
 from transport.plant.engines import Rods
 from transport.plant.mujoco_engine import MujocoEngine

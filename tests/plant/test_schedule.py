@@ -6,9 +6,9 @@ from msgspec.structs import replace
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.hover import hover
-from transport.model.parameters import Payload, System, Uav
-from transport.model.rotations import euler_rates, rotation
+from transport.model.physics.hover import hover
+from transport.model.physics.parameters import Payload, System, Uav
+from transport.model.physics.rotations import euler_rates, rotation
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.settings import ControllerSettings, Limits
 from transport.plant.actuators import BEFORE_ANY_PLAN, FAIL_SAFE, ActuatorSchedule

@@ -10,7 +10,7 @@ import pytest
 from tests.support import runs
 from tests.support.coordinator_clock import ready
 from tests.support.nodes import CoordinatorNode
-from transport.model.curves import ORDERS
+from transport.model.path.curves import ORDERS
 from transport.protocol.scenario.checks.feasibility import exceeded, teams_left
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection

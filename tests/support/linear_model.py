@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.discretisation import zero_order_hold
-from transport.model.hover import Hover
-from transport.model.hover_reference import Reference
-from transport.model.linearisation import Linearisation, Model
-from transport.model.maneuver import Maneuver
-from transport.model.parameters import Payload, System, Uav
-from transport.model.phase import Phase, Profile
+from transport.model.linear.discretisation import zero_order_hold
+from transport.model.linear.linearisation import Linearisation, Model
+from transport.model.path.hover_reference import Reference
+from transport.model.path.maneuver import Maneuver
+from transport.model.path.phase import Phase, Profile
+from transport.model.physics.hover import Hover
+from transport.model.physics.parameters import Payload, System, Uav
 from transport.mpc.law.tangent import tangent
 
 PERIOD_S = 0.05

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag, expm
 
 from transport.model.arrays import Array
-from transport.model.linearisation import Linearisation
+from transport.model.linear.linearisation import Linearisation
 
 
 def exact_hold(linear: Linearisation, period_s: float) -> tuple[Array, Array, Array]:

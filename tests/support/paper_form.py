@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.parameters import System
+from transport.model.physics.parameters import System
 from transport.model.state import StateView
 
 K = np.array([0.0, 0.0, 1.0])  # direction of gravity, inertial frame

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.parameters import GRAVITY, Payload, System, Uav
+from transport.model.physics.parameters import GRAVITY, Payload, System, Uav
 
 # rad; keeps Euler rates away from their singularity at 90 deg, where comparisons lose digits.
 PITCH_MAX = 1.2

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.parameters import Payload, System, Uav
-from transport.model.rotations import euler_angles
+from transport.model.physics.parameters import Payload, System, Uav
+from transport.model.physics.rotations import euler_angles
 
 _FILE = Path(__file__).parents[1] / "model" / "data" / "engines.json.xz"
 _CASES: dict[str, dict[str, Any]] = json.loads(lzma.decompress(_FILE.read_bytes()))

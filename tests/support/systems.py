@@ -9,12 +9,12 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.hover import Hover, hover
-from transport.model.hover_reference import Reference
-from transport.model.linearisation import Model
-from transport.model.maneuver import Maneuver
-from transport.model.parameters import Payload, System, Uav, table_1
-from transport.model.phase import Phase
+from transport.model.linear.linearisation import Model
+from transport.model.path.hover_reference import Reference
+from transport.model.path.maneuver import Maneuver
+from transport.model.path.phase import Phase
+from transport.model.physics.hover import Hover, hover
+from transport.model.physics.parameters import Payload, System, Uav, table_1
 from transport.model.section import Section
 from transport.mpc.controller import Controller, Horizon, StepResult
 from transport.mpc.settings import ControllerSettings

@@ -18,7 +18,7 @@ import transport
 from tests.support.commands import command, free_base, settings
 from tests.support.runs import ready
 from tests.test_architecture import LAYERS
-from transport.model.parameters import table_1
+from transport.model.physics.parameters import table_1
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.protocol.wire.codec import VERSION
 from transport.protocol.wire.messages import Note, Plan, PlantState

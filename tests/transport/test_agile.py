@@ -9,8 +9,8 @@ import pytest
 
 import transport
 from transport.analysis.series import series_of
-from transport.model.curves import Curve
-from transport.model.flight import flight
+from transport.model.path.curves import Curve
+from transport.model.path.flatness import flight
 from transport.mpc.settings import Tension
 from transport.protocol.scenario.checks.feasibility import exceeded, teams_left
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection

@@ -8,8 +8,8 @@ from rich.console import Console
 
 from tests.support import runs
 from transport.flight.progress import compile_models
-from transport.model.compiled import library
-from transport.model.compiler import find_compiler
+from transport.model.kernels.casadi_functions import library
+from transport.model.kernels.compiler import find_compiler
 
 BY_RATES = ("controller.inputs=rates", "controller.rate_time_constant_s=[0.05,0.05,0.2]")
 UAVS = 4

@@ -9,7 +9,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 
 from transport.model.arrays import Array
-from transport.model.rotations import rotation
+from transport.model.physics.rotations import rotation
 from transport.report.drawn_parts import UP, draw_parts, frame
 from transport.scene.parts import Label, Lines, Mesh, Part, Pose, ball, lines, solid
 

@@ -6,7 +6,7 @@ import pytest
 from tests.support.runs import completed, plant_states, ready, setup
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.parameters import resting_height
+from transport.model.physics.parameters import resting_height
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import (
     RequestError,

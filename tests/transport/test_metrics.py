@@ -22,7 +22,7 @@ from transport.analysis.steps import steps_columns, steps_rows
 from transport.cli.top import Watch
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.hover import released_state
+from transport.model.physics.hover import released_state
 from transport.protocol.wire.messages import ActualInputs, Control, Message, Outcome
 from transport.report.summary_table import summary_table
 from transport.report.summary_texts import limits_text, plans_text

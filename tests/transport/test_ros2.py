@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import transport
 from tests.support.commands import transport as command
-from transport.model.rotations import rotation
+from transport.model.physics.rotations import rotation
 from transport.model.state import StateView
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import PlantState

@@ -7,7 +7,7 @@ from tests.support import runs
 from transport.flight.memory import simulate
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.target import Target
+from transport.model.path.target_and_stop import Target
 from transport.mpc.alone.undisturbed_motion import UndisturbedMotion
 from transport.mpc.law.present_law import Regulation
 from transport.protocol.scenario.setup.run_setup import Setup

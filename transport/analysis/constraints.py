@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.obstacles import clearances
+from transport.model.physics.obstacles import clearances
 from transport.protocol.scenario.faults.scripted_faults import failures
 from transport.protocol.scenario.setup.run_setup import Setup
 

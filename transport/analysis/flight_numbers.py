@@ -13,8 +13,8 @@ from transport.analysis.series import Series, swing_of
 from transport.analysis.spread import finite, largest
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
+from transport.model.path.target_and_stop import Target
 from transport.model.state import R0
-from transport.model.target import Target
 from transport.protocol.admission.carried import carried_by
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import messages

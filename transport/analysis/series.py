@@ -11,7 +11,7 @@ from transport.analysis.constraints import clearances_of, separation_of, violati
 from transport.log.run_log import RunLog
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.rotations import rotation
+from transport.model.physics.rotations import rotation
 from transport.protocol.scenario.faults.scripted_faults import failures
 from transport.protocol.scenario.setup.collisions import Contact
 from transport.protocol.scenario.setup.cost_of_run import StageCost

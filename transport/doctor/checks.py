@@ -13,8 +13,8 @@ import threadpoolctl
 
 from transport.agent.node import AgentNode
 from transport.flight.harness import HarnessError, reserved_ports
-from transport.model import compiler, native
-from transport.model.compiled import compile_functions
+from transport.model.kernels import compiler, native
+from transport.model.kernels.casadi_functions import compile_functions
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.mesh import default_mesh, process_names
 from transport.protocol.network.session import fetch_answer, open_session

@@ -8,8 +8,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 
-from transport.model.compiled import compile_functions, needs_compilation
-from transport.model.parameters import Kind
+from transport.model.kernels.casadi_functions import compile_functions, needs_compilation
+from transport.model.physics.parameters import Kind
 from transport.model.state import StateView
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.setup.cost_of_run import StageCost

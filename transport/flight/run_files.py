@@ -18,7 +18,7 @@ import psutil
 import tomli_w
 
 from transport.log.run_log import LATEST, point_latest
-from transport.model import native
+from transport.model.kernels import native
 from transport.plant.engines import checked_engine
 from transport.protocol.network.security import SHARED
 from transport.protocol.scenario.files.atomic_writing import write_whole

@@ -10,7 +10,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-u
 
 from transport.analysis.series import Series
 from transport.model.arrays import Array
-from transport.model.rotations import rotation
+from transport.model.physics.rotations import rotation
 from transport.model.state import StateView
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.column import draw_legend, legend_height_in

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.curves import ORDERS
+from transport.model.path.curves import ORDERS
 from transport.protocol.scenario.checks.feasibility import Extreme, extremes, teams_left
 from transport.protocol.scenario.checks.reference_limits import (
     checked_instants,

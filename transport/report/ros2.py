@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
-from transport.model.rotations import rotation
+from transport.model.physics.rotations import rotation
 from transport.model.state import StateView
 from transport.protocol.scenario.files.atomic_writing import atomic_file
 from transport.report.ros2_markers import Fields, marker_fields, point_fields, pose_fields, stamped

@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.parameters import System, payload_half_size
+from transport.model.physics.parameters import System, payload_half_size
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.scene.parts import Colour, Mesh, ball, disc, prism, solid
 

@@ -12,7 +12,7 @@ from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 from transport.model.arrays import Array
-from transport.model.rotations import rotation
+from transport.model.physics.rotations import rotation
 from transport.model.state import StateView
 from transport.scene.bodies import (
     DARK_GREY,

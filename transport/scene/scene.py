@@ -11,7 +11,7 @@ import numpy as np
 
 from transport.log.run_log import LogError, RunLog
 from transport.model.arrays import Array
-from transport.model.rotations import rotation
+from transport.model.physics.rotations import rotation
 from transport.model.state import INPUTS, StateView
 from transport.plant.actuators import FAIL_SAFE
 from transport.protocol.scenario.setup.cost_of_run import StageCost

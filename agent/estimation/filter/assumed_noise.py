@@ -12,7 +12,7 @@ import numpy as np
 from transport.agent.estimation.filter.manifold import UAV_BLOCKS
 from transport.agent.estimation.filter.unknown_forces import PAYLOAD_FORCE, UAV_FORCE
 from transport.model.arrays import Array
-from transport.model.parameters import System
+from transport.model.physics.parameters import System
 from transport.protocol.scenario.setup.run_setup import SensorSheet
 
 

@@ -19,7 +19,7 @@ from transport.agent.estimation.filter.kalman import Correction
 from transport.agent.estimation.filter.team_filter import Innovation, Period, Sensed, TeamFilter
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.linearisation import Model
+from transport.model.linear.linearisation import Model
 
 # Ticks after a correction with more than own measurements at which its gain is still used.
 MOST_TICKS = 8

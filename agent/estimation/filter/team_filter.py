@@ -38,10 +38,11 @@ from transport.agent.estimation.filter.kalman import Correction, Observation
 from transport.agent.estimation.filter.manifold import Manifold
 from transport.agent.estimation.filter.silent_agents import SilentTeam
 from transport.agent.estimation.filter.unknown_forces import Situation, UnknownForces
-from transport.model import motors, state
+from transport.model import state
 from transport.model.arrays import Array
-from transport.model.discretisation import Discrete, zero_order_hold
-from transport.model.linearisation import Model
+from transport.model.linear import motor_lag as motors
+from transport.model.linear.discretisation import Discrete, zero_order_hold
+from transport.model.linear.linearisation import Model
 from transport.protocol.scenario.setup.run_setup import Setup
 
 # Roll and pitch beyond which an estimate is that of no team in flight, rad: Euler angles become

@@ -10,8 +10,8 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.linearisation import Model
-from transport.model.rotations import cross, rotation
+from transport.model.linear.linearisation import Model
+from transport.model.physics.rotations import cross, rotation
 
 PAYLOAD_FORCE = slice(0, 2)  # horizontal, inertial frame, N
 MASS_ERROR = 2  # of the payload, kg

@@ -9,9 +9,9 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.obstacles import Obstacle
-from transport.model.parameters import payload_half_size
-from transport.model.rotations import euler_rates, rotation
+from transport.model.physics.obstacles import Obstacle
+from transport.model.physics.parameters import payload_half_size
+from transport.model.physics.rotations import euler_rates, rotation
 from transport.mpc.program.constraints.block import Block
 from transport.mpc.program.decision import Decision
 from transport.mpc.program.trajectory import TimeVarying, Trajectory

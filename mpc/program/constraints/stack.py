@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.parameters import System
+from transport.model.physics.parameters import System
 from transport.mpc.program.constraints.block import Block, Constraint
 from transport.mpc.program.constraints.rod_tension import Tension
 from transport.mpc.program.decision import Decision

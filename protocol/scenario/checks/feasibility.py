@@ -8,9 +8,9 @@ from itertools import combinations
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.flight import LEAST_TENSION, MOST_TILT, Flight, flight, slowed
-from transport.model.hover import Hover, hover_after_failures, with_released
-from transport.model.parameters import System
+from transport.model.path.flatness import LEAST_TENSION, MOST_TILT, Flight, flight, slowed
+from transport.model.physics.hover import Hover, hover_after_failures, with_released
+from transport.model.physics.parameters import System
 from transport.model.state import INPUTS, StateView
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.faults.scripted_faults import Fault, failures

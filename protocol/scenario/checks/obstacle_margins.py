@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.obstacles import Obstacle, bodies, clearances
-from transport.model.parameters import System
-from transport.model.rotations import rotation
+from transport.model.physics.obstacles import Obstacle, bodies, clearances
+from transport.model.physics.parameters import System
+from transport.model.physics.rotations import rotation
 from transport.model.state import THETA0, StateView
 
 # An interval of the path is halved until the team moves by less than this within it, m. Between two

@@ -11,12 +11,12 @@ from itertools import combinations
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.curves import Curve
-from transport.model.hover import Hover
-from transport.model.linearisation import Model
-from transport.model.maneuver import Maneuver
-from transport.model.obstacles import Obstacle
-from transport.model.parameters import ParameterError, System, resting_height
+from transport.model.linear.linearisation import Model
+from transport.model.path.curves import Curve
+from transport.model.path.maneuver import Maneuver
+from transport.model.physics.hover import Hover
+from transport.model.physics.obstacles import Obstacle
+from transport.model.physics.parameters import ParameterError, System, resting_height
 from transport.mpc.reference import Reference
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.checks.feasibility import (

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterator
 
-from transport.model.parameters import ParameterError, Payload
+from transport.model.physics.parameters import ParameterError, Payload
 from transport.protocol.scenario.faults.scripted_faults import OF_UAVS
 from transport.protocol.scenario.sections.schema import FaultSection, Scenario
 from transport.protocol.wire.names import COORDINATOR, PLANT, agent_name, vehicle_name

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal, Self, get_args
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
-from transport.model.curves import Curve, ShapeKind
-from transport.model.phase import PhaseKind, Profile
+from transport.model.path.curves import Curve, ShapeKind
+from transport.model.path.phase import PhaseKind, Profile
 from transport.model.section import Key, NotNegative, Positive, PositiveVector, Section, Vector
 from transport.protocol.scenario.files.named_files import TableError, way_of
 from transport.protocol.scenario.sections.path_instants import WayPointError, check_way_points

@@ -11,9 +11,9 @@ from itertools import pairwise
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.curves import Curve
-from transport.model.maneuver import Maneuver
-from transport.model.phase import HANDOVER, Phase
+from transport.model.path.curves import Curve
+from transport.model.path.maneuver import Maneuver
+from transport.model.path.phase import HANDOVER, Phase
 
 # Intervals of a piece, on which positions are polynomials of degree 7 to 13 in time: an extreme
 # between two instants exceeds theirs by less than 0.3 %.

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Interval
 from pydantic import AfterValidator, Field
 
-from transport.model.parameters import GRAVITY
+from transport.model.physics.parameters import GRAVITY
 from transport.model.section import Key, NotNegative, Pair, Positive, Section, Vector
 from transport.mpc.settings import DEFAULT_HORIZON, DEFAULT_RELAXATION, ControllerSettings
 from transport.protocol.scenario.sections.clock_section import ClockSection

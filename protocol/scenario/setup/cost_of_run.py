@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from transport.model.arrays import Array
-from transport.model.hover import hover_after_failures
-from transport.model.parameters import ParameterError
+from transport.model.physics.hover import hover_after_failures
+from transport.model.physics.parameters import ParameterError
 from transport.model.state import input_indices
 from transport.mpc.program.stage_cost import Cost
 from transport.protocol.scenario.faults.scripted_faults import Fault, failures

@@ -8,11 +8,11 @@ from typing import TypeVar
 import numpy as np
 
 from transport.model.arrays import ArrayLike, ShapeError
-from transport.model.curves import Curve
-from transport.model.maneuver import Maneuver
-from transport.model.obstacles import Obstacle, Solid
-from transport.model.parameters import Kind, ParameterError, Payload, System, Uav
-from transport.model.phase import Phase
+from transport.model.path.curves import Curve
+from transport.model.path.maneuver import Maneuver
+from transport.model.path.phase import Phase
+from transport.model.physics.obstacles import Obstacle, Solid
+from transport.model.physics.parameters import Kind, ParameterError, Payload, System, Uav
 from transport.mpc.program.feedback_law import FeedbackError
 from transport.mpc.settings import SettingsError
 from transport.protocol.scenario.sections.maneuver_sections import ObstacleSection, PhaseSection

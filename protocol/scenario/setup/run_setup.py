@@ -9,15 +9,14 @@ from itertools import chain
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.flat import FlatReference, Track
-from transport.model.hover import Hover, hover
-from transport.model.hover_reference import Reference as HoverReference
-from transport.model.linearisation import Model
-from transport.model.maneuver import Maneuver
-from transport.model.obstacles import Obstacle
-from transport.model.parameters import ParameterError, System
-from transport.model.slowing import Slowing
-from transport.model.target import Target
+from transport.model.linear.linearisation import Model
+from transport.model.path.flat_reference import FlatReference, Track
+from transport.model.path.hover_reference import Reference as HoverReference
+from transport.model.path.maneuver import Maneuver
+from transport.model.path.target_and_stop import Slowing, Target
+from transport.model.physics.hover import Hover, hover
+from transport.model.physics.obstacles import Obstacle
+from transport.model.physics.parameters import ParameterError, System
 from transport.mpc.law.hover_law import Crew
 from transport.mpc.law.present_law import Regulation, WholeTeam
 from transport.mpc.margins.design_of_gains_alone import AloneDesign, TeamAlone

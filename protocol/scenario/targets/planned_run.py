@@ -3,11 +3,11 @@
 from collections.abc import Iterable
 from typing import Protocol, Self
 
-from transport.model.hover import Hover
-from transport.model.maneuver import Maneuver
-from transport.model.obstacles import Obstacle
-from transport.model.parameters import System
-from transport.model.target import Target
+from transport.model.path.maneuver import Maneuver
+from transport.model.path.target_and_stop import Target
+from transport.model.physics.hover import Hover
+from transport.model.physics.obstacles import Obstacle
+from transport.model.physics.parameters import System
 from transport.mpc.reference import Reference
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.faults.scripted_faults import Fault

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from operator import itemgetter
 from typing import Any
 
-from transport.model.target import Target
+from transport.model.path.target_and_stop import Target
 from transport.protocol.scenario.sections.clock_section import first_tick
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import RequestError, requested

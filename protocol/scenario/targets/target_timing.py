@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.curves import ORDERS, Curve
-from transport.model.parameters import ParameterError, resting_height
-from transport.model.target import LOAD_S, Target
+from transport.model.path.curves import ORDERS, Curve
+from transport.model.path.target_and_stop import LOAD_S, Target
+from transport.model.physics.parameters import ParameterError, resting_height
 from transport.protocol.scenario.checks.feasibility import (
     ON_GROUND_M,
     TeamLeft,

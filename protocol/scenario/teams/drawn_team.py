@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from transport.model.flight import LEAST_TENSION
-from transport.model.hover import Hover, hover
-from transport.model.parameters import ParameterError, Payload, System, Uav
+from transport.model.path.flatness import LEAST_TENSION
+from transport.model.physics.hover import Hover, hover
+from transport.model.physics.parameters import ParameterError, Payload, System, Uav
 from transport.protocol.scenario.scenario_file import validate
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.setup.model_objects import building

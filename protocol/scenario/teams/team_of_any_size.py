@@ -10,7 +10,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any
 
-from transport.model.parameters import table_1
+from transport.model.physics.parameters import table_1
 from transport.model.section import Key, Pair, Positive, Section
 from transport.protocol.scenario.scenario_file import find_ready, read_tree, validate
 from transport.protocol.scenario.sections.origins import Origin, origins_in

@@ -21,8 +21,8 @@ from transport.agent.estimation.filter.unknown_forces import (
     UAV_FORCE,
 )
 from transport.model.arrays import Array
-from transport.model.hover import hover
-from transport.model.parameters import table_1
+from transport.model.physics.hover import hover
+from transport.model.physics.parameters import table_1
 from transport.model.state import StateView
 from transport.protocol.scenario.setup.run_setup import SensorSheet
 

@@ -14,10 +14,11 @@ from transport.agent.estimation.disturbance import DisturbanceEstimator, Measure
 from transport.agent.estimation.predicted_motion import Failure, Motion
 from transport.agent.estimation.state_estimator import StateEstimator
 from transport.agent.silence.hand_over_by_age import Silence
-from transport.model import motors, state
+from transport.model import state
 from transport.model.arrays import Array
-from transport.model.hover import released_state
-from transport.model.linearisation import Model
+from transport.model.linear import motor_lag as motors
+from transport.model.linear.linearisation import Model
+from transport.model.physics.hover import released_state
 from transport.mpc.law.present_law import Regulation
 from transport.mpc.reference import Sampled
 from transport.protocol.scenario.setup.run_setup import Setup

@@ -1,4 +1,4 @@
-/* Every kernel of model/kernels.c once, with numbers of a generator; the results, as bytes, to standard output.
+/* Every kernel of model/kernels/kernels.c once, with numbers of a generator; the results, as bytes, to standard output.
 
    Built for two processors, it shows what differs between them (tests/model/test_arm.py). */
 

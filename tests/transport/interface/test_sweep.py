@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import transport
-from transport.model.compiled import compile_functions
+from transport.model.kernels.casadi_functions import compile_functions
 
 PHASES = (
     {"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]},

@@ -209,7 +209,7 @@ ptrdiff_t zero_order_hold_work(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations
 }
 
 /* Exact zero-order hold about an expansion in factors: [A - I, B, f_d] = Phi [A_c, B_c, f], Phi = integral of
-   exp(A_c s) over the period = T sum X^k / (k + 1)!, X = A_c T. See model/discretisation.py.
+   exp(A_c s) over the period = T sum X^k / (k + 1)!, X = A_c T. See model/linear/discretisation.py.
 
    A_c = X + P V_x, B_c = U + P V_u; begin, index, value: the rows of X, U, P, V_x, V_u, one after the other; P has
    `accelerations` columns. Phi itself is not formed: the series is applied to the columns of [A_c, B_c, f].

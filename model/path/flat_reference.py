@@ -9,11 +9,11 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array, Rows, frozen
-from transport.model.flight import Flight, flight
-from transport.model.hover import Hover
 from transport.model.identity import digest
-from transport.model.maneuver import Maneuver
-from transport.model.parameters import System
+from transport.model.path.flatness import Flight, flight
+from transport.model.path.maneuver import Maneuver
+from transport.model.physics.hover import Hover
+from transport.model.physics.parameters import System
 
 _BLOCK = 16  # rows of a reference whose derivatives with respect to forces are computed at once
 _STEP_N = 1e-30  # imaginary step of these derivatives, N: without differences, so without rounding

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from transport.model import native
 from transport.model.arrays import Array, ShapeError
-from transport.model.compiled import library
-from transport.model.parameters import Kind
+from transport.model.kernels import native
+from transport.model.kernels.casadi_functions import library
+from transport.model.physics.parameters import Kind
 
 # Arguments of `advance`: x, u, p, F, h. The kernel sets the first two.
 _PARAMETERS = 2

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from transport.model import native
 from transport.model.arrays import Array, ShapeError
-from transport.model.linearisation import Linearisation
+from transport.model.kernels import native
+from transport.model.linear.linearisation import Linearisation
 
 # theta = max(b_2^(1/2), b_3^(1/3)), b_k the largest column sum of |X|^k, entry by entry, with X =
 # A_c T, stands for the norm: every k >= 2 is a sum of twos and threes, so |X^k| <= theta^k, and for

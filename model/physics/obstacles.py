@@ -13,8 +13,8 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.parameters import System, payload_half_size
-from transport.model.rotations import rotation
+from transport.model.physics.parameters import System, payload_half_size
+from transport.model.physics.rotations import rotation
 
 _FAR_M = 1e6  # half size in place of an infinite one, m
 _HALVINGS = 64  # of a segment: enough for the position along it to be exact to rounding

@@ -12,8 +12,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from transport.model import jets
 from transport.model.arrays import Array
+from transport.model.path import taylor_jets as jets
 
 ShapeKind = Literal["circle", "eight", "spline"]
 

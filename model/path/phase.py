@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 
 from transport.model.arrays import Array, ArrayLike, assign, checked
-from transport.model.curves import ORDERS, Curve
-from transport.model.parameters import ParameterError
+from transport.model.path.curves import ORDERS, Curve
+from transport.model.physics.parameters import ParameterError
 
 Profile = Literal["ramp", "min_jerk", "step", "smooth"]
 PhaseKind = Literal["move", "take_off", "land", "circle", "eight", "spline"]

@@ -7,13 +7,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from transport.model import jets
 from transport.model.arrays import Array, ArrayLike, assign, checked
-from transport.model.curves import ORDERS
-from transport.model.parameters import ParameterError
-from transport.model.phase import Phase, Profile
-from transport.model.slowing import Slowing
-from transport.model.target import Target
+from transport.model.path import taylor_jets as jets
+from transport.model.path.curves import ORDERS
+from transport.model.path.phase import Phase, Profile
+from transport.model.path.target_and_stop import Slowing, Target
+from transport.model.physics.parameters import ParameterError
 
 # Names of the way to a target and of the rest after it: in flight, and of one that lands.
 _STAGES = ("target", "at target"), ("landing", "landed")

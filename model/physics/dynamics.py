@@ -9,7 +9,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from transport.model import state
-from transport.model.rotations import euler_rates, rotation
+from transport.model.physics.rotations import euler_rates, rotation
 
 
 class PayloadSymbols(NamedTuple):

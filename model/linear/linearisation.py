@@ -10,14 +10,15 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from transport.model import integration, native
 from transport.model.arrays import Array, frozen
-from transport.model.compiled import Compiled, functions
-from transport.model.compiled_step import CompiledStep, Feedback
-from transport.model.hover import with_released
-from transport.model.integration import Step, StepLimits
-from transport.model.parameters import PAYLOAD_INERTIA, PAYLOAD_MASS, System
-from transport.model.pattern import NAMES, Pattern
+from transport.model.kernels import native
+from transport.model.kernels.casadi_functions import Compiled, functions
+from transport.model.kernels.compiled_step import CompiledStep, Feedback
+from transport.model.kernels.sparse_pattern import NAMES, Pattern
+from transport.model.physics import integration
+from transport.model.physics.hover import with_released
+from transport.model.physics.integration import Step, StepLimits
+from transport.model.physics.parameters import PAYLOAD_INERTIA, PAYLOAD_MASS, System
 from transport.model.state import input_indices
 
 
@@ -327,7 +328,7 @@ class Model:
         return x
 
     def step(self, u: Array, forces: Array | None = None) -> Step:
-        """Return a step under constant input and forces, for `model.integration`: (13b)."""
+        """Return a step under constant input and forces, for `model.physics.integration`: (13b)."""
         function = self._compiled["step"]
         u = _zeroed(u, self._off)
         p, F = self._acting(forces)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from transport.model import native
 from transport.model.arrays import Array, frozen
+from transport.model.kernels import native
 
 # Factors of a linearisation, in the order of their entries: (15b).
 NAMES = ("X", "U", "P", "V_x", "V_u", "C")

@@ -4,10 +4,10 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.hover import Hover
 from transport.model.identity import digest
-from transport.model.maneuver import Maneuver
-from transport.model.parameters import System
+from transport.model.path.maneuver import Maneuver
+from transport.model.physics.hover import Hover
+from transport.model.physics.parameters import System
 
 
 class Reference:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from transport.model import compiler
 from transport.model.arrays import Array
+from transport.model.kernels import compiler
 
 Places = npt.NDArray[np.intp]
 

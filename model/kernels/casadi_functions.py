@@ -9,10 +9,12 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from transport.model import compiler, dynamics, rotations, state
+from transport.model import state
 from transport.model.arrays import Array
-from transport.model.dynamics import Symbols
-from transport.model.parameters import Kind
+from transport.model.kernels import compiler
+from transport.model.physics import dynamics, rotations
+from transport.model.physics.dynamics import Symbols
+from transport.model.physics.parameters import Kind
 
 # No contraction of products and sums: the same bits as CasADi's interpreter.
 # Functions of the library call each other directly, and short ones are inlined.
@@ -107,7 +109,7 @@ def functions(N: int, rates: bool = False, drag: bool = False) -> dict[str, ca.F
 
     derivative, tensions, sensed (x, u, p, F): x', the rod tensions, the UAVs' measurements
     velocities, outputs (x, p): velocities of the centres of mass, y
-    linearise (x, u, p, F): x', y, and, sparse and transposed, the factors of `model.pattern`
+    linearise (x, u, p, F): x', y, and, sparse and transposed, the factors of `model.kernels.sparse_pattern`
     step (x, u, p, F, h): x after h seconds of constant u and F by one Dormand-Prince step and
         projection of the rods, and the local error estimate before projection
     advance (x, u, p, F, h): the first of these alone, which needs one evaluation of f less
@@ -243,7 +245,7 @@ def _sense(s: Symbols, motion: dynamics.Motion) -> ca.Function:
 
 
 def _linearise(s: Symbols, motion: dynamics.Motion, y: ca.SX) -> ca.Function:
-    """Return x', y, the factors of `model.linearisation.Jacobians`, and C: (15)-(15b).
+    """Return x', y, the factors of `model.linear.linearisation.Jacobians`, and C: (15)-(15b).
 
     Factors are transposed, so that their entries follow row by row.
     """

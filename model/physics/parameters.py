@@ -168,7 +168,7 @@ class System:
         return np.concatenate([[self.payload.drag], *(uav.drag for uav in self.uavs)])
 
     def vector(self) -> Array:
-        """Return all parameters in the order of `model.dynamics.Symbols`, SI.
+        """Return all parameters in the order of `model.physics.dynamics.Symbols`, SI.
 
         (8 + 11 N,), then three gains with commanded body rates, and `drag` where there is any. Mass and
         inertia of the payload are at `PAYLOAD_MASS` and `PAYLOAD_INERTIA`.

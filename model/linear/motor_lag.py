@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from transport.model.arrays import Array, padded
-from transport.model.linearisation import Jacobians, Linearisation, Model
-from transport.model.pattern import NAMES, Pattern
+from transport.model.kernels.sparse_pattern import NAMES, Pattern
+from transport.model.linear.linearisation import Jacobians, Linearisation, Model
 from transport.model.state import INPUTS, OMEGA, PAYLOAD, PER_UAV
 
 
@@ -156,7 +156,7 @@ def _held_inputs(
 def _pattern_with_lag(pattern: Pattern, rates: bool) -> tuple[Pattern, npt.NDArray[np.intp]]:
     """Return the pattern of a system [x, a] with motors, and the order of its entries.
 
-    The factors are those of A_c = X + P V_x and B_c = U + P V_u, and C (`model/pattern.py`); those
+    The factors are those of A_c = X + P V_x and B_c = U + P V_u, and C (`model/kernels/sparse_pattern.py`); those
     of the system with motors are marked by ':
 
         X' = [[X, U], [A_ax, A_aa]],    U' = [[0], [1/lambda]],

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from transport.model import jets, state
+from transport.model import state
 from transport.model.arrays import Array, frozen
-from transport.model.hover import Hover
-from transport.model.parameters import System
+from transport.model.path import taylor_jets as jets
+from transport.model.physics.hover import Hover
+from transport.model.physics.parameters import System
 
 # Of a rod on a reference, as a share of that at hover: gusts would slacken a cable with less.
 LEAST_TENSION = 0.1

@@ -10,8 +10,8 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array, ArrayLike, frozen
-from transport.model.parameters import ParameterError, System
-from transport.model.rotations import euler_angles, rotation
+from transport.model.physics.parameters import ParameterError, System
+from transport.model.physics.rotations import euler_angles, rotation
 
 # Force and moment that may stay unbalanced, relative to the payload's weight (and 1 m): rounding,
 # not physics.

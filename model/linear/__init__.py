@@ -1,0 +1,1 @@
+"""Linearisation, its discretisation by zero-order hold, and the lag of motors in both."""

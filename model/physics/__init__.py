@@ -1,0 +1,1 @@
+"""The team and its motion: parameters, state, equations of motion, hover, obstacles."""
