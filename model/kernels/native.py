@@ -4,7 +4,8 @@ Without a C compiler `AVAILABLE` is false, and Python functions are used.
 """
 
 import ctypes
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,18 +49,18 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "residuals": (None, [_number] * 2 + [_address] * 12),
 }
 
-# The struct `problem` of the kernels, in its order.
-_PROBLEM: tuple[tuple[Any, str], ...] = (
-    (_number, "steps n m size outputs terms inputs"),
-    (_number, "model_outputs all_inputs rank pairs angles known"),
-    (_double, "terminal separation tilt"),
-    (_address, "begin index value chosen answering own pair angle"),
-    (_address, "A B f_d K x0 u0 uncorrected announced y y_ref"),
-    (_address, "slope at_x0 u_target Q scale effort low high rate"),
-    (_address, "root error end_slope penalties effect feedback dX dU"),
-    (_address, "U U_free H g lower upper rows row_lower row_upper"),
-    (_address, "S free signals kept work"),
-)
+_SOURCE = Path(__file__).with_name("kernels.c")
+_TYPES = {"ptrdiff_t": _number, "double": _double}
+
+
+def _fields_of(struct: str) -> Iterator[tuple[str, Any]]:
+    """Yield name and type of each field of a struct, as the source declares them."""
+    source = re.sub(r"/\*.*?\*/", "", _SOURCE.read_text(encoding="utf-8"), flags=re.DOTALL)
+    (declared,) = re.findall(rf"typedef struct {{([^}}]*)}} {struct};", source)
+    for declaration in declared.replace("const ", "").split(";")[:-1]:
+        of, names = declaration.split(maxsplit=1)
+        for name in map(str.strip, names.split(",")):
+            yield name.lstrip("*"), _address if name.startswith("*") else _TYPES[of]
 
 
 class Problem(ctypes.Structure):
@@ -68,7 +69,7 @@ class Problem(ctypes.Structure):
     Arrays by their addresses (`address`), which do not keep them alive.
     """
 
-    _fields_ = tuple((name, kind) for kind, names in _PROBLEM for name in names.split())
+    _fields_ = tuple(_fields_of("problem"))
 
 
 _KINDS: dict[str, Callable[[Any], Any]] = {
@@ -163,7 +164,7 @@ def load() -> Any:
     if not compiler.enabled():
         return None
 
-    source = Path(__file__).with_name("kernels.c").read_bytes()
+    source = _SOURCE.read_bytes()
     flags = (*_FLAGS, *compiler.processor_flags())
     path = compiler.compiled_file("kernels", source, flags)
     if not compiler.compile_library(path, [source], flags):
