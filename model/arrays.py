@@ -58,6 +58,17 @@ def all_finite(array: Array) -> bool:
     return math.isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
 
 
+def ascending(*arrays: npt.ArrayLike) -> Array:
+    """Return the distinct numbers of arrays in ascending order, without NaN.
+
+    `numpy.unique` imports masked arrays at its first call: 10 ms of each start.
+    """
+    ordered = np.sort(np.concatenate(arrays, dtype=np.float64))
+    is_first = np.ones(len(ordered), dtype=bool)
+    is_first[1:] = ordered[1:] != ordered[:-1]
+    return ordered[is_first]
+
+
 def within(array: Array, largest: float) -> bool:
     """Return whether all magnitudes are at most the largest; NaN is not.
 

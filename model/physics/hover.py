@@ -82,7 +82,7 @@ def _balancing_tensions(
 
     tensions = np.zeros(system.N)
     given = sorted(thrusts)
-    free = np.setdiff1d(np.arange(system.N), given)
+    free = np.delete(np.arange(system.N), given)
     # T = (f - m g) (e . k) on a vertical rod; (51) for f = 0.
     for i in given:
         if e[i, 0] != 0.0 or e[i, 1] != 0.0:

@@ -159,7 +159,7 @@ def _problem(
     for uav, gain in hovering.uncontrolled.items():
         K_fixed[state.input_slice(uav), : gain.shape[1]] = gain
     uncontrolled = input_indices(sorted(hovering.uncontrolled))
-    controlled = np.setdiff1d(np.arange(m), uncontrolled)
+    controlled = np.delete(np.arange(m), uncontrolled)
 
     C = linear.C @ T
     CQC = C.T @ (hovering.cost.Q[:, None] * C)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from transport.model.arrays import within
+from transport.model.arrays import ascending, within
 
 
 @pytest.mark.parametrize(
@@ -22,3 +22,9 @@ def test_within_is_a_bound_of_each_magnitude(numbers: list[float], is_within: bo
     """The largest itself is within; NaN and infinity are not; an empty array is."""
     with np.errstate(over="ignore"):
         assert within(np.array(numbers), 1.0) is is_within
+
+
+def test_ascending_numbers_are_distinct() -> None:
+    """They are those of `numpy.unique`, also of one number and of none."""
+    for arrays in (([3.0, 1.0], [1.0, 2.0, 3.0]), ([5.0],), ([],), ([0.0, -0.0],)):
+        assert ascending(*arrays).tolist() == np.unique(np.concatenate(arrays)).tolist()

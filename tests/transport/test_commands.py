@@ -97,6 +97,9 @@ def test_a_run_imports_viewer_and_report_when_needed() -> None:
     assert "transport.agent.node" not in names
     assert not before & {"rich", "mcap"}
 
+    reads = 'import_module("transport.cli.options").read_setup("resilient")'
+    assert "numpy.ma" not in imported(reads)
+
 
 def test_docs_list_every_command() -> None:
     """The table in docs/command-line.md has a row with name and line of each command, and no other."""

@@ -10,7 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
-from transport.model.arrays import Array
+from transport.model.arrays import Array, ascending
 from transport.model.linear.linearisation import Model
 from transport.model.path.curves import Curve
 from transport.model.path.maneuver import Maneuver
@@ -188,7 +188,7 @@ def least_longer(
         longer = maneuver.with_longer(number, factor)
         end_s = longer.duration_s
         ticks_s = np.arange(0.0, end_s, settings.sampling_period_s)
-        own_s = np.union1d(maneuver_instants(longer), ticks_s)
+        own_s = ascending(maneuver_instants(longer), ticks_s)
         return exceeded(longer.jets(own_s), team, settings) is None
 
     factor = least_factor(keeps)
@@ -219,4 +219,4 @@ def blocked(
 
 def checked_instants(reference: Reference) -> Array:
     """Return the sampling instants, and those between them at which a path is checked, (k,), s."""
-    return np.union1d(reference.times_s, maneuver_instants(reference.maneuver))
+    return ascending(reference.times_s, maneuver_instants(reference.maneuver))

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from transport.model.arrays import Array
+from transport.model.arrays import Array, ascending
 from transport.model.path.curves import Curve
 from transport.model.path.maneuver import Maneuver
 from transport.model.path.phase import HANDOVER, Phase
@@ -47,7 +47,7 @@ def curve_instants(curve: Curve) -> Array:
 
     intervals = min(math.ceil(_PER_LAP * curve.laps), _MOST_OF_LAPS)
     turning_s = _times_of(curve, np.linspace(0.0, 1.0, intervals + 1), ends_s)
-    return np.unique([*_divided(ends_s), *turning_s])
+    return ascending(_divided(ends_s), turning_s)
 
 
 def check_way_points(curve: Curve) -> None:
@@ -84,7 +84,7 @@ def maneuver_instants(maneuver: Maneuver) -> Array:
         if target.way is not None:
             parts_s.append(target.reached_s + curve_instants(target.way))
 
-    return np.unique(np.concatenate(parts_s))
+    return ascending(*parts_s)
 
 
 def _phase_instants(phase: Phase) -> Array:
@@ -103,7 +103,7 @@ def _phase_instants(phase: Phase) -> Array:
         middles_s = (changes_s[1:] + changes_s[:-1]) / 2.0
         parts_s.append(_divided([*changes_s, *middles_s]))
 
-    return np.unique(np.concatenate(parts_s))
+    return ascending(*parts_s)
 
 
 def _way_point_times(curve: Curve, ends_s: Iterable[float]) -> Iterable[float]:
@@ -135,7 +135,7 @@ def _times_of(curve: Curve, shares: Array, ends_s: Iterable[float]) -> Array:
 
 def _divided(ends_s: Iterable[float]) -> Array:
     """Return the ends of pieces, in any order, and equal intervals between them, s, rising."""
-    ends = np.unique(np.fromiter(ends_s, dtype=np.float64))
+    ends = ascending(np.fromiter(ends_s, dtype=np.float64))
     lengths = np.diff(ends)
     inside = ends[:-1, None] + lengths[:, None] * (np.arange(_PER_PIECE) / _PER_PIECE)
     return np.append(inside.ravel(), ends[-1])
