@@ -25,13 +25,13 @@ from transport.experiments.weather_experiment import FORCES, SENSORS
 from transport.experiments.workers import Workers
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.search.candidate import Base, Candidate
+from transport.search.drawn_events import Death, Event, Silence
 from transport.search.evaluation import Problem
-from transport.search.events import Death, Event, Silence
 from transport.search.objective import Objective
-from transport.search.options import SearchOptions, search
-from transport.search.progress import SearchProgress
-from transport.search.report import in_words
 from transport.search.search import Evaluations, Search, flying, random_search
+from transport.search.search_options import SearchOptions, search
+from transport.search.search_progress import SearchProgress
+from transport.search.search_report import in_words
 from transport.search.space import Bounds, Space
 
 DOCUMENT = ROOT / "docs" / "worst.md"

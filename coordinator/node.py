@@ -15,7 +15,7 @@ from transport.coordinator.clock import Clock
 from transport.coordinator.fleet import Fleet
 from transport.coordinator.machine import BEFORE_TICK_0, Cause, Machine, State
 from transport.coordinator.open_tick import OpenTick
-from transport.coordinator.requests import RunStatus, answer_request
+from transport.coordinator.operator_requests import RunStatus, answer_request
 from transport.coordinator.roster import TeamRoster
 from transport.coordinator.team_view import TeamView
 from transport.coordinator.verdict import Verdict

@@ -26,8 +26,8 @@ from transport.agent.user_class.run_for_user import run_of
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
 from transport.analysis.series import Series
-from transport.experiments.arena_entries import entered
-from transport.experiments.arena_tasks import NETWORKS, PERFECT
+from transport.experiments.arena.arena_entries import entered
+from transport.experiments.arena.arena_tasks import NETWORKS, PERFECT
 from transport.experiments.cases import run_in_memory
 from transport.flight.run_files import machine
 from transport.log.run_log import RunLog
@@ -35,8 +35,8 @@ from transport.model.arrays import Array
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import PlantState
-from transport.report.column import Room, column_panels, head
-from transport.report.style import CURVES, DIVERGED, MARKER, RC, save
+from transport.report.figures.column import Room, column_panels, head
+from transport.report.figures.style import CURVES, DIVERGED, MARKER, RC, save
 
 FOLDER = ROOT / "examples" / "controllers"
 IMAGES = ROOT / "docs" / "images"

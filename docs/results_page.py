@@ -13,13 +13,13 @@ from measured import Derived, Measured
 from tables import ROOT, table
 from weather_table import worth
 
-from transport.cli.experiment import EXPERIMENTS as DECLARED
-from transport.cli.experiment import ExperimentOptions
-from transport.experiments import comparison_report
+from transport.cli.commands.experiment import EXPERIMENTS as DECLARED
+from transport.cli.commands.experiment import ExperimentOptions
 from transport.experiments.cases import Case, Result
-from transport.experiments.comparison import DECLARED as COMPARISON
-from transport.experiments.comparison_report import ComparisonOptions, ComparisonPlan
 from transport.experiments.declaration import Experiment
+from transport.experiments.paper import comparison_report
+from transport.experiments.paper.comparison import DECLARED as COMPARISON
+from transport.experiments.paper.comparison_report import ComparisonOptions, ComparisonPlan
 from transport.experiments.statistics import conclusions, table_of
 from transport.experiments.sweep import Swept, markdown
 

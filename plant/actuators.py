@@ -32,7 +32,7 @@ FAIL_SAFE = -2
 MOTOR_OFF = -3
 # These start processes, so they are imported by runs with a firmware or autopilots only.
 _FIRMWARE = "transport.plant.firmware.betaflight"
-_AUTOPILOTS = "transport.plant.autopilot.processes"
+_AUTOPILOTS = "transport.plant.autopilot.autopilot_processes"
 # Longest time between two evaluations of an inner loop, s.
 INNER_STEP_S = 1e-3
 

@@ -19,8 +19,8 @@ from typer.testing import CliRunner
 import transport
 from tests.support.command_tree import command_of
 from transport.cli.main import app
-from transport.interface.series import QUANTITIES
-from transport.interface.settings import KEY_OF
+from transport.interface.run_series import QUANTITIES
+from transport.interface.setting_arguments import KEY_OF
 from transport.report.report import write_report
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -12,23 +12,23 @@ if TYPE_CHECKING:
     from transport.experiments.cases import ExperimentError as ExperimentError
     from transport.flight.harness import HarnessError as HarnessError
     from transport.flight.run_files import RunError as RunError
-    from transport.interface.arena import Arena as Arena
-    from transport.interface.arena import arena as arena
+    from transport.interface.arena_result import Arena as Arena
+    from transport.interface.arena_result import arena as arena
     from transport.interface.figure import Margins as Margins
     from transport.interface.figure import margins as margins
     from transport.interface.fly import ActiveRun as ActiveRun
     from transport.interface.fly import active as active
     from transport.interface.fly import fly as fly
     from transport.interface.fly import load as load
-    from transport.interface.run import Run as Run
-    from transport.interface.scenario import Scenario as Scenario
-    from transport.interface.scenario import team as team
-    from transport.interface.series import RunSeries as RunSeries
-    from transport.interface.settings import ArgumentError as ArgumentError
-    from transport.interface.sweep import Sweep as Sweep
-    from transport.interface.sweep import sweep as sweep
-    from transport.interface.worst import Worst as Worst
-    from transport.interface.worst import worst as worst
+    from transport.interface.recorded_run import Run as Run
+    from transport.interface.run_series import RunSeries as RunSeries
+    from transport.interface.scenario_builder import Scenario as Scenario
+    from transport.interface.scenario_builder import team as team
+    from transport.interface.setting_arguments import ArgumentError as ArgumentError
+    from transport.interface.swept_runs import Sweep as Sweep
+    from transport.interface.swept_runs import sweep as sweep
+    from transport.interface.worst_case import Worst as Worst
+    from transport.interface.worst_case import worst as worst
     from transport.log.run_log import LogError as LogError
     from transport.protocol.scenario.sections.scenario_errors import ScenarioError as ScenarioError
     from transport.protocol.wire.errors import TransportError as TransportError
@@ -37,15 +37,15 @@ if TYPE_CHECKING:
 # Names of the Python interface by module.
 _NAMES = {
     "transport.interface.fly": ("fly", "load", "active", "ActiveRun"),
-    "transport.interface.sweep": ("sweep", "Sweep"),
-    "transport.interface.worst": ("worst", "Worst"),
-    "transport.interface.arena": ("arena", "Arena"),
+    "transport.interface.swept_runs": ("sweep", "Sweep"),
+    "transport.interface.worst_case": ("worst", "Worst"),
+    "transport.interface.arena_result": ("arena", "Arena"),
     "transport.interface.figure": ("margins", "Margins"),
-    "transport.interface.scenario": ("team", "Scenario"),
-    "transport.interface.run": ("Run",),
-    "transport.interface.series": ("RunSeries",),
+    "transport.interface.scenario_builder": ("team", "Scenario"),
+    "transport.interface.recorded_run": ("Run",),
+    "transport.interface.run_series": ("RunSeries",),
     "transport.protocol.wire.errors": ("TransportError",),
-    "transport.interface.settings": ("ArgumentError",),
+    "transport.interface.setting_arguments": ("ArgumentError",),
     "transport.protocol.scenario.sections.scenario_errors": ("ScenarioError",),
     "transport.flight.run_files": ("RunError",),
     "transport.flight.harness": ("HarnessError",),

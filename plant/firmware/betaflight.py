@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from transport.model.arrays import Array
 from transport.model.state import INPUTS, OMEGA, THETA, StateView
 from transport.plant.actuators import Rotors
-from transport.plant.firmware.process import (
+from transport.plant.firmware.firmware_process import (
     FirmwareError,
     Process,
     eeprom_after,

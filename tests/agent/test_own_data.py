@@ -25,8 +25,8 @@ from tests.support.runs import (
     setup,
 )
 from transport.agent.user_class.user_planner import checked_controller, plan_shapes
-from transport.analysis.comparison import Comparison
-from transport.analysis.replay import Replay
+from transport.analysis.replay.replay_difference import Comparison
+from transport.analysis.replay.replay_of_agent import Replay
 from transport.model.state import INPUTS, REPORTED, REPORTS
 from transport.protocol.scenario.radio.radio_parameters import PlanShape
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError

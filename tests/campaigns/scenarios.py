@@ -24,7 +24,7 @@ from typing import Any
 
 from tests.campaigns.harness import Result
 from tests.support.mutations import mutated
-from transport.cli.scenario import validate
+from transport.cli.commands.scenario import validate
 from transport.flight.memory import simulate
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.sections.run_size import MOST_AGENT_STEPS, MOST_ENTRIES, size_of

@@ -21,7 +21,8 @@ from transport.model.kernels import compiler
 from transport.model.physics.rotations import rotation
 from transport.model.state import OMEGA, StateView
 from transport.plant.actuators import Rotors, checked_firmware
-from transport.plant.firmware import betaflight, process
+from transport.plant.firmware import betaflight
+from transport.plant.firmware import firmware_process as process
 from transport.plant.firmware.betaflight import Betaflight
 from transport.plant.firmware.tuning import SETTINGS, rotors_of
 from transport.protocol.scenario.scenario_file import read_scenario

@@ -11,7 +11,7 @@ from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.teams.drawn_team import DRAWN, drawn, put_drawn_vehicles
 from transport.search.candidate import Base, Candidate
-from transport.search.events import DrawnTeam, Silence
+from transport.search.drawn_events import DrawnTeam, Silence
 
 SEEDS = range(20)
 

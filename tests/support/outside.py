@@ -13,8 +13,8 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.model.state import INPUTS
+from transport.plant.autopilot.autopilot_processes import Autopilots
 from transport.plant.autopilot.node import PlayedPlant
-from transport.plant.autopilot.processes import Autopilots
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message

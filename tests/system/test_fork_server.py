@@ -17,8 +17,8 @@ import psutil
 import pytest
 
 from tests.support.commands import command, command_of, wait_for
+from transport.cli.hosts.processes import Prepared
 from transport.cli.options import read_setup
-from transport.cli.processes import Prepared
 from transport.flight import fork_server, harness
 from transport.flight.fork_server import ForkServer
 from transport.flight.harness import Child, ToStart, start_children
@@ -349,7 +349,7 @@ def test_processes_have_splines_before_their_first_tick() -> None:
     A run as fast as possible waits for it instead.
     """
     code = (
-        "import sys; from transport.cli.processes import ProcessOptions; "
+        "import sys; from transport.cli.hosts.processes import ProcessOptions; "
         "ProcessOptions(scenario=sys.argv[1]).setup(); sys.exit('scipy.interpolate' in sys.modules)"
     )
     for scenario, has_splines in (("playground", True), ("paper", False)):

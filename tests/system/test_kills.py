@@ -24,7 +24,7 @@ from tests.support.commands import (
 )
 from tests.support.runs import setup, ticks
 from transport.flight.harness import Child
-from transport.flight.run import simulate
+from transport.flight.run_execution import simulate
 from transport.log.run_log import read_log
 from transport.protocol.wire.messages import Roster
 

@@ -11,7 +11,7 @@ import pytest
 from tests.support.commands import free_base, settings, start, wait_for
 from tests.support.live_log import LiveLog
 from tests.support.same_flight import before, flight_bits, simulated_before
-from transport.cli.ros2 import PacedStart
+from transport.cli.commands.ros2 import PacedStart
 from transport.protocol.wire.messages import Message, PlantState, Target
 
 # Definitions as published by ROS 2, without comments.

@@ -27,8 +27,8 @@ from tests.support.keyrings import keyring
 from tests.support.logs import record_run
 from tests.support.results import here
 from tests.support.runs import ready
+from transport.cli.commands.operate import Exporter, process_endpoints
 from transport.cli.main import app
-from transport.cli.operate import Exporter, process_endpoints
 from transport.protocol.network.mesh import process_names
 from transport.protocol.wire.key_expressions import Keys
 from transport.report.report import write_report

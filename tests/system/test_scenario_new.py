@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.results import here
 from tests.support.runs import PAPER, SCENARIOS
-from transport.cli.scenario import wide_load
+from transport.cli.commands.scenario import wide_load
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.teams.team_of_any_size import Team, resized

@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from tests.support import runs
 from tests.support.commands import PATIENCE_S, is_flying, settings, start, transport, wait_for
+from transport.cli.commands.top import Watch
 from transport.cli.main import app
-from transport.cli.top import Watch
 from transport.log.run_log import read_log
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import Message, Rejected

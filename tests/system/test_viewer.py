@@ -31,7 +31,7 @@ from tests.support.logs import record_run
 from transport.cli.main import app
 from transport.flight import live
 from transport.flight.live import LiveRun
-from transport.flight.run import simulate as run_processes
+from transport.flight.run_execution import simulate as run_processes
 from transport.log.run_log import LogTail, read_log, setup_of
 from transport.protocol.network.parent import PARENT_PIPE
 from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE

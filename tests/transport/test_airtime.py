@@ -16,8 +16,8 @@ from transport.experiments.cases import run_in_memory
 from transport.log.run_log import open_run
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Airtime
-from transport.report.figures import fill
-from transport.report.style import RC
+from transport.report.figures.run_figures import fill
+from transport.report.figures.style import RC
 from transport.report.summary_texts import radio_text
 from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder

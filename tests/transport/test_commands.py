@@ -78,8 +78,10 @@ def test_help_imports_no_command() -> None:
 @pytest.mark.parametrize("role", ["agent", "plant", "coordinator"])
 def test_processes_of_a_run_import_only_what_they_need(role: str) -> None:
     """The command of a role imports neither reports, viewer, tables nor another command."""
-    names = imported(f'import_module("transport.cli.processes"); import_module("{role}.node")')
-    modules = ("lazy", "options", "output", "processes", "setting_words")
+    names = imported(
+        f'import_module("transport.cli.hosts.processes"); import_module("{role}.node")'
+    )
+    modules = ("hosts", "hosts.processes", "lazy", "options", "output", "setting_words")
     own = {f"transport.cli.{name}" for name in modules}
     assert {name for name in names if name.startswith("transport.cli.")} == own
     assert not names & {"rich", *FOREIGN}
@@ -91,9 +93,13 @@ def test_a_run_imports_viewer_and_report_when_needed() -> None:
     The processes of the run wait for it. Before it is forked into their server it imports no recorder
     and no console either, which they do not need.
     """
-    before = imported('import_module("transport.cli.run")')
+    before = imported('import_module("transport.cli.commands.run")')
     names = imported('import_module("transport.cli.local_run")')
-    assert not names & {"transport.cli.view", "transport.cli.plot", *FOREIGN - {"mcap"}}
+    assert not names & {
+        "transport.cli.commands.view",
+        "transport.cli.commands.plot",
+        *FOREIGN - {"mcap"},
+    }
     assert "transport.agent.node" not in names
     assert not before & {"rich", "mcap"}
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner, Result
 from tests.support import logs, runs
 from transport.cli.main import app
 from transport.log.run_log import open_run
-from transport.report.compare import Compared, doubts, rows, settings_apart
+from transport.report.run_comparison import Compared, doubts, rows, settings_apart
 
 
 @pytest.fixture(scope="module")

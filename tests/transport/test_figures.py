@@ -19,15 +19,15 @@ from tests.support.log_messages import estimate_note, on_reference, radio_report
 from tests.support.logs import log_of, record_run
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.series import Series
-from transport.interface.scenario import Scenario
+from transport.interface.scenario_builder import Scenario
 from transport.log.run_log import read_log
 from transport.model import state
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import FaultNote, LinkChange
-from transport.report.column import caption_of, marks_of
-from transport.report.figures import FIGURES, draw, fill
+from transport.report.figures.column import caption_of, marks_of
+from transport.report.figures.run_figures import FIGURES, draw, fill
+from transport.report.figures.style import COLUMN_IN, CURVES, RC, SMALL
 from transport.report.report import write_report
-from transport.report.style import COLUMN_IN, CURVES, RC, SMALL
 from transport.scene.colours import uav_marker, uav_style
 
 NAMES = ["performance.png", "inputs.png", "trajectories.png", "timing.png"]

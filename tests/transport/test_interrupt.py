@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 from tests.support import runs
 from transport.cli.main import app
 from transport.flight import memory
-from transport.flight.run import Finished
+from transport.flight.run_execution import Finished
 from transport.flight.signals import (
     Interrupt,
     collected_signals,
@@ -97,7 +97,7 @@ def test_the_command_tells_what_is_kept(
         raise KeyboardInterrupt
 
     monkeypatch.setattr("transport.cli.local_run.simulate", simulate)
-    monkeypatch.setattr("transport.cli.plot.report", report)
+    monkeypatch.setattr("transport.cli.commands.plot.report", report)
     result = CliRunner().invoke(app, ["run", "paper", "--no-figures", "--out", str(folder)])
     assert result.exit_code == EXIT_INTERRUPTED
     (line,) = result.stderr.splitlines()

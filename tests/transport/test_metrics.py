@@ -19,7 +19,7 @@ from transport.analysis.communication import rest_of_tick_ms
 from transport.analysis.metrics import summarise
 from transport.analysis.series import series_of
 from transport.analysis.steps import steps_columns, steps_rows
-from transport.cli.top import Watch
+from transport.cli.commands.top import Watch
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.physics.hover import released_state

@@ -16,8 +16,8 @@ from transport.analysis.plan_delays import first_uses, plan_delays
 from transport.analysis.steps import steps_rows
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import LinkChange, StepReport
-from transport.report.figures import fill
-from transport.report.style import RC
+from transport.report.figures.run_figures import fill
+from transport.report.figures.style import RC
 
 PHASES = [{"name": "move", "duration_s": 2.0, "displacement_m": [0.5, 0.0, -0.5]}]
 PERIOD_S = 0.05

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from prometheus_client import CollectorRegistry, generate_latest
 
-from transport.cli import operate
-from transport.cli.operate import Exporter
+from transport.cli.commands import operate
+from transport.cli.commands.operate import Exporter
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.session import BusError, Reach
 

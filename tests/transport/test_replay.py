@@ -11,8 +11,8 @@ from msgspec.structs import replace as edited
 from typer.testing import CliRunner, Result
 
 from tests.support import logs, runs
-from transport.analysis.comparison import Comparison
-from transport.analysis.replay import Replay
+from transport.analysis.replay.replay_difference import Comparison
+from transport.analysis.replay.replay_of_agent import Replay
 from transport.cli.main import app
 from transport.log.run_log import RunLog
 from transport.protocol.wire.messages import Plan

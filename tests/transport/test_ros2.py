@@ -20,8 +20,8 @@ pytest.importorskip("rosbags", reason="needs the extra ros2")
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from transport.cli.ros2 import PacedStart
-from transport.report.ros2 import (
+from transport.cli.commands.ros2 import PacedStart
+from transport.report.ros2_bag import (
     TARGET_TYPE,
     GoalError,
     Ros2Messages,

@@ -15,12 +15,12 @@ from transport.cli.lazy import load
 from transport.cli.options import RUNS
 from transport.cli.output import Format, fail
 from transport.flight.harness import Child, ToStart, start_children
-from transport.flight.run import simulate
+from transport.flight.run_execution import simulate
 from transport.flight.run_files import new_folder
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
-from transport.viewer.process import ViewerBeside
 from transport.viewer.server import require_viser
+from transport.viewer.viewer_process import ViewerBeside
 
 # Time after which a process that does not end is given up and killed, s.
 _LONGEST_S = 120.0
@@ -61,7 +61,7 @@ def run_and_report(
             finished = simulate(setup, folder, console, prepare, ready, external)
 
             reporter.begin()  # reports while this process imports what shows it
-            plot = load("transport.cli.plot")
+            plot = load("transport.cli.commands.plot")
             is_written = reporter.report()
             plot.report(folder, output, figures=figures, setup=setup, is_written=is_written)
 

@@ -10,40 +10,49 @@ from typer import Option
 from transport.cli.lazy import lazy_group
 
 _EXPERIMENTS = {
-    "latency": ("experiment:COMMANDS", "Effect of a fixed delay on every link."),
-    "loss": ("experiment:COMMANDS", "Effect of packet loss, independent or in bursts."),
-    "jitter": ("experiment:COMMANDS", "Effect of the distribution of random delays."),
-    "kill": ("experiment:COMMANDS", "Effect of the death of each agent."),
-    "deaths": ("experiment:COMMANDS", "Effect of a permanent kill of a random agent."),
-    "matrix": ("experiment:COMMANDS", "Maps of cost and completion over delay and loss."),
-    "ablation": ("experiment:COMMANDS", "Contribution of each part of the algorithm."),
-    "horizon": ("experiment:COMMANDS", "Effect of horizon and terminal weight."),
-    "hover": ("experiment:COMMANDS", "Stability in a long hover after the maneuver."),
-    "sharing": ("experiment:COMMANDS", "Cost against the number of plans sent."),
-    "radio": ("experiment:COMMANDS", "Effect of the radio channel that the team itself fills."),
-    "agile": ("experiment:COMMANDS", "Fast flight: the payload's error over speed."),
-    "weather": ("experiment:COMMANDS", "Worth of the network in weather."),
-    "information": ("experiment:COMMANDS", "Targets that one agent knows."),
-    "paper": ("experiment:paper", "The paper's claim: centralized against distributed."),
-    "scaling": ("experiment:COMMANDS", "Growth of cost, computation and messages."),
+    "latency": ("commands.experiment:COMMANDS", "Effect of a fixed delay on every link."),
+    "loss": ("commands.experiment:COMMANDS", "Effect of packet loss, independent or in bursts."),
+    "jitter": ("commands.experiment:COMMANDS", "Effect of the distribution of random delays."),
+    "kill": ("commands.experiment:COMMANDS", "Effect of the death of each agent."),
+    "deaths": ("commands.experiment:COMMANDS", "Effect of a permanent kill of a random agent."),
+    "matrix": ("commands.experiment:COMMANDS", "Maps of cost and completion over delay and loss."),
+    "ablation": ("commands.experiment:COMMANDS", "Contribution of each part of the algorithm."),
+    "horizon": ("commands.experiment:COMMANDS", "Effect of horizon and terminal weight."),
+    "hover": ("commands.experiment:COMMANDS", "Stability in a long hover after the maneuver."),
+    "sharing": ("commands.experiment:COMMANDS", "Cost against the number of plans sent."),
+    "radio": (
+        "commands.experiment:COMMANDS",
+        "Effect of the radio channel that the team itself fills.",
+    ),
+    "agile": ("commands.experiment:COMMANDS", "Fast flight: the payload's error over speed."),
+    "weather": ("commands.experiment:COMMANDS", "Worth of the network in weather."),
+    "information": ("commands.experiment:COMMANDS", "Targets that one agent knows."),
+    "paper": ("commands.experiment:paper", "The paper's claim: centralized against distributed."),
+    "scaling": ("commands.experiment:COMMANDS", "Growth of cost, computation and messages."),
 }
-_SCENARIO = {"new": ("scenario:new", "Write a scenario for a team of any size.")}
+_SCENARIO = {"new": ("commands.scenario:new", "Write a scenario for a team of any size.")}
 _LOG = {
-    "info": ("log:info", "Describe the content of a log, and its gaps."),
-    "export": ("log:export", "Write a log as tables, or as a bag for ROS 2 and Foxglove."),
+    "info": ("commands.log:info", "Describe the content of a log, and its gaps."),
+    "export": ("commands.log:export", "Write a log as tables, or as a bag for ROS 2 and Foxglove."),
 }
 _LINK = {
-    "set": ("operate:set_links", "Impair or repair links from the next tick on."),
-    "clear": ("operate:clear_links", "Remove all impairments, also from the plant's links."),
+    "set": ("commands.operate:set_links", "Impair or repair links from the next tick on."),
+    "clear": (
+        "commands.operate:clear_links",
+        "Remove all impairments, also from the plant's links.",
+    ),
 }
 _DEPLOY = {
-    "keys": ("deploy:keys", "Create a certificate authority and process certificates."),
-    "render": ("deploy:render", "Write one deployment folder per host."),
+    "keys": ("hosts.deploy:keys", "Create a certificate authority and process certificates."),
+    "render": ("hosts.deploy:render", "Write one deployment folder per host."),
 }
 app = lazy_group(
     {
         "Simulate": {
-            "run": ("run:run", "Run a scenario with all its processes; record and report it."),
+            "run": (
+                "commands.run:run",
+                "Run a scenario with all its processes; record and report it.",
+            ),
             "experiment": lazy_group(
                 {"Commands": _EXPERIMENTS},
                 help="Simulate many variations of a scenario and compare them.\n\n"
@@ -51,57 +60,75 @@ app = lazy_group(
                 epilog="Exit codes: 0 done, whatever the result; 2 usage, 3 scenario, "
                 "4 cluster or worker lost, 7 some simulations raised an error, 130 interrupted.",
             ),
-            "arena": ("arena:arena", "Compare algorithms, yours too, on tasks and networks."),
-            "worst": ("worst:worst", "Search for the network that brings the team down."),
+            "arena": (
+                "commands.arena:arena",
+                "Compare algorithms, yours too, on tasks and networks.",
+            ),
+            "worst": ("commands.worst:worst", "Search for the network that brings the team down."),
             "scenario": lazy_group(
                 {"Commands": _SCENARIO},
                 help="Create scenarios.",
             ),
-            "validate": ("scenario:validate", "Check a scenario and print it with every default."),
-            "margins": ("scenario:margins", "Compute how much model error a hover tolerates."),
-            "doctor": ("scenario:doctor", "Check that this machine can run a scenario."),
+            "validate": (
+                "commands.scenario:validate",
+                "Check a scenario and print it with every default.",
+            ),
+            "margins": (
+                "commands.scenario:margins",
+                "Compute how much model error a hover tolerates.",
+            ),
+            "doctor": ("commands.scenario:doctor", "Check that this machine can run a scenario."),
         },
         "Look at runs": {
-            "view": ("view:view", "Show a recorded or active run in the browser."),
-            "plot": ("plot:plot", "Regenerate metrics and figures of a recorded run."),
-            "compare": ("compare:compare", "Compare recorded runs in a table and in figures."),
+            "view": ("commands.view:view", "Show a recorded or active run in the browser."),
+            "plot": ("commands.plot:plot", "Regenerate metrics and figures of a recorded run."),
+            "compare": (
+                "commands.compare:compare",
+                "Compare recorded runs in a table and in figures.",
+            ),
             "log": lazy_group(
                 {"Commands": _LOG},
                 help="Describe and export the log of a run.",
                 epilog="Exit codes: 0 done, also for an incomplete log; 2 the log cannot be read.",
             ),
-            "replay": ("replay:replay", "Feed a recorded run to one agent and compare its plans."),
+            "replay": (
+                "commands.replay:replay",
+                "Feed a recorded run to one agent and compare its plans.",
+            ),
         },
         "Act on an active run": {
-            "top": ("top:top", "Watch the agents of an active run."),
+            "top": ("commands.top:top", "Watch the agents of an active run."),
             "status": (
-                "operate:status",
+                "commands.operate:status",
                 "Show the progress of a run, or the health of one process.",
             ),
-            "target": ("operate:target", "Send the payload of an active run to a target."),
-            "land": ("operate:land", "Let the team of an active run come down, and rest."),
+            "target": ("commands.operate:target", "Send the payload of an active run to a target."),
+            "land": ("commands.operate:land", "Let the team of an active run come down, and rest."),
             "link": lazy_group(
                 {"Commands": _LINK},
                 help="Change the links of an active run.",
             ),
             "fault": (
-                "operate:fault",
+                "commands.operate:fault",
                 "Kill, stop, continue or restart a process of an active run.",
             ),
         },
         "Start processes by hand": {
             "coordinator": (
-                "processes:coordinator",
+                "hosts.processes:coordinator",
                 "Run the coordinator: sampling clock and roster.",
             ),
-            "plant": ("processes:plant", "Run the plant: dynamics and actuators."),
-            "agent": ("processes:agent", "Run one agent: the controller of the UAVs it owns."),
+            "plant": ("hosts.processes:plant", "Run the plant: dynamics and actuators."),
+            "agent": (
+                "hosts.processes:agent",
+                "Run one agent: the controller of the UAVs it owns.",
+            ),
             "vehicle": (
-                "processes:vehicle",
+                "hosts.processes:vehicle",
                 "Connect one UAV: its agent and its autopilot.",
             ),
             "record": (
-                "processes:record",
+                "hosts.processes:record",
                 "Record and report a run whose processes were started by hand.",
             ),
         },
@@ -111,11 +138,11 @@ app = lazy_group(
                 help="Deploy a run to several hosts.",
             ),
             "router": (
-                "processes:router",
+                "hosts.processes:router",
                 "Route messages between hosts without a direct connection.",
             ),
-            "metrics": ("operate:metrics", "Export process metrics to Prometheus."),
-            "ros2": ("ros2:ros2", "Publish an active run for ROS 2 over rmw_zenoh."),
+            "metrics": ("commands.operate:metrics", "Export process metrics to Prometheus."),
+            "ros2": ("commands.ros2:ros2", "Publish an active run for ROS 2 over rmw_zenoh."),
         },
     },
     name="transport",

@@ -10,13 +10,13 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from transport.analysis.analysed_run import AnalysedRun
-from transport.interface.scenario import Scenario
-from transport.interface.settings import ArgumentError, Settings, ShortSettings
+from transport.interface.scenario_builder import Scenario
+from transport.interface.setting_arguments import ArgumentError, Settings, ShortSettings
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.report.figures import FIGURES, fill
+from transport.report.figures.run_figures import FIGURES, fill
+from transport.report.figures.style import RC
 from transport.report.laws import ACTUATIONS
 from transport.report.margins import HoverMargins, draw, hover_margins, rows
-from transport.report.style import RC
 
 
 class RunFigure(Figure):

@@ -13,9 +13,9 @@ from rich.console import Console
 from transport.flight import live, memory
 from transport.flight.progress import RunProgress, compile_models
 from transport.flight.run_files import checked, run_header
-from transport.interface.run import Run
-from transport.interface.scenario import Scenario, path_phase
-from transport.interface.settings import ArgumentError, Settings, ShortSettings, plain
+from transport.interface.recorded_run import Run
+from transport.interface.scenario_builder import Scenario, path_phase
+from transport.interface.setting_arguments import ArgumentError, Settings, ShortSettings, plain
 from transport.log.run_log import Recorded, RunLog, open_run
 from transport.protocol.scenario.files.named_files import points_of
 from transport.protocol.scenario.scenario_file import ScenarioError
@@ -64,7 +64,7 @@ def fly(
     >>> transport.fly("resilient", horizn=10)
     Traceback (most recent call last):
         ...
-    transport.interface.settings.ArgumentError: horizn: expected a dotted key such as \
+    transport.interface.setting_arguments.ArgumentError: horizn: expected a dotted key such as \
 'links.delay_s' or a short name; did you mean 'horizon'?
 
     Args:
@@ -79,7 +79,7 @@ def fly(
             (t_s, x_m, y_m, z_m), as an array or a list; both count from the first row. Between rows
             at constant speed; with a flat reference a spline through them, so a few rows are
             enough.
-        short: Changes by short name (`transport.interface.settings.KEY_OF`), such as `horizon=10`.
+        short: Changes by short name (`transport.interface.setting_arguments.KEY_OF`), such as `horizon=10`.
 
     Raises: ScenarioError: the scenario or a setting is refused. ArgumentError: an argument is.
         RunError, HarnessError: the processes cannot be started. KeyboardInterrupt: Ctrl-C; no
@@ -244,7 +244,7 @@ def _in_memory(scenario: Scenario, setup: Setup, *, shown: bool) -> Run:
 def _with_processes(scenario: Scenario, setup: Setup, folder: Path | None, *, shown: bool) -> Run:
     """Simulate a run with a process for each part, and write its report."""
     # Imported when needed: a run in memory starts no process.
-    from transport.flight import run as processes_run
+    from transport.flight import run_execution as processes_run
     from transport.flight.fork_server import close_fork_server
     from transport.flight.run_files import new_folder
 

@@ -17,7 +17,7 @@ from transport.analysis.series import Series, series_of
 from transport.log.run_log import open_run
 from transport.protocol.wire.errors import TransportError
 from transport.report.drawn_parts import UP, draw_parts, frame, line
-from transport.report.style import COMPONENTS, RC, REFERENCE, scale_cost, shade_phases
+from transport.report.figures.style import COMPONENTS, RC, REFERENCE, scale_cost, shade_phases
 from transport.scene.drawing import Drawing
 from transport.scene.scene import Scene, SceneBuilder
 

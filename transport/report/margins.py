@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from transport.mpc.margins.actual_plant import Mismatch
 from transport.mpc.margins.sampled_loop import FARTHEST, FARTHEST_S, Margin, SampledLoop, margins
 from transport.protocol.scenario.setup.run_setup import Setup
+from transport.report.figures.style import COLUMN_IN, CURVES
 from transport.report.laws import ACTUATIONS, alone_loops, check_feedback, team_loops
-from transport.report.style import COLUMN_IN, CURVES
 
 # Label and unit of each property of the plant; factors are relative to the value that the
 # controllers know.

@@ -51,7 +51,7 @@ def report_run(
         write_steps()
     else:
         # Loads matplotlib, 0.3 s that runs without figures save.
-        from transport.report.figures import draw
+        from transport.report.figures.run_figures import draw
 
         _remove_figures(folder / "figures")
         draw(analysed, folder / "figures", forks=forks, also=also, meanwhile=write_steps)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from transport.protocol.scenario.links.impairments import Link
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.wire.names import agent_name
-from transport.search.events import Silence, Tree
+from transport.search.drawn_events import Silence, Tree
 
 Pair = tuple[int, int]  # sender and receiver, agents
 

@@ -3,10 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from transport.flight.groups import split_groups
 from transport.flight.live import Commands
 from transport.protocol.scenario.links.impairments import Link
-from transport.protocol.scenario.links.link_changes import LinkChanges
+from transport.protocol.scenario.links.link_changes import LinkChanges, split_groups
 from transport.protocol.scenario.sections.link_sections import LinkSection
 from transport.protocol.wire.messages import agent_name
 from transport.scene.history import RunHistory

@@ -10,11 +10,10 @@ from transport.viewer import html
 from transport.viewer.link_controls import LinkControls
 from transport.viewer.playback import Playback
 from transport.viewer.plots import Plots
-from transport.viewer.process_controls import add_processes
 from transport.viewer.target_controls import TargetControls
 from transport.viewer.timeline import Timeline
 from transport.viewer.view3d import View3D
-from transport.viewer.widgets import from_browser
+from transport.viewer.widgets import add_processes, from_browser
 
 
 class Panel:

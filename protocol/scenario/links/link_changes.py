@@ -1,6 +1,7 @@
 """Changes of links during a run: requests, messages of the coordinator, and the same in words."""
 
 import json
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
@@ -103,3 +104,12 @@ def changed_in_words(links: str, settings: Mapping[str, Any]) -> str:
         return f"{links} cleared"
     values = ", ".join(f"{key} {value!s:.40}" for key, value in settings.items())
     return f"{links}: {values}"
+
+
+def split_groups(text: str) -> list[list[str]]:
+    """Return the agents of each group in a text such as "1,2/3,4".
+
+    Between groups is a slash, or a bar, which a shell would take as a pipe; between agents a comma
+    or blanks.
+    """
+    return [group.replace(",", " ").split() for group in re.split("[/|]", text)]

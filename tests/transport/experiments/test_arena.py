@@ -11,10 +11,10 @@ from matplotlib.image import imread
 import transport
 from tests.support.results import here
 from transport.agent.user_class.run_for_user import Run
-from transport.experiments import arena_tasks
-from transport.experiments.arena import arena
-from transport.experiments.arena_entries import BUILT_IN, REFERENCE, Entry, entered
-from transport.experiments.arena_tasks import NETWORK_TEXTS, NETWORKS, PERFECT, TASKS, Task
+from transport.experiments.arena import arena_tasks
+from transport.experiments.arena.arena_entries import BUILT_IN, REFERENCE, Entry, entered
+from transport.experiments.arena.arena_runs import arena
+from transport.experiments.arena.arena_tasks import NETWORK_TEXTS, NETWORKS, PERFECT, TASKS, Task
 from transport.experiments.cases import Case, ExperimentError
 from transport.model import state
 from transport.model.arrays import Array

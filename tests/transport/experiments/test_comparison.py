@@ -14,9 +14,9 @@ import pytest
 
 from tests.support.results import here
 from tests.support.runs import ticks
-from transport.experiments import comparison, comparison_report
 from transport.experiments.cases import NUMBERS, Case, Result, cases_of
-from transport.experiments.comparison import (
+from transport.experiments.paper import comparison, comparison_report
+from transport.experiments.paper.comparison import (
     CENTRALIZED,
     GUSTS,
     MANEUVER,
@@ -190,8 +190,10 @@ def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     def never(*_: object, **__: object) -> None:
         raise AssertionError("measured or run again")
 
-    monkeypatch.setattr("transport.experiments.comparison_report.draw_maneuver", lambda *_: [])
-    monkeypatch.setattr("transport.experiments.comparison_report.simulate_here", never)
+    monkeypatch.setattr(
+        "transport.experiments.paper.comparison_report.draw_maneuver", lambda *_: []
+    )
+    monkeypatch.setattr("transport.experiments.paper.comparison_report.simulate_here", never)
     monkeypatch.setattr("transport.experiments.workers.simulate", never)
     again = here(*arguments, "--set", ticks(6))
     assert again.exit_code == 0, again.output

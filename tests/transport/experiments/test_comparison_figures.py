@@ -11,9 +11,9 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from scipy import stats
 
-from transport.experiments import comparison
 from transport.experiments.cases import cases_of
-from transport.experiments.comparison import (
+from transport.experiments.paper import comparison
+from transport.experiments.paper.comparison import (
     AGENT,
     CENTRALIZED,
     GUSTS,
@@ -25,12 +25,12 @@ from transport.experiments.comparison import (
     Cell,
     Curve,
 )
-from transport.experiments.comparison_figures import draw_costs, draw_maneuver
+from transport.experiments.paper.comparison_figures import draw_costs, draw_maneuver
 from transport.experiments.statistics import PointStatistics
 from transport.experiments.sweep import Swept
 from transport.model.arrays import Array
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.report.style import DIVERGED
+from transport.report.figures.style import DIVERGED
 
 AGENTS = 4
 PERIOD_S = 0.05
@@ -96,7 +96,7 @@ def panels_of(curves: Sequence[Curve], monkeypatch: pytest.MonkeyPatch) -> list[
         figures.append(figure)
         return [path]
 
-    monkeypatch.setattr("transport.experiments.comparison_figures.save", keep)
+    monkeypatch.setattr("transport.experiments.paper.comparison_figures.save", keep)
     draw_costs(curves, REFERENCE, Path("unwritten"))
     (figure,) = figures
     return figure.axes
@@ -241,7 +241,7 @@ def test_maneuvers_at_the_same_rate_and_computation_are_drawn(
         assert shaded
         found.extend((label, setup) for label, setup, _ in overlaid)
 
-    here = "transport.experiments.comparison_figures"
+    here = "transport.experiments.paper.comparison_figures"
     monkeypatch.setattr(f"{here}.run_in_memory", lambda _: ())
     monkeypatch.setattr(f"{here}.series_of", lambda *_: None)
     monkeypatch.setattr(f"{here}.fill_overlaid", keep)

@@ -14,7 +14,7 @@ import pytest
 
 from tests.support.results import here
 from tests.support.runs import ticks
-from transport.cli.experiment import EXPERIMENTS
+from transport.cli.commands.experiment import EXPERIMENTS
 from transport.experiments.cases import ExperimentError, Point, cases_of, is_random
 from transport.experiments.declaration import Experiment
 from transport.experiments.network_experiments import JITTER, NETWORKS

@@ -2,7 +2,7 @@
 
 import pytest
 
-from transport.cli.experiment import EXPERIMENTS
+from transport.cli.commands.experiment import EXPERIMENTS
 from transport.experiments.cases import ExperimentError, Point, cases_of
 from transport.experiments.declaration import NONE
 

@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from tests.support.figure_texts import problems
-from transport.cli.experiment import EXPERIMENTS
+from transport.cli.commands.experiment import EXPERIMENTS
 from transport.experiments.cases import ERROR, NUMBERS, Point, Result
 from transport.experiments.declaration import Experiment
-from transport.experiments.figures import draw, fill
+from transport.experiments.figures.experiment_figures import draw, fill
 from transport.experiments.statistics import (
     WIDTH,
     PointStatistics,
@@ -24,7 +24,7 @@ from transport.experiments.statistics import (
     table_of,
 )
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
-from transport.report.style import COLUMN_IN, RC, SMALL
+from transport.report.figures.style import COLUMN_IN, RC, SMALL
 
 BOTH = ("paper", "resilient")
 

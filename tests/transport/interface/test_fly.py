@@ -19,13 +19,13 @@ import threadpoolctl
 
 import transport
 from tests.support.runs import recorded, reproducible
-from transport.interface.scenario import path_phase
-from transport.interface.series import QUANTITIES
-from transport.interface.settings import ArgumentError
+from transport.interface.run_series import QUANTITIES
+from transport.interface.scenario_builder import path_phase
+from transport.interface.setting_arguments import ArgumentError
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, Plan, PlantState
-from transport.report.style import RC, save
+from transport.report.figures.style import RC, save
 
 # A maneuver of 30 ticks.
 PHASES = (

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import transport
-from transport.interface.settings import KEY_OF, ShortSettings
+from transport.interface.setting_arguments import KEY_OF, ShortSettings
 
 SOURCE = Path(transport.__file__).read_text(encoding="utf-8")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import transport
-from transport.interface.settings import settings_of
+from transport.interface.setting_arguments import settings_of
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 
 READY = sorted(path.stem for path in find_scenario("paper").parent.glob("*.toml"))

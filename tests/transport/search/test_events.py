@@ -16,7 +16,7 @@ from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.search.candidate import Base, Candidate
-from transport.search.events import Death, Gusts, Links, Silence, TargetEvent
+from transport.search.drawn_events import Death, Gusts, Links, Silence, TargetEvent
 from transport.search.space import KINDS, Bounds, Space, read_bounds
 
 PERIOD_S = 0.05

@@ -20,21 +20,21 @@ from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
 from transport.analysis.series import series_of
 from transport.experiments.cases import ExperimentError
-from transport.interface.settings import ArgumentError, names_of
-from transport.interface.worst import Worst
+from transport.interface.setting_arguments import ArgumentError, names_of
+from transport.interface.worst_case import Worst
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.search.candidate import Base, Candidate
+from transport.search.drawn_events import Death, Gusts, Silence
 from transport.search.evaluation import REFUSED, Evaluation, Problem, Verdict
-from transport.search.events import Death, Gusts, Silence
 from transport.search.objective import Objective
 from transport.search.optimiser import BATCH, Layout, Optimiser
-from transport.search.progress import SearchProgress
-from transport.search.report import summary
 from transport.search.search import Case, Evaluations, Search, SearchResult, random_search
+from transport.search.search_progress import SearchProgress
+from transport.search.search_report import summary
 from transport.search.shrink import Shrinker
 from transport.search.space import Space, read_bounds
 

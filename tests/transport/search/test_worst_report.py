@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from tests.support.runs import SCENARIOS
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.search.candidate import Base, Candidate
+from transport.search.drawn_events import Death, Event, Gusts, Silence, TargetEvent
 from transport.search.evaluation import Evaluation, Problem, Verdict
-from transport.search.events import Death, Event, Gusts, Silence, TargetEvent
 from transport.search.objective import Objective
-from transport.search.report import draw, in_words, scenario_text, window_s
 from transport.search.search import Minimal
+from transport.search.search_report import draw, in_words, scenario_text, window_s
 
 FILE = SCENARIOS / "resilient.toml"
 HOVER = "maneuver.phase=[{name='hover',duration_s=4.0,displacement_m=[0.0,0.0,0.0]}]"

@@ -1,0 +1,1 @@
+"""Replay of one agent from a log, and how its plans differ from the recorded ones."""

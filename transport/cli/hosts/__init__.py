@@ -1,0 +1,1 @@
+"""Commands for several hosts: deployment folders, and each process by itself."""

@@ -1,0 +1,1 @@
+"""The arena: tasks, networks, entries, and the tables of their runs."""

@@ -1,0 +1,214 @@
+"""Report of the arena: a table for each axis, one file with results and versions, and the figure."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import orjson
+import tomli_w
+from rich.console import Console
+from rich.table import Table
+
+from transport.experiments.arena import arena_tasks
+from transport.experiments.arena.arena_entries import REFERENCE
+from transport.experiments.arena.arena_runs import NAME, VIOLATION, Arena
+from transport.experiments.arena.arena_tasks import NETWORK_TEXTS, NETWORKS, TASKS
+from transport.experiments.cases import Case
+from transport.experiments.statistics import COST_RATIO, PointStatistics
+from transport.experiments.sweep import Results, Simulate, Swept, markdown_of, sweep
+from transport.flight.run_files import machine, versions
+from transport.protocol.scenario.files.atomic_writing import write_whole
+
+RESULTS = "arena.json"
+_MISSING = "-"
+_REFUSED = "no"
+_TITLE_WIDTH = 60  # characters, of the longest title
+# Folder of the scenarios that were not completed.
+_ENDED = "ended"
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """A measure of the arena, with a table of its own."""
+
+    title: str
+    number: str  # empty for the share of completed runs
+    factor: float = 1.0
+    digits: int = 2
+
+
+AXES: Sequence[Axis] = (
+    Axis("Completed runs; earliest end of the others", ""),
+    Axis(f"Mean cost over that of `{REFERENCE}` on a perfect network", COST_RATIO),
+    Axis("Payload error, cm rms", "payload_rms_m", 100.0, 1),
+    Axis("Smallest distance of two UAVs, m", "separation_min_m", 1.0, 3),
+    Axis("Largest violation of the shared constraint, N", VIOLATION, 1.0, 2),
+    Axis("Plans of the team to each other, kB/s", "plan_bytes_per_s", 1e-3, 1),
+    Axis("Airtime of the radio, %, 20 % of it traffic of others", "airtime_share", 100.0, 1),
+    Axis("Processor time of an agent's step, ms, median", "cpu_step_p50_ms", 1.0, 2),
+)
+
+
+@dataclass(frozen=True)
+class ArenaResult:
+    """The arena with the results of its runs."""
+
+    arena: Arena
+    swept: Swept
+
+    @cached_property
+    def by_place(self) -> Mapping[tuple[str, str, str], tuple[PointStatistics, str]]:
+        """Statistics of each point, and why it cannot be flown, by task, network and algorithm."""
+        places = {}
+        for index, one in enumerate(self.swept.measured):
+            labels = one.point.labels
+            place = (str(labels["task"]), str(labels["network"]), str(labels["algorithm"]))
+            places[place] = one, self.arena.refused.get(index, "")
+        return places
+
+    @property
+    def tasks(self) -> list[str]:
+        """Names of the tasks."""
+        return list(dict.fromkeys(task for task, _, _ in self.by_place))
+
+    def tables(self) -> list[Table]:
+        """Return a table for each axis that has numbers."""
+        tables = [self._table(axis) for axis in AXES]
+        return [table for table in tables if table is not None]
+
+    def _table(self, axis: Axis) -> Table | None:
+        """Return the table of an axis: a row for each algorithm, in each cell a line per network."""
+        table = Table(box=None, title=axis.title, padding=(0, 1, 0, 0), min_width=_TITLE_WIDTH)
+        table.title_justify = "left"
+        for heading in ("algorithm", "network", *self.tasks):
+            table.add_column(heading, no_wrap=True)
+
+        is_empty = True
+        for algorithm in self.arena.algorithms:
+            networks = list(
+                dict.fromkeys(net for _, net, name in self.by_place if name == algorithm)
+            )
+            cells = []
+            for task in self.tasks:
+                texts = [self._text(axis, (task, net, algorithm)) for net in networks]
+                is_empty = is_empty and all(text in (_MISSING, _REFUSED) for text in texts)
+                cells.append("\n".join(texts))
+            table.add_row(algorithm, "\n".join(networks), *cells)
+        return None if is_empty else table
+
+    def _text(self, axis: Axis, place: tuple[str, str, str]) -> str:
+        """Return the cell of a point: mean and half its 95 % interval, if there are several runs."""
+        one, refused = self.by_place[place]
+        if refused:
+            return _REFUSED
+        if not axis.number:
+            end = f" {min(one.diverged_s):.1f} s" if one.diverged_s else ""
+            return f"{one.completed}/{one.runs}{end}" + f" {one.errors}!" * bool(one.errors)
+        if axis.number != COST_RATIO and axis.number not in one.numbers:
+            return _MISSING
+        mean = one.mean(axis.number)
+        half = one.half_width(axis.number)
+        if mean is None:
+            return _MISSING
+        text = f"{axis.factor * mean:.{axis.digits}f}"
+        return text if half is None else f"{text} ±{axis.factor * half:.{axis.digits}f}"
+
+    def sentences(self) -> list[str]:
+        """Return what was tuned for each algorithm, and what cannot be flown and why."""
+        tuned = [
+            f"{name}{f' (version {one.version})' if one.version else ''}: tuned: {one.tuned}"
+            for name, one in self.arena.algorithms.items()
+        ]
+        reasons: dict[str, list[str]] = {}
+        for (task, network, name), (_, reason) in self.by_place.items():
+            if reason:
+                reasons.setdefault(f"{name}: {reason}", []).append(f"{task} on {network}")
+        impossible = [
+            f"no: {reason}: {', '.join(places)}" for reason, places in sorted(reasons.items())
+        ]
+        return [*tuned, *impossible]
+
+    def content(self) -> dict[str, Any]:
+        """Return results and versions as JSON data."""
+        return {
+            "arena": arena_tasks.VERSION,
+            "versions": versions(),
+            "machine": machine(),
+            "seeds": self.arena.seeds,
+            "tasks": {name: asdict(TASKS[name]) for name in self.tasks},
+            "networks": {name: NETWORKS[name] for name in NETWORKS},
+            "algorithms": {name: asdict(one) for name, one in self.arena.algorithms.items()},
+            "points": [_row(one, reason) for one, reason in self.by_place.values()],
+        }
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write tables, results and figure to a folder and return the files."""
+        files = self.swept.write(folder)
+        results = folder / RESULTS
+        text = orjson.dumps(self.content(), option=orjson.OPT_INDENT_2, default=str)
+        write_whole(results, text + b"\n")
+        report = folder / "report.md"
+        write_whole(report, self.markdown().encode())
+        return [results, *files, report, *self._write_ended(folder / _ENDED)]
+
+    def _write_ended(self, folder: Path) -> list[Path]:
+        """Write the first run of each point that was not completed as a scenario; return the files.
+
+        `transport run` flies it again, with figures and log.
+        """
+        ended: dict[int, Case] = {}
+        for case, result in zip(self.swept.cases, self.swept.results, strict=True):
+            if result.outcome != "completed":
+                ended.setdefault(case.point, case)
+        if ended:
+            folder.mkdir(exist_ok=True)
+
+        files = []
+        for index, point in enumerate(self.arena.experiment.points):
+            words = "-".join(map(str, point.labels.values()))
+            name = "".join(letter if letter.isalnum() else "-" for letter in words)
+            file = folder / f"{name}.toml"
+            if index in ended:
+                write_whole(file, tomli_w.dumps(ended[index].scenario.tree()))
+                files.append(file)
+            else:
+                file.unlink(missing_ok=True)  # of the runs before this one was resumed
+        with suppress(OSError):
+            folder.rmdir()  # empty
+        return files
+
+    def markdown(self) -> str:
+        """Return tables and sentences in Markdown."""
+        lines = []
+        for table in self.tables():
+            lines += [f"**{table.title}**", "", *markdown_of(table), ""]
+        lines += [f"- {sentence}" for sentence in self.sentences()]
+        shown = dict.fromkeys(network for _, network, _ in self.by_place)
+        lines += [f"- {network}: {NETWORK_TEXTS[network]}" for network in shown]
+        count = self.arena.seeds
+        seeds = f"{count} seed{'s' * (count > 1)} of each random run"
+        if count > 1:
+            seeds += ", ± half the 95 % interval"
+        origin = f"Arena {arena_tasks.VERSION}, {seeds}; {versions()}; machine: {machine()}"
+        return "\n".join([*lines, "", f"*{origin}*", ""])
+
+
+def conduct(made: Arena, simulate: Simulate, results: Results, console: Console) -> ArenaResult:
+    """Simulate the cases of the arena that have no result yet.
+
+    Raises: ExperimentError: a worker was lost. KeyboardInterrupt: the finished runs are kept.
+    """
+    return ArenaResult(made, sweep(made.experiment, made.cases, simulate, results, console))
+
+
+def results_of(folder: Path | None) -> Results:
+    """Return the results of the arena in a folder, which is resumed."""
+    return Results(NAME, folder)
+
+
+def _row(one: PointStatistics, refused: str) -> dict[str, Any]:
+    """Return a point as JSON data."""
+    return {**one.row(), f"{COST_RATIO}_ci95": one.half_width(COST_RATIO), "refused": refused}

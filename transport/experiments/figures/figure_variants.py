@@ -1,0 +1,126 @@
+"""Variants of a scenario: the cost over the baseline's.
+
+Each variant has a row, each network a colour.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.transforms import ScaledTranslation
+
+from transport.experiments.declaration import axis
+from transport.experiments.statistics import PointStatistics
+from transport.report.figures.column import Room, column_panels, head, text_width_in
+from transport.report.figures.style import CURVES, DIVERGED, MARKER, REFERENCE, SMALL, label_decades
+
+# Height of a row, room around and between panels, distance of the marks of diverged runs, in.
+_ROW_IN = 0.185
+_ABOVE_IN = 0.2
+_BETWEEN_IN = 0.28
+_BELOW_IN = 0.42
+_RIGHT_IN = 0.5
+_BESIDE_NAME_IN = 0.08
+_BESIDE_PANEL_IN = 0.12
+# Distance between the networks of a variant, in rows, and room at both ends of the axis, a factor.
+_APART = 0.5
+_ROOM = 1.15
+
+
+def draw_variants(figure: Figure, scenarios: Mapping[str, Sequence[PointStatistics]]) -> None:
+    """Draw the cost over the baseline's: a panel for each scenario, a row for each variant.
+
+    Points with diverged runs have a mark beside the panel.
+    """
+    measured = [statistics for own in scenarios.values() for statistics in own]
+    styles = _styles(measured)
+    names_by_scenario = [list(dict.fromkeys(map(_name, own))) for own in scenarios.values()]
+    widths_in = [text_width_in(name) for names in names_by_scenario for name in names]
+
+    panels = column_panels(
+        figure,
+        [_ROW_IN * len(names) for names in names_by_scenario],
+        legend=[Line2D([], [], label=network, **style) for network, style in styles.items()],
+        x_label="mean cost over that of the unchanged scenario\non a perfect network",
+        room=Room(
+            left_in=max(widths_in) + _BESIDE_NAME_IN,
+            right_in=_RIGHT_IN,  # for marks of diverged runs
+            top_in=_ABOVE_IN,
+            gap_in=_BETWEEN_IN,
+            bottom_in=_BELOW_IN,
+        ),
+    )
+
+    span = _span(measured)
+    contents = zip(panels, scenarios.items(), names_by_scenario, strict=True)
+    for panel, (scenario, own), names in contents:
+        _draw_points(figure, panel, own, names, styles)
+        head(panel, scenario, legend=False)
+        panel.axvline(1.0, color=REFERENCE, linewidth=0.8, zorder=0)
+        panel.set_yticks(range(len(names)), names)
+        panel.set(xscale="log", xlim=span, ylim=(len(names) - 0.5, -0.5))
+        label_decades(panel.xaxis)
+
+
+def _span(measured: Sequence[PointStatistics]) -> tuple[float, float]:
+    """Return the limits of the axis: those of the ratios, the baseline's included, with room."""
+    ratios = [statistics.cost_ratio for statistics in measured]
+    shown = [1.0, *(ratio for ratio in ratios if ratio is not None)]
+    return min(shown) / _ROOM, max(shown) * _ROOM
+
+
+def _styles(measured: Sequence[PointStatistics]) -> dict[str, dict[str, Any]]:
+    """Return the style of each network, in the order of their first points."""
+    networks = dict.fromkeys(str(statistics.point.labels["network"]) for statistics in measured)
+    return {
+        network: {"color": colour, "marker": marker, "markersize": MARKER, "linestyle": "none"}
+        for network, (colour, marker, _) in zip(networks, CURVES, strict=False)
+    }
+
+
+def _draw_points(
+    figure: Figure,
+    panel: Axes,
+    own: Sequence[PointStatistics],
+    names: Sequence[str],
+    styles: Mapping[str, dict[str, Any]],
+) -> None:
+    """Draw the variants of a scenario, and beside the panel those with diverged runs."""
+    offset = ScaledTranslation(_BESIDE_PANEL_IN, 0.0, figure.dpi_scale_trans)
+    beside = panel.get_yaxis_transform() + offset
+    networks = list(styles)
+    middle = (len(networks) - 1) / 2.0
+
+    for statistics in own:
+        network = str(statistics.point.labels["network"])
+        style = styles[network]
+        row = names.index(_name(statistics)) + _APART * (networks.index(network) - middle)
+        if statistics.cost_ratio is not None:
+            panel.plot([statistics.cost_ratio], [row], **style)
+        if statistics.completed < statistics.runs:
+            panel.plot([1.0], [row], transform=beside, clip_on=False, **style | DIVERGED)
+
+    if any(statistics.completed < statistics.runs for statistics in own):
+        panel.annotate(
+            "diverged",
+            xy=(1.0, 1.0),
+            xycoords="axes fraction",
+            xytext=(8.0, 2.0),
+            textcoords="offset points",
+            fontsize=SMALL,
+        )
+
+
+def _name(statistics: PointStatistics) -> str:
+    """Return the name of a variant: its texts, and its numbers with their names."""
+    labels = {name: value for name, value in statistics.point.labels.items() if name != "network"}
+    numbers = [
+        f"{axis(name).name} {value:g}"
+        for name, value in labels.items()
+        if not isinstance(value, str)
+    ]
+    texts = [value for value in labels.values() if isinstance(value, str) and value]
+    parts = [*numbers, ": ".join(texts)] if texts else numbers
+    return ", ".join(parts).replace("_", " ")

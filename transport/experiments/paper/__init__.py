@@ -1,0 +1,1 @@
+"""The comparison of the paper: centralized against distributed control."""

@@ -1,0 +1,282 @@
+"""Comparison of recorded runs: quantities with differences from the first run, caveats, figure."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from transport.analysis.analysed_run import AnalysedRun, counted
+from transport.analysis.metrics import summarise
+from transport.analysis.series import SWING_S, Series
+from transport.log.run_log import RecordedRun
+from transport.model.arrays import Array
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.report.figures.column import Room, column_panels, head
+from transport.report.figures.style import CURVES, RC, line_width, save, scale_cost, shade_phases
+from transport.report.summary_texts import HELD
+
+Summary = dict[str, Any]
+
+_COST_DECADES = 5  # that are shown
+_PANELS = (
+    "UAV error, largest (m)",
+    "payload error (m)",
+    "payload attitude, largest angle (deg)",
+    "stage cost",
+)
+_HEIGHT_IN = 0.9
+# Room above the first panel for its title and the names of the phases.
+_ROOM = Room(top_in=0.3)
+_WIDEST = 1.8  # curve, points
+_PERCENT = 100.0
+
+
+class Compared(NamedTuple):
+    """One of the compared runs with its summary and series."""
+
+    label: str  # in tables and figures
+    run: RecordedRun
+    summary: Summary  # docs/summary.md
+    series: Series
+
+    @staticmethod
+    def of(label: str, run: RecordedRun) -> "Compared":
+        """Return a run with its summary and series."""
+        analysed = AnalysedRun.of(run.setup, counted(run.setup, run.log))
+        return Compared(label, run, summarise(analysed), analysed.series)
+
+
+class Row(NamedTuple):
+    """One quantity of all runs, with its unit, empty for none."""
+
+    name: str
+    unit: str
+    values: tuple[float | str | None, ...]  # of each run; None if its log does not tell
+    percent: tuple[float | None, ...]  # difference from the first run; None if not defined
+
+
+def _lost(summary: Summary) -> float | None:
+    """Return the share of plans that were lost."""
+    messages = summary["messages"]
+    return messages["lost"] / messages["sent"] if messages["sent"] else None
+
+
+def _exceeded(summary: Summary) -> float | None:
+    """Return the largest violation of a limit as a share of its range; 0 if all held."""
+    share = summary["constraint_violation_max"]
+    if share is None:
+        return None
+    # Below HELD a limit was exceeded within the tolerance of the solver.
+    return share if share >= HELD else 0.0
+
+
+def _at(summary: Summary, key: str) -> Any:
+    """Return the value at a dotted key; None below a section that the run does not have."""
+    value: Any = summary
+    for name in key.split("."):
+        if value is None:
+            return None
+        value = value.get(name)
+    return value
+
+
+# Compared quantities: name, unit, dotted key or function of a summary (docs/summary.md);
+# percentages of shares.
+_QUANTITIES: tuple[tuple[str, str, str | Callable[[Summary], Any]], ...] = (
+    ("scenario", "", "scenario"),
+    ("outcome", "", "outcome"),
+    ("simulated time", "s", "sim_time_s"),
+    ("cost, mean", "", "cost.mean"),
+    ("cost, max", "", "cost.max"),
+    ("cost, max after hover", "", "cost.max_after_hover"),
+    ("payload attitude, max", "deg", "attitude_max_deg"),
+    ("UAV error, rms", "m", "uav_tracking.rms_m"),
+    ("UAV error, max", "m", "uav_tracking.max_m"),
+    ("payload error, rms", "m", "payload_tracking.rms_m"),
+    ("payload error, max", "m", "payload_tracking.max_m"),
+    (f"payload error, max of last {SWING_S:g} s", "m", "payload_tracking.swing_m"),
+    ("separation, min", "m", "separation_min_m"),
+    ("limits exceeded, max", "%", _exceeded),
+    ("agent step, median", "ms", "agent_step_ms.p50"),
+    ("agent step, p99", "ms", "agent_step_ms.p99"),
+    ("rest of tick, median", "ms", "rest_of_tick_ms.p50"),
+    ("real-time factor", "", "real_time_factor"),
+    ("deadlines missed", "%", "deadline.share"),
+    ("plan age, mean", "ticks", "plan_age_ticks.mean"),
+    ("plan age, max", "ticks", "plan_age_ticks.max"),
+    ("plans lost", "%", _lost),
+    ("radio: airtime", "%", "radio.airtime_share"),
+    ("radio: delivered", "%", "radio.delivered_share"),
+    ("messages rejected", "", "messages.rejected"),
+    ("solver fallbacks", "", "solver.fallbacks"),
+    ("solver failures", "", "solver.failures"),
+    ("faults and changes", "", lambda summary: len(summary["faults"])),
+)
+
+
+# What compared runs should share, and why.
+_SHARED: tuple[tuple[str, Callable[[Compared], Any], str], ...] = (
+    (
+        "maneuver",
+        lambda one: one.run.setup.scenario.maneuver,
+        "cost and errors do not show which controller is better",
+    ),
+    ("system", lambda one: one.run.setup.scenario.system, "costs are not comparable"),
+    ("set of weights", lambda one: one.run.setup.settings.weights, "costs are not comparable"),
+    ("cost function", lambda one: one.run.setup.settings.cost, "costs are not comparable"),
+    ("machine", lambda one: one.summary["machine"], "times do not only depend on the controller"),
+)
+
+
+class Setting(NamedTuple):
+    """A key of the scenario that the compared runs do not all have alike."""
+
+    key: str
+    values: tuple[Any, ...]  # of each run; None where it has none
+
+
+# Keys that change no flight.
+_WITHOUT_EFFECT = ("name", "network.")
+
+
+def settings_apart(runs: Sequence[Compared]) -> list[Setting]:
+    """Return the keys of the scenarios that differ between runs."""
+    trees = [one.run.setup.scenario.tree() for one in runs]
+    apart = _apart("", trees)
+    return [one for one in apart if not one.key.startswith(_WITHOUT_EFFECT)]
+
+
+def _apart(key: str, values: Sequence[Any]) -> Iterator[Setting]:
+    """Yield the keys at and below a dotted key whose values differ; entries count from 1."""
+    first = values[0]
+    if all(value == first for value in values):
+        return
+    below: Iterable[Any] = ()
+    if all(isinstance(value, Mapping) for value in values):
+        below = dict.fromkeys(name for value in values for name in value)
+    elif all(_is_tables(value) and len(value) == len(first) for value in values):
+        values = [dict(enumerate(value, start=1)) for value in values]
+        below = values[0]
+    else:
+        yield Setting(key, tuple(values))
+    for name in below:
+        yield from _apart(f"{key}.{name}".removeprefix("."), [value.get(name) for value in values])
+
+
+def _is_tables(value: Any) -> bool:
+    """Return whether a value of a scenario is a list of tables."""
+    return isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value)
+
+
+def rows(runs: Sequence[Compared]) -> list[Row]:
+    """Return a row for each quantity that any of the runs has; at least one run."""
+    table = []
+    for name, unit, source in _QUANTITIES:
+        values = tuple(
+            source(one.summary) if callable(source) else _at(one.summary, source) for one in runs
+        )
+        if unit == "%":
+            values = tuple(None if value is None else _PERCENT * value for value in values)
+        if all(value is None for value in values):
+            continue
+        percent = tuple(_difference_percent(value, values[0]) for value in values)
+        table.append(Row(name, unit, values, percent))
+    return table
+
+
+def doubts(runs: Sequence[Compared]) -> Iterator[str]:
+    """Yield the caveats of a comparison, a sentence each."""
+    first = runs[0]
+    for other in runs[1:]:
+        for name, value_of, reason in _SHARED:
+            if value_of(other) != value_of(first):
+                yield f"{other.label} has another {name} than {first.label}: {reason}"
+
+    for compared in runs:
+        summary = compared.summary
+        setup = compared.run.setup
+        held_s = summary["ticks"] * setup.settings.sampling_period_s
+        planned_s = setup.ticks * setup.settings.sampling_period_s
+        if held_s < planned_s:
+            reason = summary["reason"] or summary["outcome"]
+            part = f"the log holds {held_s:.2f} of {planned_s:.2f} s ({reason})"
+            yield f"{compared.label}: {part}; means are over this time"
+        if compared.run.log.cut:
+            yield f"{compared.label}: {compared.run.log.cut}"
+
+
+def _difference_percent(value: Any, first: Any) -> float | None:
+    """Return the difference from the first value, %.
+
+    None for texts, missing values and a first value of 0.
+    """
+    if isinstance(value, str) or isinstance(first, str) or value is None or not first:
+        return None
+    return float(_PERCENT * (value - first) / abs(first))
+
+
+def draw_compared(runs: Sequence[Compared], folder: Path) -> list[Path]:
+    """Draw compare.png and compare.svg of runs, at least one of them with a tick, in a folder.
+
+    Return the files.
+    """
+    shown = [(one.label, one.run.setup, one.series) for one in runs if len(one.series.ticks)]
+    maneuvers = [setup.scenario.maneuver for _, setup, _ in shown]
+    with mpl.rc_context(RC):
+        figure = Figure()
+        fill_overlaid(figure, shown, shaded=all(maneuver == maneuvers[0] for maneuver in maneuvers))
+        return save(figure, folder / "compare.png")
+
+
+def fill_overlaid(
+    figure: Figure, runs: Sequence[tuple[str, Setup, Series]], *, shaded: bool
+) -> None:
+    """Draw runs over one another into an empty figure, perhaps with the phases of the first.
+
+    Each run has its label, setup and series.
+    """
+    styles = _styles([label for label, _, _ in runs])
+    legend = [Line2D([], [], **style) for style in styles]
+    panels = column_panels(figure, [_HEIGHT_IN] * len(_PANELS), legend=legend, room=_ROOM)
+    for (_, _, series), style in zip(runs, styles, strict=True):
+        for panel, values in zip(panels, _curves(series), strict=True):
+            panel.plot(series.times_s, values, **style)
+
+    ends_s = [
+        float(series.times_s[-1]) + setup.settings.sampling_period_s for _, setup, series in runs
+    ]
+    until_s = max(ends_s)
+    for panel, title in zip(panels, _PANELS, strict=True):
+        head(panel, title, legend=False)
+        panel.set_xlim(0.0, until_s)
+        panel.set_ylim(bottom=0.0)
+
+    largest_cost = max(float(np.nanmax(series.cost)) for _, _, series in runs)
+    scale_cost(panels[-1], largest_cost, _COST_DECADES)
+    if shaded:
+        shade_phases(runs[0][1], panels, until_s)
+
+
+def _styles(labels: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the styles of curves with labels, which stay visible where they coincide."""
+    styles: list[dict[str, Any]] = []
+    for i, label in enumerate(labels):
+        colour, _, dashes = CURVES[i % len(CURVES)]
+        width = line_width(i, len(labels), _WIDEST)
+        styles.append({"color": colour, "linestyle": dashes, "linewidth": width, "label": label})
+    return styles
+
+
+def _curves(series: Series) -> tuple[Array, Array, Array, Array]:
+    """Return the curves of `_PANELS`, without released UAVs and costs of zero, (T,) each."""
+    errors_m = np.linalg.norm(series.uav_errors_I, axis=2)
+    return (
+        np.where(series.on_rods, errors_m, 0.0).max(axis=1),
+        series.payload_error_norm_m,
+        series.attitude_max_deg,
+        np.where(series.cost > 0.0, series.cost, np.nan),
+    )
