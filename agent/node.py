@@ -29,7 +29,7 @@ from transport.protocol.admission.carried import Place, carried_by, place_of
 from transport.protocol.admission.known_targets import KnownTargets
 from transport.protocol.admission.participant import Participant
 from transport.protocol.admission.stopping import MOSTLY, Stopping
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import (
     Airtime,
@@ -42,9 +42,9 @@ from transport.protocol.wire.messages import (
 from transport.protocol.wire.names import agent_name
 
 
-def planner_of(setup: Setup, agent: int, stopwatch: Callable[[], int]) -> AgentPlanner[Any]:
+def planner_of(setup: TeamRun, agent: int, stopwatch: Callable[[], int]) -> AgentPlanner[Any]:
     """Return the planner of an agent, 1-based, by `agents.controller`."""
-    controller = setup.scenario.controllers[agent - 1]
+    controller = setup.known.controllers[agent - 1]
     if controller == PROJECT:
         return Planner(setup, agent, stopwatch)
     if controller == ALONE:
@@ -60,14 +60,14 @@ class AgentNode(Participant):
 
     def __init__(
         self,
-        setup: Setup,
+        setup: TeamRun,
         agent: int,
         incarnation: int = 0,
         stopwatch: Callable[[], int] = lambda: 0,
     ) -> None:
         setup = setup.by_clock_of(agent)
         self._clocks = Clocks(
-            setup.scenario.clock.offsets_s or (),
+            setup.rules.clock.offsets_s or (),
             agent,
             setup.settings.sampling_period_s,
             setup.system.gravity,
@@ -78,13 +78,13 @@ class AgentNode(Participant):
         self._targets = KnownTargets(setup)
         self._told: deque[Target] = deque()  # to this agent, still to come
         self._own_targets: set[Place] = set()  # those of them that have begun
-        self._confirms = setup.scenario.controller.targets == "confirmed"
+        self._confirms = setup.settings.targets == "confirmed"
         self._unconfirmed = Unconfirmed(agent)
         self._stopping: Stopping | None = None
-        if setup.scenario.controller.silence == "stop":
+        if setup.settings.silence == "stop":
             self._stopping = Stopping(setup.settings.sampling_period_s, setup.ticks)
         self._refused: set[tuple[int, Place]] = set()  # by the agent whose plan carried it
-        radio = setup.scenario.radio
+        radio = setup.known.radio
         self._air = None if radio is None else AirNews(agent, radio)
         self._hears_by_radio = self._air is not None
         self._setup = setup

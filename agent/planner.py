@@ -5,7 +5,7 @@ from typing import Protocol, TypeVar
 
 from transport.agent.estimation.filter.belief import Belief
 from transport.agent.received import Received
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import Message, Plan
 from transport.protocol.wire.node_interface import Outbox
 
@@ -38,7 +38,7 @@ class AgentPlanner(Protocol[S]):
     def restart(self) -> None:
         """Reset for a new start in the run."""
 
-    def follow(self, setup: Setup) -> None:
+    def follow(self, setup: TeamRun) -> None:
         """Follow the reference of the run with a further target, from that target's tick on."""
 
     def announce(self) -> None:

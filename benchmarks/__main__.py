@@ -33,6 +33,7 @@ from benchmarks.runs import (
     times_ms,
 )
 from docs.tables import ROOT, place, put, table
+from transport.flight.roles import plant_run
 from transport.model.arrays import Array
 from transport.model.kernels import native
 from transport.plant.node import PlantNode
@@ -131,7 +132,7 @@ def parts() -> str:
 def integration(engine_name: str, uavs: int) -> list[float]:
     """Return times of one sampling period of the plant in hover, ms."""
     run = setup("resilient", CLIMB, f"plant.engine={engine_name}", uavs=uavs)
-    engine = PlantNode(run).engine
+    engine = PlantNode(plant_run(run)).engine
     return times_ms(
         [partial(engine.advance, run.hover.u, None, run.settings.sampling_period_s)], 400
     )

@@ -22,8 +22,8 @@ from transport.model.linear import motor_lag as motors
 from transport.model.physics.parameters import System
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.settings import ControllerSettings
+from transport.plant.plant_run import PlantRun
 from transport.protocol.scenario.sections.plant_sections import MotorsSection, RotorsSection
-from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Plan
 
 # Sources of an input that is not from a plan (`PlantState.plan_ticks`).
@@ -182,27 +182,27 @@ def _cross(a: Array, b: Array) -> Array:
     return np.asarray(forward - backward)
 
 
-def inner_loop(setup: Setup, step_s: float) -> InnerLoop | None:
+def inner_loop(setup: PlantRun, step_s: float) -> InnerLoop | None:
     """Return the inner loop of a run, if any, called every `step_s`.
 
     Raises: ScenarioError: no firmware starts.
     """
-    if setup.settings.inputs == "moments":
+    if setup.run.settings.inputs == "moments":
         return None
-    if setup.scenario.plant.inner_loop != "betaflight":
-        return RateLoop(setup.system, np.array(setup.settings.limits.moments_Nm))
+    if setup.section.inner_loop != "betaflight":
+        return RateLoop(setup.run.system, np.array(setup.run.settings.limits.moments_Nm))
     firmware: InnerLoop = importlib.import_module(_FIRMWARE).Betaflight(setup, step_s)
     return firmware
 
 
-def checked_firmware(setup: Setup) -> str:
+def checked_firmware(setup: PlantRun) -> str:
     """Return name and version of the firmware of a run, or of its autopilots, if any.
 
     Raises: ScenarioError: it is not usable.
     """
-    if setup.scenario.plant.autopilot is not None:
+    if setup.section.autopilot is not None:
         return str(importlib.import_module(_AUTOPILOTS).version(setup))
-    if setup.scenario.plant.inner_loop != "betaflight":
+    if setup.section.inner_loop != "betaflight":
         return ""
     return str(importlib.import_module(_FIRMWARE).version(setup))
 

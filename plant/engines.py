@@ -16,9 +16,9 @@ from transport.model.physics.parameters import System
 from transport.model.state import StateView
 from transport.plant.actuators import checked_firmware
 from transport.plant.environment import Environment, about
+from transport.plant.plant_run import PlantRun
 from transport.protocol.scenario.sections.plant_sections import PlantSection
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
-from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.user_class.user_errors import (
     OwnClassError,
     errors_of,
@@ -118,24 +118,24 @@ class Engine:
     Raises: ScenarioError: no such engine, or it does not take the initial state.
     """
 
-    def __init__(self, setup: Setup, system: System) -> None:
+    def __init__(self, setup: PlantRun, system: System) -> None:
         self.failure = ""
         self.tensions: Array = np.zeros(0)
-        self._section = setup.scenario.plant
-        self._x: Array = about(setup.initial_state(), system.payload.centre)
+        self._section = setup.section
+        self._x: Array = about(setup.run.initial_state(), system.payload.centre)
         try:
             self._make = _engine_class(self._section.engine)
             self._build(system)
         except OwnClassError as error:
-            raise ScenarioError(setup.scenario.name, "plant.engine", str(error)) from error
+            raise ScenarioError(setup.run.rules.name, "plant.engine", str(error)) from error
 
-    def warm_up(self, setup: Setup) -> None:
+    def warm_up(self, setup: PlantRun) -> None:
         """Integrate a period and go back to the initial state.
 
         The first period may compile what others use.
         """
-        self.advance(setup.hover.u, None, setup.settings.sampling_period_s)
-        self.restart(setup.initial_state(), self._system)
+        self.advance(setup.run.hover.u, None, setup.run.settings.sampling_period_s)
+        self.restart(setup.run.initial_state(), self._system)
 
     def restart(self, x: Array, system: System) -> None:
         """Continue from a state, (n,); with other bodies by a new object."""
@@ -244,7 +244,7 @@ class Engine:
             self.failure = self.failure or f"engine {self._section.engine}: {error}"
 
 
-def checked_engine(setup: Setup) -> str:
+def checked_engine(setup: PlantRun) -> str:
     """Return name and version of the engine of a run, and of a firmware if there is one.
 
     Builds the engine once, as the plant will.
@@ -252,12 +252,12 @@ def checked_engine(setup: Setup) -> str:
     Raises: ScenarioError: no such engine or firmware, or it does not take the initial state.
     """
     firmware = checked_firmware(setup)
-    name = setup.scenario.plant.engine
+    name = setup.section.engine
     Engine(setup, Environment(setup).system)
     try:
         engine = f"{name} {engine_version(name)}".rstrip()
     except OwnClassError as error:
-        raise ScenarioError(setup.scenario.name, "plant.engine", str(error)) from error
+        raise ScenarioError(setup.run.rules.name, "plant.engine", str(error)) from error
     return f"{engine}, {firmware}" if firmware else engine
 
 

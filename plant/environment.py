@@ -17,20 +17,11 @@ from transport.model.linear.linearisation import Model
 from transport.model.physics.hover import with_released
 from transport.model.physics.parameters import Payload, System, Uav
 from transport.model.physics.rotations import rotation
-from transport.model.state import (
-    OMEGA0,
-    R0,
-    SENSED,
-    SENSORS,
-    THETA0,
-    V0,
-    StateView,
-    is_measured,
-)
+from transport.model.state import OMEGA0, R0, SENSED, SENSORS, THETA0, V0, StateView, is_measured
+from transport.plant.plant_run import PlantRun
 from transport.protocol.scenario.faults.scripted_faults import Load
 from transport.protocol.scenario.links.draws import Streams, draw_key
 from transport.protocol.scenario.sections.plant_sections import UavFactorsSection
-from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.names import PLANT
 
 # Gusts are drawn at these intervals, so that the wind is the same at any sampling period.
@@ -59,27 +50,27 @@ class Environment:
         model: Their equations of motion.
     """
 
-    def __init__(self, setup: Setup) -> None:
-        section = setup.scenario.plant
-        N = setup.system.N
+    def __init__(self, setup: PlantRun) -> None:
+        section = setup.section
+        N = setup.run.system.N
         self.system = _actual_system(setup)
-        is_known = np.array_equal(self.system.drag, setup.system.drag)
+        is_known = np.array_equal(self.system.drag, setup.run.system.drag)
         is_nominal = (
             section.payload_mass_factor == section.uav_mass_factor == 1.0
             and section.payload_inertia_factor in (None, 1.0)
             and not any(section.payload_centre_m)
             and not section.uav
         )
-        self.model = setup.model if is_nominal and is_known else Model(self.system)
-        self._rho = np.array([uav.rho for uav in setup.system.uavs])
-        self._seed = setup.scenario.seed
+        self.model = setup.run.model if is_nominal and is_known else Model(self.system)
+        self._rho = np.array([uav.rho for uav in setup.run.system.uavs])
+        self._seed = setup.run.rules.seed
 
         wind = section.wind
         self._mean_I = np.array(wind.speed_mps)
         self._gust_I = np.array(wind.gust_mps)
         self._is_windy = bool(self._mean_I.any() or self._gust_I.any())
         self._gust_decay = math.exp(-GUST_STEP_S / wind.gust_time_constant_s)
-        self._gusts_per_tick = setup.settings.sampling_period_s / GUST_STEP_S
+        self._gusts_per_tick = setup.run.settings.sampling_period_s / GUST_STEP_S
         self._gusts: list[Array] = []  # in units of their standard deviation, by interval
         self._unknown_drag = self._drag_without_coefficients(setup)
 
@@ -89,15 +80,15 @@ class Environment:
         uav = [noise.rod_direction_rad, noise.rod_rate_rads, noise.attitude_rad, noise.rate_rads]
         self._deviations = np.repeat([*payload, *uav * N], 3)
 
-    def _drag_without_coefficients(self, setup: Setup) -> Array:
+    def _drag_without_coefficients(self, setup: PlantRun) -> Array:
         """Return the drag of payload and UAVs where `[system]` has none, (1 + N,), kg/s.
 
         By default moving air has a hold on them and still air has none.
         """
-        N = setup.system.N
-        if self.system.drag.any() or setup.system.drag.any():
+        N = setup.run.system.N
+        if self.system.drag.any() or setup.run.system.drag.any():
             return np.zeros(1 + N)
-        wind = setup.scenario.plant.wind
+        wind = setup.section.wind
         payload, uav = _DRAG_IN_WIND if self._is_windy else (0.0, 0.0)
         if wind.drag_payload_kgps is not None:
             payload = wind.drag_payload_kgps
@@ -213,13 +204,13 @@ class Sensors:
     periods before.
     """
 
-    def __init__(self, setup: Setup) -> None:
-        sheet = setup.sensors
-        self._seed = setup.scenario.seed
+    def __init__(self, setup: PlantRun) -> None:
+        sheet = setup.run.sensors
+        self._seed = setup.run.rules.seed
         self._noise = np.repeat(sheet.noise, 3)  # standard deviations, (15,)
         self._ages = np.repeat(sheet.ages, 3)  # periods, (15,)
         bias = np.repeat(sheet.bias, 3)
-        names = [f"bias/{uav}" for uav in range(1, setup.system.N + 1)]
+        names = [f"bias/{uav}" for uav in range(1, setup.run.system.N + 1)]
         self._bias = np.array([bias * drawn(self._seed, name, 0, SENSED) for name in names])
         # Outages: UAV, 0-based, sensor by its place in SENSORS, and the tick of its return, if any.
         self._outages: list[tuple[int, int, int | None]] = []
@@ -277,26 +268,25 @@ def about(x: Array, point: Array) -> Array:
     return moved
 
 
-def _actual_system(setup: Setup) -> System:
+def _actual_system(setup: PlantRun) -> System:
     """Return the actual bodies: masses, inertias and drag times factors, the centre of the payload.
 
     Inputs are moments.
     """
-    known = setup.system
-    scenario = setup.scenario
-    section = scenario.plant
+    known = setup.run.system
+    section = setup.section
     mass_factor, inertia_factor = section.payload_mass_factor, section.payload_inertia_factor
     if inertia_factor is None:
         inertia_factor = mass_factor
     payload = Payload(
         mass=mass_factor * known.payload.mass,
         inertia=inertia_factor * known.payload.inertia,
-        drag=section.drag_factor * scenario.system.payload.drag_kgps,
+        drag=section.drag_factor * setup.bodies.payload.drag_kgps,
         centre=section.payload_centre_m,
     )
     of_one = {one.id: one for one in section.uav}
     uavs = []
-    for uav, own in zip(known.uavs, scenario.system.uav, strict=True):
+    for uav, own in zip(known.uavs, setup.bodies.uav, strict=True):
         one = of_one.get(own.id, UavFactorsSection(id=own.id))
         uavs.append(
             Uav(

@@ -19,12 +19,12 @@ from transport.model.physics.parameters import Payload
 from transport.plant.actuators import INNER_STEP_S, MOTOR_OFF, ActuatorSchedule, Motors, inner_loop
 from transport.plant.engines import UNKNOWN_ERROR, Engine
 from transport.plant.environment import Environment, Sensors, payload_during
+from transport.plant.plant_run import PlantRun
 from transport.protocol.admission.carried import Place, carried_by, place_of
 from transport.protocol.admission.known_targets import KnownTargets
 from transport.protocol.admission.participant import Participant
 from transport.protocol.admission.stopping import Stopping
 from transport.protocol.scenario.faults.scripted_faults import OF_PLANT, Fault
-from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import (
     ActualInputs,
     Measurement,
@@ -78,53 +78,55 @@ class PlantNode(Participant):
 
     wake_ns: int | None = None
 
-    def __init__(self, setup: Setup, incarnation: int = 0) -> None:
-        section = setup.scenario.plant
+    def __init__(self, setup: PlantRun, incarnation: int = 0) -> None:
+        section = setup.section
         self._setup = setup
-        super().__init__(setup.rules, PLANT, incarnation, after=int(setup.scenario.clock.next_tick))
+        super().__init__(
+            setup.run.rules, PLANT, incarnation, after=int(setup.run.rules.clock.next_tick)
+        )
         self.environment = Environment(setup)
         self.engine = Engine(setup, self.environment.system)
 
-        self._period_s = setup.settings.sampling_period_s
+        self._period_s = setup.run.settings.sampling_period_s
         # Updates of the inner loops in a period, and integration steps between two of them.
         self._parts = 1
-        if setup.settings.inputs != "moments":
+        if setup.run.settings.inputs != "moments":
             self._parts = _at_least(self._period_s / INNER_STEP_S)
         self._steps = _at_least(self._period_s / self._parts / section.step_s)
         self._inner_loop = inner_loop(setup, self._period_s / self._parts)
 
-        instants_s = self._period_s * np.arange(setup.ticks + 1, dtype=np.float64)
-        self._path_I, _ = setup.maneuver.path(instants_s)
-        self._tilts = state.tilt_indices(setup.system.N)
-        self._whole_team = setup.whole_team()
+        instants_s = self._period_s * np.arange(setup.run.rules.ticks + 1, dtype=np.float64)
+        self._path_I, _ = setup.run.maneuver.path(instants_s)
+        self._tilts = state.tilt_indices(setup.run.system.N)
+        self._whole_team = setup.run.whole_team()
         # Targets that the team knows, and by target the agents whose plans have carried it.
-        self._targets = KnownTargets(setup)
+        self._targets = KnownTargets(setup.run)
         self._informed: dict[Place, set[int]] = {}
         self._stopping: Stopping | None = None
-        if setup.scenario.controller.silence == "stop":
-            self._stopping = Stopping(self._period_s, setup.ticks)
+        if setup.run.settings.silence == "stop":
+            self._stopping = Stopping(self._period_s, setup.run.ticks)
         fail_safe = self._whole_team.law.fail_safe
-        self._schedule = ActuatorSchedule(setup.hover.u, fail_safe, setup.settings)
-        own = [fault for fault in setup.faults if fault.do in OF_PLANT]
+        self._schedule = ActuatorSchedule(setup.run.hover.u, fail_safe, setup.run.settings)
+        own = [fault for fault in setup.run.rules.faults if fault.do in OF_PLANT]
         self._faults = deque(own)  # still to come
         # Motors that will degrade tell what they give from the first tick on.
         degrades = any(fault.do == "degrade" for fault in own)
-        factors = np.ones(setup.system.N)
+        factors = np.ones(setup.run.system.N)
         for one in section.uav:
             factors[one.id - 1] = one.thrust_factor
-        self._motors = Motors(section.motors, setup.hover.u, fails=degrades, factors=factors)
+        self._motors = Motors(section.motors, setup.run.hover.u, fails=degrades, factors=factors)
         # Newest change of the load while it goes on, and the payload before it.
         self._loading: tuple[Fault, Payload] | None = None
         self._off: set[int] = set()  # UAVs without motors, 0-based
         self._released: set[int] = set()  # of these
 
         self._k = 0  # the tick of the state
-        self._x: Array = setup.initial_state()
+        self._x: Array = setup.run.initial_state()
         # In force until tick k: commands, actual inputs and external forces.
-        self._u: Array = setup.hover.u.copy()
+        self._u: Array = setup.run.hover.u.copy()
         self._actual: Array = self._u
         self._forces: Array | None = None
-        self._sensors = Sensors(setup) if setup.sensors.vehicle else None
+        self._sensors = Sensors(setup) if setup.run.sensors.vehicle else None
         self._pending: deque[Tick] = deque()  # open, waiting for the interval before
         self._diverged = False
 
@@ -148,7 +150,7 @@ class PlantNode(Participant):
         """
         self._setup = self._setup.led_to(target)
         instants = np.arange(target.tick, len(self._path_I), dtype=np.float64)
-        self._path_I[target.tick :], _ = self._setup.maneuver.path(self._period_s * instants)
+        self._path_I[target.tick :], _ = self._setup.run.maneuver.path(self._period_s * instants)
         if not target.to:
             self._lead_team(target)
 
@@ -234,7 +236,7 @@ class PlantNode(Participant):
 
     def _measurement(self, tick: Tick, agent: int) -> Measurement:
         """Return the measurement of an agent, 1-based: UAVs and, unless by sensors, payload."""
-        owned = list(self._setup.owned[agent - 1])
+        owned = list(self._setup.run.owned[agent - 1])
         missing: tuple[int, ...] = ()
         if self._sensors is not None:
             payload = np.zeros(0)
@@ -447,7 +449,7 @@ class PlantNode(Participant):
         """Return why the run has diverged, empty if it has not."""
         if not np.isfinite(x).all():
             return "the state is no longer finite"
-        limits = self._setup.scenario.plant
+        limits = self._setup.section
         tilts = np.degrees(np.abs(x[self._tilts]))
         worst = int(np.argmax(tilts))
         if tilts[worst] > limits.max_attitude_deg:

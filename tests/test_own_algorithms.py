@@ -129,7 +129,7 @@ def team(controller: Any, x: Array, **settings: Any) -> list[Any]:
     scenario = setup(*[f"{key}={value}" for key, value in settings.items()])
     controllers = []
     for agent in scenario.agents:
-        run = run_of(scenario, agent)
+        run = run_of(scenario.run, agent)
         run.agents = scenario.agents
         of_agent = controller()
         of_agent.start(run)

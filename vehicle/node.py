@@ -15,6 +15,7 @@ motors run, and the instants of the ticks. In FLYING the setpoints come
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
@@ -23,7 +24,8 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.admission.participant import Participant
 from transport.protocol.admission.ticking import Ticking
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.sections.vehicles_section import VehiclesSection
+from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import (
     Measurement,
     Message,
@@ -53,6 +55,18 @@ class Phase(Enum):
     RELEASED = "released"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Conduct:
+    """How a vehicle flies.
+
+    With `stands` the UAV stands until tick 0: it is armed by this process, and given the thrust of
+    hover. Otherwise a person arms it, and it hovers by itself.
+    """
+
+    section: VehiclesSection
+    stands: bool = False
+
+
 class VehicleNode(Participant):
     """The process of one UAV, 1-based, which is that of the agent with the same number.
 
@@ -60,10 +74,9 @@ class VehicleNode(Participant):
         setup: The run.
         uav: Its number.
         autopilot: Its autopilot.
+        conduct: How it flies.
         incarnation: Number of this start.
         wall_offset_ns: The common clock less the steady clock of this process, ns.
-        stands: Whether the UAV stands until tick 0: it is armed by this process, and given the
-            thrust of hover. Otherwise a person arms it, and it hovers by itself.
 
     Attributes:
         phase: Its phase.
@@ -71,18 +84,17 @@ class VehicleNode(Participant):
 
     def __init__(
         self,
-        setup: Setup,
+        setup: TeamRun,
         uav: int,
         autopilot: Autopilot,
+        conduct: Conduct,
         incarnation: int = 0,
         wall_offset_ns: int = 0,
-        *,
-        stands: bool = False,
     ) -> None:
         self._uav = uav
         self._autopilot = autopilot
-        self._stands = stands
-        self._vehicles = setup.scenario.vehicles
+        self._stands = conduct.stands
+        self._vehicles = conduct.section
         self._wall_offset_ns = wall_offset_ns
         self._period_s = setup.settings.sampling_period_s
         self._own = OwnLaw(setup, uav - 1)
@@ -138,8 +150,10 @@ class VehicleNode(Participant):
         """Take the instants of the ticks; the first that are told hold for the whole run."""
         if start_ns and self._ticking is None:
             self._schedule_ns = start_ns
-            speed = self._setup.scenario.clock.speed
-            self._ticking = Ticking.of(start_ns, self._setup.period_ns, speed, self._wall_offset_ns)
+            speed = self._setup.rules.clock.speed
+            self._ticking = Ticking.of(
+                start_ns, self._setup.rules.period_ns, speed, self._wall_offset_ns
+            )
             self._wakes_ns = 0
 
     def _take_plan(self, plan: Plan, now_ns: int) -> None:
@@ -286,7 +300,7 @@ class VehicleNode(Participant):
         if told is None or told.sensed is None:
             self._problem = "no state from the autopilot"
             return None, -1.0
-        speed = self._setup.scenario.clock.speed
+        speed = self._setup.rules.clock.speed
         moved_s = speed * (at_ns - told.position_ns) / 1e9
         turned_s = speed * (at_ns - told.attitude_ns) / 1e9
         age_s = max(moved_s, turned_s)

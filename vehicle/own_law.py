@@ -7,7 +7,7 @@ from transport.mpc.alone.motion_by_own_sensors import OwnSensors
 from transport.mpc.alone.uav_motion import Motion
 from transport.mpc.law.laws_of_uavs_alone import AloneTeam
 from transport.mpc.law.present_law import Regulation
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.team_run import TeamRun
 
 
 class OwnLaw:
@@ -17,7 +17,7 @@ class OwnLaw:
     zero whenever it does. Source: docs/equations.md (31a)-(31f).
     """
 
-    def __init__(self, setup: Setup, uav: int) -> None:
+    def __init__(self, setup: TeamRun, uav: int) -> None:
         self._settings = setup.settings
         self._uav = uav
         reference = setup.reference.sampled
@@ -38,7 +38,7 @@ class OwnLaw:
         """Compute the motion that the UAV follows."""
         self._regulation.whole.fail_safe.warm_up()
 
-    def follow(self, setup: Setup) -> None:
+    def follow(self, setup: TeamRun) -> None:
         """Follow the reference of the run with a further target."""
         self._regulation.follow(setup.reference.sampled)
         self._team.follow(setup.reference.sampled)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from transport.protocol.network.mavlink import Endpoint, LinkError, MavlinkLink, read_key
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.sections.vehicles_section import VehiclesSection
 from transport.protocol.wire.exit_codes import EXIT_CHECK_FAILED
 from transport.vehicle.dialects import DIALECTS
 from transport.vehicle.mavlink_driver import MavlinkAutopilot, MavlinkSettings
@@ -17,17 +17,24 @@ _OWN = (255, 191)  # system of a ground station, component of an onboard compute
 
 
 def open_autopilot(
-    setup: Setup, uav: int, link: str, autopilot: str | None, key: Path | None
+    vehicles: VehiclesSection,
+    most_N: float,
+    uav: int,
+    link: str,
+    autopilot: str | None,
+    key: Path | None,
 ) -> MavlinkAutopilot:
-    """Return the driver of the autopilot of a UAV, 1-based, on its open link. Raises: LinkError."""
-    vehicles = setup.scenario.vehicles
+    """Return the driver of the autopilot of a UAV, 1-based, on its open link.
+
+    `most_N` is its largest thrust, where the section has none. Raises: LinkError.
+    """
     name = autopilot or vehicles.autopilot
     if name not in DIALECTS:
         raise LinkError(f"--autopilot: expected one of {', '.join(DIALECTS)}, got {name!r}")
     opened = MavlinkLink(Endpoint.of(link), _OWN, uav, None if key is None else read_key(key))
     settings = MavlinkSettings(
         system=uav,
-        thrust_N=vehicles.thrust_N or setup.settings.limits.thrust_N[1],
+        thrust_N=vehicles.thrust_N or most_N,
         origin=vehicles.origin,
         parameters=vehicles.parameters,
         stream_hz=2.0 * vehicles.setpoint_hz,

@@ -13,7 +13,7 @@ from transport.agent.estimation.received_states import News
 from transport.agent.estimation.sensor_estimator import Feedback, SensorEstimator
 from transport.agent.estimation.state_estimator import StateEstimator
 from transport.model.arrays import Array
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import Measurement, Plan
 
 
@@ -68,22 +68,24 @@ class Estimator(Protocol):
 
 
 def estimator_of(
-    setup: Setup, agent: int, reference: Callable[[int], Array], feedback: Feedback
+    setup: TeamRun, agent: int, reference: Callable[[int], Array], feedback: Feedback
 ) -> Estimator:
     """Return the estimator of an agent, 1-based, by `controller.estimator`.
 
     Given are the state to assume at a tick, (n,), with motor lag (n + m,), and the gain by which
     the other agents answer to their estimates.
     """
-    if setup.scenario.controller.estimator == "kalman":
+    if setup.settings.estimator == "kalman":
         return sensor_estimator(setup, agent, reference, feedback)
     return state_estimator(setup, agent, reference)
 
 
-def state_estimator(setup: Setup, agent: int, reference: Callable[[int], Array]) -> StateEstimator:
+def state_estimator(
+    setup: TeamRun, agent: int, reference: Callable[[int], Array]
+) -> StateEstimator:
     """Return the estimator from measured states, with forces if the scenario has them estimated."""
     owned = setup.owned[agent - 1]
-    section = setup.scenario.controller.disturbance
+    section = setup.settings.disturbance
     disturbance = None
     if section.estimate:
         team = MeasuredTeam(model=setup.model, hover=setup.hover, owned=owned)
@@ -93,7 +95,7 @@ def state_estimator(setup: Setup, agent: int, reference: Callable[[int], Array])
 
 
 def sensor_estimator(
-    setup: Setup,
+    setup: TeamRun,
     agent: int,
     reference: Callable[[int], Array],
     feedback: Feedback,
@@ -104,7 +106,7 @@ def sensor_estimator(
 
     # Unknown forces change within few ticks, and with them the gain. An agent that owns all UAVs
     # has no ticks with a part of the measurements.
-    is_reusing = len(owned) < setup.system.N and not setup.scenario.controller.disturbance.estimate
+    is_reusing = len(owned) < setup.system.N and not setup.settings.disturbance.estimate
     team_filter = GainReuse(TeamFilter(setup), owned, most_ticks if is_reusing else 0)
 
     # One integration step errs far less than the filter does.
@@ -112,7 +114,7 @@ def sensor_estimator(
     return SensorEstimator(motion, owned, team_filter, feedback, setup.sensors.ages)
 
 
-def _motion(setup: Setup, reference: Callable[[int], Array], steps: int) -> Motion:
+def _motion(setup: TeamRun, reference: Callable[[int], Array], steps: int) -> Motion:
     """Return the motion of the team by the agents' model."""
     return Motion(
         model=setup.model,

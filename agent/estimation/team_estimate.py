@@ -21,7 +21,7 @@ from transport.mpc.controller import Controller
 from transport.mpc.law.laws_of_uavs_alone import AloneTeam
 from transport.mpc.program.prediction import Prediction
 from transport.mpc.program.program_along_reference import Course
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.team_run import TeamRun
 
 _NO_UAVS: frozenset[int] = frozenset()
 
@@ -48,7 +48,7 @@ class TeamEstimate:
     """
 
     def __init__(
-        self, setup: Setup, agent: int, controller: Controller, *, has_shared_law: bool = True
+        self, setup: TeamRun, agent: int, controller: Controller, *, has_shared_law: bool = True
     ) -> None:
         self._setup = setup
         self._has_shared_law = has_shared_law
@@ -75,7 +75,7 @@ class TeamEstimate:
         self.announced = AnnouncedInputs(
             setup.owned,
             setup.hover.u,
-            setup.scenario.controller.received_plans,
+            setup.settings.received_plans,
             own=self._agent,
             law=self._shared_law(),
             settings=setup.settings,
@@ -92,7 +92,7 @@ class TeamEstimate:
         """Return how the others are assumed to act; with closed-loop prediction also alone."""
         if not self._has_shared_law:
             return SharedLaw()
-        section = self._setup.scenario.controller
+        section = self._setup.settings
         inputs, start_state = self._by_law, self.estimator.start_state
         if section.silence == "law" or section.prediction != "closed_loop":
             return SharedLaw(inputs=inputs, start_state=start_state)
@@ -141,7 +141,7 @@ class TeamEstimate:
         held_I = self._held_forces.part(uav, self._motors_off)
         return self._alone.inputs(uav, x[: self._setup.system.n], tick, held_I)
 
-    def follow(self, setup: Setup) -> None:
+    def follow(self, setup: TeamRun) -> None:
         """Take the reference from a run with a further target."""
         self._setup = setup
         reference = setup.reference.sampled
@@ -181,7 +181,7 @@ class TeamEstimate:
         if not self._has_landed:
             self._forces_in_flight = self.estimator.forces
         self._hold_forces(k)
-        if self._setup.scenario.controller.received_states == "as_received":
+        if self._setup.settings.received_states == "as_received":
             return self._as_received(x, k)
         return x
 

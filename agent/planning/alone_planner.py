@@ -21,7 +21,7 @@ from transport.mpc.alone.motion_by_own_sensors import OwnSensors
 from transport.mpc.alone.uav_motion import Motion, ahead, motion_of
 from transport.mpc.law.laws_of_uavs_alone import AloneTeam
 from transport.mpc.law.present_law import Regulation
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import STAGES, Measurement, Message, Plan
 from transport.protocol.wire.node_interface import Outbox
 
@@ -41,7 +41,7 @@ class AloneStep:
 class AlonePlanner:
     """Planner of an agent, 1-based, whose UAVs follow the reference alone; the stopwatch counts ns."""
 
-    def __init__(self, setup: Setup, agent: int, stopwatch: Callable[[], int]) -> None:
+    def __init__(self, setup: TeamRun, agent: int, stopwatch: Callable[[], int]) -> None:
         self._agent = agent
         self._stopwatch = stopwatch
         self._owned = setup.owned[agent - 1]
@@ -83,7 +83,7 @@ class AlonePlanner:
     def adopt(self, step: AloneStep, proposals: Sequence[Plan]) -> None:
         """Do nothing: there is no negotiation."""
 
-    def follow(self, setup: Setup) -> None:
+    def follow(self, setup: TeamRun) -> None:
         """Follow the reference of the run with a further target, from that target's tick on."""
         self._setup = setup
         self._regulation.follow(setup.reference.sampled)
@@ -165,7 +165,7 @@ class AlonePlanner:
     def _controlled(self, measured: Measurement) -> Array:
         """Return the inputs of the owned UAVs within rates and limits, (4 owned,)."""
         settings = self._setup.settings
-        start = measured.tick + int(self._setup.scenario.clock.next_tick)
+        start = measured.tick + int(self._setup.rules.clock.next_tick)
         before = self._inputs_before(measured)
         wanted = []
         for i, uav in enumerate(self._owned):
@@ -187,7 +187,7 @@ class AlonePlanner:
         The measured ones, or with `next_tick` those that the plan of the tick before is for. An
         agent that has returned has no such plan: its UAVs keep, as far as it knows, what they apply.
         """
-        if self._setup.scenario.clock.next_tick and self._has_planned:
+        if self._setup.rules.clock.next_tick and self._has_planned:
             return self._inputs
         return measured.inputs.reshape(-1)
 

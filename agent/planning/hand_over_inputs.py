@@ -14,7 +14,7 @@ from transport.mpc.alone.alone_law import steps_alone
 from transport.mpc.alone.motion_by_own_sensors import OwnSensors
 from transport.mpc.alone.uav_motion import Motion, ahead, motion_of
 from transport.mpc.program.prediction import Linear
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.team_run import TeamRun
 
 # Time over which the thrust of the team, that the integral begins with, is averaged, s.
 _PRELOAD_S = 1.0
@@ -25,7 +25,7 @@ _FADES_S = 0.2
 class HandOver:
     """Hand-over of the UAVs of one agent, 0-based, between the team's control law and the law alone."""
 
-    def __init__(self, setup: Setup, team: TeamEstimate, owned: Sequence[int]) -> None:
+    def __init__(self, setup: TeamRun, team: TeamEstimate, owned: Sequence[int]) -> None:
         self._setup, self._team, self._owned = setup, team, owned
         self._period_s = setup.settings.sampling_period_s
         self._mixture = Mixture(self._period_s)

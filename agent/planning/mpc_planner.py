@@ -34,7 +34,7 @@ from transport.mpc.program.horizon_cost import CostToGo
 from transport.mpc.program.prediction import Linear
 from transport.mpc.program.qp_solvers import unsolved
 from transport.mpc.program.softening import softened_problem
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import Message, Plan, StepReport
 from transport.protocol.wire.node_interface import Outbox
 
@@ -84,7 +84,7 @@ class Step:
 class Planner:
     """Estimator and controller of one agent, 1-based; the stopwatch counts ns of a steady clock."""
 
-    def __init__(self, setup: Setup, agent: int, stopwatch: Callable[[], int]) -> None:
+    def __init__(self, setup: TeamRun, agent: int, stopwatch: Callable[[], int]) -> None:
         self._setup = setup
         self._agent = agent
         self._stopwatch = stopwatch
@@ -103,9 +103,7 @@ class Planner:
     def _reset(self) -> None:
         settings = self._setup.settings
         uavs = len(self._owned)
-        self._sharing = Sharing(
-            self._setup.scenario.controller, settings.lower(uavs), settings.upper(uavs)
-        )
+        self._sharing = Sharing(self._setup.settings, settings.lower(uavs), settings.upper(uavs))
         self._freshness = Freshness()
         self._times = StageTimes(self._stopwatch)
         self._handover = HandOver(self._setup, self._team, self._owned)
@@ -116,7 +114,7 @@ class Planner:
         self._team.restart()
         self._reset()
 
-    def follow(self, setup: Setup) -> None:
+    def follow(self, setup: TeamRun) -> None:
         """Follow the reference of the run with a further target, from that target's tick on.
 
         Its plan is shared, as it carries the target. The other parts that `_reset` makes read nothing
@@ -170,13 +168,13 @@ class Planner:
             uav_states=self._team.estimator.reported(k, x),
             start_tick=start.tick,
             problem=problem,
-            negotiation=self._setup.scenario.controller.negotiation_iterations,
+            negotiation=self._setup.settings.negotiation_iterations,
         )
 
     def _horizon_start(self, k: int, x: Array) -> HorizonStart:
         """Return the begin of the horizon: the tick of the estimate, or one later by prediction."""
         announced = self._team.announced
-        if not self._setup.scenario.clock.next_tick:
+        if not self._setup.rules.clock.next_tick:
             u0 = self._team.estimator.inputs_until(k, announced)
             return HorizonStart(tick=k, x0=x, u0=u0)
         u0 = announced.in_force(k, before=k, x=x)

@@ -7,7 +7,7 @@ import numpy as np
 
 from transport.agent.received import Received
 from transport.model.arrays import Array
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import STAGES, Note, Plan, StepReport
 from transport.protocol.wire.node_interface import Outbox
 
@@ -66,7 +66,7 @@ def step_plan(
     tick: int,
     agent: int,
     out: Outbox,
-    setup: Setup,
+    setup: TeamRun,
     *,
     uav_states: Array,
     inputs: Array,
@@ -86,7 +86,7 @@ def step_plan(
         Plan,
         tick=tick,
         agent=agent,
-        start_tick=tick + int(setup.scenario.clock.next_tick),
+        start_tick=tick + int(setup.rules.clock.next_tick),
         uavs=tuple(uav + 1 for uav in setup.owned[agent - 1]),
         uav_states=uav_states,
         inputs=inputs,

@@ -16,7 +16,7 @@ from transport.model.linear.linearisation import Model
 from transport.model.path.target_and_stop import Target
 from transport.model.physics.parameters import System
 from transport.mpc.settings import ControllerSettings
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import MAX_DATA, Plan
 
 
@@ -53,7 +53,7 @@ class Run(Layout):
     # first plan, and the first one under each roster, since a receiver may know none yet.
     must_send: bool = True
     data_shape: tuple[int, ...] | None = None  # of the own data; None if none are declared
-    _setup: Setup
+    _setup: TeamRun
     _estimate: OwnEstimate | None = None  # None unless the class has asked for it
     _is_starting: bool = True
 
@@ -100,7 +100,7 @@ class Run(Layout):
         """Targets that this agent knows and follows, in the order in which they were told."""
         return self._setup.maneuver.targets
 
-    def follow(self, setup: Setup) -> None:
+    def follow(self, setup: TeamRun) -> None:
         """Take the reference from a run with a further target."""
         self._setup = setup
         if self._estimate is not None:
@@ -121,7 +121,7 @@ class Run(Layout):
             self._estimate.announce(plan)
 
 
-def run_of(setup: Setup, agent: int) -> Run:
+def run_of(setup: TeamRun, agent: int) -> Run:
     """Return team and run for the controller of an agent, 1-based."""
     owned = setup.owned[agent - 1]
     settings = setup.settings
@@ -143,7 +143,7 @@ def run_of(setup: Setup, agent: int) -> Run:
         period_s=settings.sampling_period_s,
         ticks=setup.ticks,
         horizon=settings.horizon,
-        delay=int(setup.scenario.clock.next_tick),
-        seed=setup.scenario.seed,
+        delay=int(setup.rules.clock.next_tick),
+        seed=setup.rules.seed,
         _setup=setup,
     )

@@ -8,7 +8,7 @@ from transport.agent.received import Received
 from transport.model.arrays import Array
 from transport.model.linear import motor_lag as motors
 from transport.mpc.controller import Controller
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import Plan
 
 
@@ -25,7 +25,7 @@ class OwnEstimate:
         u_before: Inputs in force just before that tick, (4 N,).
     """
 
-    def __init__(self, setup: Setup, agent: int) -> None:
+    def __init__(self, setup: TeamRun, agent: int) -> None:
         self._setup = setup
         self._n = setup.system.n
         self._controller = Controller(
@@ -76,7 +76,7 @@ class OwnEstimate:
         """
         return self._team.announced.sequence(self._start, steps, before=self._tick)
 
-    def follow(self, setup: Setup) -> None:
+    def follow(self, setup: TeamRun) -> None:
         """Take the reference from a run with a further target."""
         self._setup = setup
         self._team.follow(setup)
@@ -88,7 +88,7 @@ class OwnEstimate:
         x = team.update(received)
         self._tick = k
         self.x = x[: self._n]
-        if not self._setup.scenario.clock.next_tick:
+        if not self._setup.rules.clock.next_tick:
             self._start = k
             self.x_start = self.x
             self.u_before = team.estimator.inputs_until(k, team.announced)

@@ -27,7 +27,7 @@ from transport.mpc.alone.fail_safe import PLAYED_S
 from transport.protocol.scenario.radio.radio_parameters import PlanShape, is_class
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.sections.schema import Scenario
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.scenario.user_class.user_errors import OwnClassError
 from transport.protocol.scenario.user_class.user_import import own_class, version_of
 from transport.protocol.wire.messages import STAGES, Measurement, Message, Note, Plan
@@ -42,7 +42,7 @@ _UNCHANGED = (
 )
 
 
-def checked_controller(setup: Setup) -> str:
+def checked_controller(setup: TeamRun) -> str:
     """Return names and versions of the controllers after starting each once, in the order of agents.
 
     One that several agents have is named once, and started for the first of them.
@@ -51,11 +51,11 @@ def checked_controller(setup: Setup) -> str:
     """
     for planner in _own_planners(setup):
         planner.stop()
-    names = dict.fromkeys(setup.scenario.controllers)
+    names = dict.fromkeys(setup.known.controllers)
     try:
         return ", ".join(f"{name} {controller_version(name)}".rstrip() for name in names)
     except OwnClassError as error:
-        raise ScenarioError(setup.scenario.name, "agents.controller", str(error)) from error
+        raise ScenarioError(setup.rules.name, "agents.controller", str(error)) from error
 
 
 def controller_version(name: str) -> str:
@@ -74,17 +74,17 @@ def controller_versions(scenario: Scenario) -> str:
     return " ".join(map(controller_version, dict.fromkeys(scenario.controllers))).strip()
 
 
-def _own_planners(setup: Setup) -> Iterator["OwnPlanner"]:
+def _own_planners(setup: TeamRun) -> Iterator["OwnPlanner"]:
     """Yield a planner of each class of the user that is a controller of the run.
 
     Raises: ScenarioError: one cannot be used.
     """
-    controllers = setup.scenario.controllers
+    controllers = setup.known.controllers
     for name in dict.fromkeys(filter(is_class, controllers)):
         yield OwnPlanner(setup, controllers.index(name) + 1, lambda: 0)
 
 
-def plan_shapes(setup: Setup) -> dict[str, PlanShape]:
+def plan_shapes(setup: TeamRun) -> dict[str, PlanShape]:
     """Return the shapes that plans of a run have, the smallest first, by what tells them apart.
 
     A class of the user returns the inputs of one tick, or of more up to the horizon, with the data
@@ -142,18 +142,18 @@ class OwnPlanner:
 
     belief = None  # the filter of the class, if any, is not shown
 
-    def __init__(self, setup: Setup, agent: int, stopwatch: Callable[[], int]) -> None:
+    def __init__(self, setup: TeamRun, agent: int, stopwatch: Callable[[], int]) -> None:
         self._setup = setup
         self._agent = agent
         self._stopwatch = stopwatch
-        self._name = setup.scenario.controllers[agent - 1]
-        self._iterations = setup.scenario.controller.negotiation_iterations
+        self._name = setup.known.controllers[agent - 1]
+        self._iterations = setup.settings.negotiation_iterations
         self._owned = setup.owned[agent - 1]
         self._peers = tuple(other for other in setup.agents if other != agent)
         self._object: OwnObject | None = None
         self.restart()
         if self._problem:
-            raise ScenarioError(setup.scenario.name, "agents.controller", self._problem)
+            raise ScenarioError(setup.rules.name, "agents.controller", self._problem)
 
     @property
     def data_numbers(self) -> int:
@@ -196,7 +196,7 @@ class OwnPlanner:
             return str(error)
         return ""
 
-    def follow(self, setup: Setup) -> None:
+    def follow(self, setup: TeamRun) -> None:
         """Let the class have the reference with a further target, from that target's tick on."""
         self._setup = setup
         self.announce()

@@ -3,8 +3,8 @@
 import math
 
 from transport.model.physics.parameters import Uav
+from transport.plant.plant_run import PlantRun
 from transport.protocol.scenario.sections.plant_sections import RotorsSection
-from transport.protocol.scenario.setup.run_setup import Setup
 
 # Integral over proportional gain of roll, pitch and yaw, 1/s.
 _INTEGRAL = (0.5, 0.5, 0.1)
@@ -59,7 +59,7 @@ _ALWAYS = {
 
 
 def parameters(
-    setup: Setup, uav: Uav, rotors: RotorsSection, hover_N: float, rate_hz: float
+    setup: PlantRun, uav: Uav, rotors: RotorsSection, hover_N: float, rate_hz: float
 ) -> dict[str, float]:
     """Return the parameters of the autopilot of a UAV, which hovers with a thrust.
 
@@ -74,17 +74,17 @@ def parameters(
     arms_m = (s, s, rotors.drag_to_thrust_m)
     gains: dict[str, float] = {}
     for axis, name in enumerate(_AXES):
-        tau_s = setup.settings.rate_time_constant_s[axis]
+        tau_s = setup.run.settings.rate_time_constant_s[axis]
         p = uav.inertia[axis, axis] / (2.0 * arms_m[axis] * largest_N * tau_s)
         gains[f"ATC_RAT_{name}_P"] = p
         gains[f"ATC_RAT_{name}_I"] = _INTEGRAL[axis] * p
         gains[f"ATC_RAT_{name}_D"] = 0.0
-    timeout_s = setup.scenario.vehicles.setpoint_timeout_s
+    timeout_s = setup.vehicles.setpoint_timeout_s
     return {
         **_ALWAYS,
         **gains,
         "SIM_RATE_HZ": rate_hz,
         "MOT_THST_HOVER": hover_N / (4.0 * largest_N),
         "GUID_TIMEOUT": timeout_s,
-        **setup.scenario.vehicles.parameters,
+        **setup.vehicles.parameters,
     }

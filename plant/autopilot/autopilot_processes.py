@@ -28,8 +28,8 @@ from transport.model.state import INPUTS, SENSED
 from transport.plant.actuators import Rotors
 from transport.plant.autopilot.autopilot_parameters import parameters
 from transport.plant.firmware.tuning import rotors_of
+from transport.plant.plant_run import PlantRun
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
-from transport.protocol.scenario.setup.run_setup import Setup
 
 PROGRAM = "ARDUCOPTER"  # environment variable
 # Folder for the files of the autopilots, one folder each; a temporary one without the variable.
@@ -50,9 +50,9 @@ _PULSE_RANGE_US = 1000.0
 _DIES_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 
 
-def program(setup: Setup) -> list[str]:
+def program(setup: PlantRun) -> list[str]:
     """Return the command of the autopilots of a run. Raises: ScenarioError: there is none."""
-    if setup.scenario.plant.autopilot == "stand_in":
+    if setup.section.autopilot == "stand_in":
         return list(_STAND_IN)
     given = os.environ.get(PROGRAM, "")
     found = shutil.which(given) if given else None
@@ -60,16 +60,16 @@ def program(setup: Setup) -> list[str]:
         expected = f"the environment variable {PROGRAM} to name ArduCopter's simulator program"
         got = repr(given) if given else "none; build it from its source, see docs/flight.md"
         text = f"expected {expected}, got {got}"
-        raise ScenarioError(setup.scenario.name, "plant.autopilot", text)
+        raise ScenarioError(setup.run.rules.name, "plant.autopilot", text)
     return [str(Path(found).resolve())]
 
 
-def version(setup: Setup) -> str:
+def version(setup: PlantRun) -> str:
     """Return the name of the autopilots that a run will start. Raises: ScenarioError: they cannot be."""
     if find_spec("pymavlink") is None:
         text = "expected the package pymavlink, got none; pip install 'payload-transport[flight]'"
-        raise ScenarioError(setup.scenario.name, "plant.autopilot", text)
-    name = setup.scenario.plant.autopilot
+        raise ScenarioError(setup.run.rules.name, "plant.autopilot", text)
+    name = setup.section.autopilot
     return f"autopilots {name}, {Path(program(setup)[0]).name}"
 
 
@@ -85,8 +85,8 @@ class Autopilots:
     Raises: ScenarioError: a program cannot be started.
     """
 
-    def __init__(self, setup: Setup, port: int) -> None:
-        kind = setup.scenario.plant.autopilot or "stand_in"
+    def __init__(self, setup: PlantRun, port: int) -> None:
+        kind = setup.section.autopilot or "stand_in"
         self.step_s = 1.0 / STEPS_HZ[kind]
         self.failure = ""
         rotors = rotors_of(setup)
@@ -101,14 +101,14 @@ class Autopilots:
         weakref.finalize(self, _end, self._processes, folder if is_temporary else None)
 
         command = program(setup)
-        hover_N = setup.hover.u[::INPUTS]
-        for i, uav in enumerate(setup.system.uavs):
+        hover_N = setup.run.hover.u[::INPUTS]
+        for i, uav in enumerate(setup.run.system.uavs):
             own = Path(folder) / f"uav{i + 1}"
             own.mkdir(parents=True, exist_ok=True)
             wanted = parameters(setup, uav, rotors[i], float(hover_N[i]), STEPS_HZ[kind])
             lines = [f"{name} {value:.9g}" for name, value in wanted.items()]
             (own / "defaults.parm").write_text("\n".join(lines) + "\n", encoding="ascii")
-            self._start(command, own, i, port + i, setup.scenario.vehicles.origin)
+            self._start(command, own, i, port + i, setup.vehicles.origin)
 
     def _start(
         self,

@@ -10,8 +10,8 @@ from typing import Protocol
 
 from transport.model.arrays import Array
 from transport.plant.node import Integrated, Period, PlantNode
+from transport.plant.plant_run import PlantRun
 from transport.protocol.admission.ticking import Ticking
-from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, Schedule
 
 # Most steps in one turn, so that messages are read between them.
@@ -44,7 +44,7 @@ class PlayedPlant(PlantNode):
 
     def __init__(
         self,
-        setup: Setup,
+        setup: PlantRun,
         autopilots: AutopilotBank,
         incarnation: int = 0,
         wall_offset_ns: int = 0,
@@ -55,7 +55,7 @@ class PlayedPlant(PlantNode):
         self._step_ns = round(autopilots.step_s * 1e9)
         self._steps_per_tick = round(self._period_s / autopilots.step_s)
         self._steps = 1  # integration steps between two exchanges
-        self._speed_of_run = setup.scenario.clock.speed
+        self._speed_of_run = setup.run.rules.clock.speed
         self.wake_ns = 0
         self._begun_ns: int | None = None  # when the first step was played
         self._played = 0  # steps since then
@@ -68,7 +68,7 @@ class PlayedPlant(PlantNode):
         if isinstance(message, Schedule) and message.start_ns and self._ticking is None:
             self._ticking = Ticking.of(
                 message.start_ns,
-                self._setup.period_ns,
+                self._setup.run.rules.period_ns,
                 self._speed_of_run,
                 self._wall_offset_ns,
             )
@@ -139,7 +139,7 @@ class PlayedPlant(PlantNode):
             return []
         end = self._until
         self._until = None
-        if self._k >= self._setup.ticks:  # after the last tick nothing is recorded
+        if self._k >= self._setup.run.rules.ticks:  # after the last tick nothing is recorded
             self._x = end.x
             return []
         return self._conclude(self._decided, end)

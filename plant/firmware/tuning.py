@@ -7,8 +7,8 @@ import numpy as np
 from transport.model.arrays import Array
 from transport.model.physics.parameters import Uav
 from transport.plant.actuators import Rotors
+from transport.plant.plant_run import PlantRun
 from transport.protocol.scenario.sections.plant_sections import RotorsSection
-from transport.protocol.scenario.setup.run_setup import Setup
 
 # Output of the motors when armed, and the channel of the throttle from which it rises, us.
 IDLE = 0.055
@@ -50,11 +50,11 @@ _RATE_UNIT_DEG_S = 10.0
 _LARGEST_RATE = 200
 
 
-def rotors_of(setup: Setup) -> list[RotorsSection]:
+def rotors_of(setup: PlantRun) -> list[RotorsSection]:
     """Return the rotors of each UAV, as the scenario names them or else assumed."""
-    section = setup.scenario.plant.motors.rotors
-    uav_most_N = setup.settings.limits.thrust_N[1]
-    return [section or _assumed_rotors(uav, uav_most_N) for uav in setup.system.uavs]
+    section = setup.section.motors.rotors
+    uav_most_N = setup.run.settings.limits.thrust_N[1]
+    return [section or _assumed_rotors(uav, uav_most_N) for uav in setup.run.system.uavs]
 
 
 def _assumed_rotors(uav: Uav, uav_most_N: float) -> RotorsSection:
@@ -67,21 +67,21 @@ def _assumed_rotors(uav: Uav, uav_most_N: float) -> RotorsSection:
     )
 
 
-def rate_settings(setup: Setup) -> list[int]:
+def rate_settings(setup: PlantRun) -> list[int]:
     """Return the settings of the largest rates about roll, pitch and yaw, 10 deg/s.
 
     Full sticks are at least the limits of the commands.
     """
-    limits = np.degrees(setup.settings.limits.rates_rads) / _RATE_UNIT_DEG_S
+    limits = np.degrees(setup.run.settings.limits.rates_rads) / _RATE_UNIT_DEG_S
     return [min(math.ceil(limit), _LARGEST_RATE) for limit in limits]
 
 
-def largest_rates_rads(setup: Setup) -> Array:
+def largest_rates_rads(setup: PlantRun) -> Array:
     """Return the rates of full sticks about roll, pitch and yaw, (3,), rad/s."""
     return np.radians([_RATE_UNIT_DEG_S * rate for rate in rate_settings(setup)])
 
 
-def tuning(setup: Setup, uav: Uav, section: RotorsSection, hover_thrust_N: float) -> list[str]:
+def tuning(setup: PlantRun, uav: Uav, section: RotorsSection, hover_thrust_N: float) -> list[str]:
     """Return rates and gains with which body rates follow with the scenario's time constants.
 
     The thrust of a rotor is T = T_max o^2 at an output o, so at hover
@@ -103,7 +103,7 @@ def tuning(setup: Setup, uav: Uav, section: RotorsSection, hover_thrust_N: float
     lines = []
     for axis, name in enumerate(_AXES):
         moment_per_output_Nm = thrust_per_output_N * np.abs(mixing[1 + axis]).sum()
-        K = 1.0 / setup.settings.rate_time_constant_s[axis]  # 1/s
+        K = 1.0 / setup.run.settings.rate_time_constant_s[axis]  # 1/s
         share = max(1.0 - K * _DERIVATIVE_S, _LEAST_SHARE)
         p = K * uav.inertia[axis, axis] / moment_per_output_Nm / share
         p_degrees = math.radians(p)

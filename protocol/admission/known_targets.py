@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from transport.model.path.target_and_stop import Slowing
 from transport.protocol.admission.carried import Place, place_of
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import MAX_CARRIED, MAX_TARGETS, Target
@@ -23,7 +23,7 @@ class KnownTargets:
     two processes that know the same targets have the same path.
     """
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: TeamRun) -> None:
         self.setup = setup
         self._without = setup
         self._known: dict[Place, Target] = {}

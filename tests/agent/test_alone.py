@@ -48,7 +48,7 @@ def test_its_first_plan_starts_from_the_measured_inputs(actuation: str) -> None:
     before, whose inputs are in force when the next plan starts.
     """
     run = runs.ready("alone", "plant.sensors=state", f"clock.actuation={actuation}")
-    planner = AlonePlanner(run, AGENT, lambda: 0)
+    planner = AlonePlanner(run.run, AGENT, lambda: 0)
     step = run.settings.largest_step(1)
     at_hover = run.hover.u[state.input_slice(AGENT - 1)]
 

@@ -99,8 +99,8 @@ def test_the_reference_is_by_the_own_clock(ahead_s: float) -> None:
     After a target too.
     """
     run = ready("resilient", f"clock.offsets_s=[0.0,{ahead_s},0.0,0.0]")
-    assert run.by_clock_of(1) is run
-    own = run.by_clock_of(2)
+    assert run.run.by_clock_of(1) is run.run
+    own = run.run.by_clock_of(2)
     t_s = np.array([0.0, 5.5, 7.0, 12.0])
     np.testing.assert_allclose(
         own.reference.states(t_s), run.reference.states(np.maximum(t_s + ahead_s, 0.0)), atol=1e-12

@@ -32,6 +32,7 @@ from transport.agent.user_class.user_planner import checked_controller
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
 from transport.flight.memory import simulate
+from transport.flight.roles import plant_run
 from transport.model.arrays import Array
 from transport.plant.engines import checked_engine
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
@@ -100,7 +101,7 @@ def own(
 def test_velocities_by_name() -> None:
     """`run.velocity` is r_i' of docs/equations.md (39), and that of the sensors where they measure it."""
     team = setup()
-    run = run_of(team, 2)
+    run = run_of(team.run, 2)
     x = random_state(np.random.default_rng(3), team.system.N)
     expected = team.model.velocities(x)[1:]
     found = [run.velocity(uav, x) for uav in range(team.system.N)]
@@ -369,7 +370,7 @@ def test_what_cannot_fly_is_refused(
     """Before anything starts, and with the same words where an agent is built."""
     own(tmp_path, monkeypatch, "return self.u", "raise RuntimeError('no gains')")
     run = setup(SHORT, f"agents.controller={name}")
-    for build in (lambda: checked_controller(run), lambda: AgentNode(run, 2)):
+    for build in (lambda: checked_controller(run.run), lambda: AgentNode(run, 2)):
         with pytest.raises(ScenarioError) as refused:
             build()
         assert refused.value.field == "agents.controller"
@@ -399,12 +400,18 @@ def test_a_version_is_text_that_a_log_can_hold(
     )
     name = "my_own:Mine" if kind == "controller" else "my_own:Steel"
     run = setup(SHORT, f"{key}={name}")
-    check = checked_controller if kind == "controller" else checked_engine
+
+    def version_told() -> str:
+        """Return the class with its version, as the record of a run has it."""
+        if kind == "controller":
+            return checked_controller(run.run)
+        return checked_engine(plant_run(run))
+
     if told is not None:
-        assert check(run) == f"{name} {told}"
+        assert version_told() == f"{name} {told}"
         return
     with pytest.raises(ScenarioError, match="its version raised ") as refused:
-        check(run)
+        version_told()
     assert refused.value.field == key
 
 
@@ -434,9 +441,9 @@ def test_each_agent_has_the_controller_of_its_place(
     given = {plan.inputs[0, 0] for plan in plans if plan.agent == 3}
     assert given == {0.9 * thrust, 0.8 * thrust}
 
-    name, version = checked_controller(run).rsplit(" ", 1)
+    name, version = checked_controller(run.run).rsplit(" ", 1)
     assert name == "mpc, alone, my_own:Mine"
-    assert version == checked_controller(setup("agents.controller=my_own:Mine")).split()[1]
+    assert version == checked_controller(setup("agents.controller=my_own:Mine").run).split()[1]
     assert {
         message.agent for message in messages if isinstance(message, Note) and message.problem
     } == set()

@@ -157,7 +157,7 @@ def test_plans_that_are_kept_back_do_not_arrive() -> None:
 
 def test_a_class_tells_its_version() -> None:
     """The version of a class stands behind its name."""
-    assert checked_controller(setup(SHORT, SELDOM)).endswith(f":Seldom {Seldom.version}")
+    assert checked_controller(setup(SHORT, SELDOM).run).endswith(f":Seldom {Seldom.version}")
 
 
 def test_data_of_another_shape_are_refused() -> None:
@@ -197,31 +197,31 @@ def test_a_share_that_is_too_large(shape: object, monkeypatch: pytest.MonkeyPatc
     """It is refused before anything starts, with the limit."""
     monkeypatch.setattr(Chain, "start", lambda _self, run: run.share(shape))
     with pytest.raises(ScenarioError, match=r"expected a shape of 1 to 512 numbers \(4096 bytes\)"):
-        checked_controller(setup(SHORT, CHAIN))
+        checked_controller(setup(SHORT, CHAIN).run)
 
 
 def test_a_class_without_negotiate(monkeypatch: pytest.MonkeyPatch) -> None:
     """It cannot take part in several exchanges: refused before anything starts."""
     monkeypatch.delattr(Chain, "negotiate")
     with pytest.raises(ScenarioError, match="got no negotiate"):
-        checked_controller(setup(SHORT, CHAIN, THREE))
-    assert checked_controller(setup(SHORT, CHAIN)).endswith(":Chain 1")
+        checked_controller(setup(SHORT, CHAIN, THREE).run)
+    assert checked_controller(setup(SHORT, CHAIN).run).endswith(":Chain 1")
 
 
 @pytest.mark.parametrize("shape", [np.int64(4), (np.int32(2), 2), np.array([2, 2]), [4]])
 def test_numbers_of_numpy_are_a_shape(shape: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """A length may be any integer, and a shape any sequence of them."""
     monkeypatch.setattr(Chain, "start", lambda _self, run: run.share(shape))
-    assert plan_shapes(setup(SHORT, CHAIN))["with the inputs of one tick "].data == 4
+    assert plan_shapes(setup(SHORT, CHAIN).run)["with the inputs of one tick "].data == 4
 
 
 def test_the_length_of_plans_is_told_with_the_declared_data() -> None:
     """Plans of a class have its data, with the inputs of one tick or of up to the horizon."""
     run = setup(SHORT, CHAIN)
-    one_tick, horizon = plan_shapes(run).values()
+    one_tick, horizon = plan_shapes(run.run).values()
     assert one_tick == PlanShape(inputs=1, data=math.prod(Chain.shape))
     assert horizon == PlanShape(inputs=run.settings.horizon, data=math.prod(Chain.shape))
-    assert list(plan_shapes(setup(SHORT)).values()) == [PlanShape.of(setup(SHORT))]
+    assert list(plan_shapes(setup(SHORT).run).values()) == [PlanShape.of(setup(SHORT).run)]
 
 
 FAILURES = {

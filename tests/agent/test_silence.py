@@ -85,7 +85,7 @@ def largest_attitude(messages: Sequence[Message]) -> float:
 def _alone(run: Setup, along: Sequence[tuple[Array, Array]], ticks: int) -> list[float]:
     """Return the largest standard deviation of a filter that has UAV 1's measurements, by tick."""
     controller = Controller(run.model, run.hover, run.settings, run.owned[0], run.reference.sampled)
-    kalman, m = TeamFilter(run), run.system.m
+    kalman, m = TeamFilter(run.run), run.system.m
     by_law = np.repeat(np.arange(run.system.N) != 0, state.INPUTS)
     untold = Untold(by_law=by_law, by_fail_safe=np.zeros(m, dtype=bool))
     silent = Silent(alone=by_law.astype(np.float64), correlation=np.zeros(m))
@@ -138,7 +138,7 @@ def test_without_news_the_covariance_along_a_path_is_bounded() -> None:
 def _estimator(run: Setup) -> tuple[SensorEstimator, AnnouncedInputs]:
     """Return the estimator of agent 1 about the reference, without a shared law."""
     no_gain = np.zeros((run.system.m, run.system.n))
-    estimator = sensor_estimator(run, 1, lambda tick: run.X_ref[tick], lambda _: no_gain)
+    estimator = sensor_estimator(run.run, 1, lambda tick: run.X_ref[tick], lambda _: no_gain)
     return estimator, AnnouncedInputs(run.owned, run.hover.u, own=1)
 
 
@@ -217,7 +217,7 @@ def test_a_covariance_out_of_range_at_a_failure_begins_anew() -> None:
         reference=lambda tick: run.X_ref[tick],
         period_s=run.settings.sampling_period_s,
     )
-    team_filter = Singular(TeamFilter(run), run.owned[0])
+    team_filter = Singular(TeamFilter(run.run), run.owned[0])
     estimator = SensorEstimator(motion, run.owned[0], team_filter, lambda _: no_gain, (0,) * 5)
     announced = AnnouncedInputs(run.owned, run.hover.u, own=1)
     for k in range(4):

@@ -30,7 +30,7 @@ def _team(run: Setup) -> TeamEstimate:
     """Return the estimate of an agent before its first tick."""
     owned = run.owned[AGENT - 1]
     controller = Controller(run.model, run.hover, run.settings, owned, run.reference.sampled)
-    return TeamEstimate(run, AGENT, controller)
+    return TeamEstimate(run.run, AGENT, controller)
 
 
 def _received(
@@ -141,7 +141,7 @@ def test_agents_off_the_roster_are_assumed_on_the_present_fail_safe() -> None:
     assert after_failure is not first
     team.restart()
     assert is_present()
-    team.follow(_with_target(run, 2))
+    team.follow(_with_target(run, 2).run)
     assert is_present()
     assert team.announced.fail_safe is not after_failure
 
@@ -171,5 +171,5 @@ def test_a_target_completes_the_law_of_a_new_team(left: int | None, expected: in
         team.update(_received(run, left - 1))
         team.update(_received(run, left, gone={2}))
         assert team.announced.law_since == left
-    team.follow(_with_target(run, 40))
+    team.follow(_with_target(run, 40).run)
     assert team.announced.law_since == expected

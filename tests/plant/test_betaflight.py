@@ -16,6 +16,7 @@ import pytest
 import transport
 from tests.support.commands import wait_for
 from tests.support.runs import SCENARIOS
+from transport.flight.roles import plant_run
 from transport.model.arrays import Array
 from transport.model.kernels import compiler
 from transport.model.physics.rotations import rotation
@@ -95,7 +96,7 @@ def test_rates_follow_as_the_controllers_predict(time_constant_s: float) -> None
     """
     run = setup(f"controller.rate_time_constant_s=[{time_constant_s},{time_constant_s},0.12]")
     rates = np.vstack([0.5 * np.eye(3), np.zeros(3)])
-    found = turned(Betaflight(run, STEP_S), run, rates, 0.8)
+    found = turned(Betaflight(plant_run(run), STEP_S), run, rates, 0.8)
     for axis, expected_s in enumerate((time_constant_s, time_constant_s, 0.12)):
         share = found[:, axis, axis] / 0.5
         reached_s = STEP_S * np.argmax(share > 1.0 - np.exp(-1.0))
@@ -110,7 +111,7 @@ def test_rates_follow_as_the_controllers_predict(time_constant_s: float) -> None
 def test_hover_is_the_commanded_thrust() -> None:
     """The rotors give the commanded thrust within the steps of the receiver, 1 us of 950, and no moments at rest."""
     run = setup()
-    loop = Betaflight(run, STEP_S)
+    loop = Betaflight(plant_run(run), STEP_S)
     hover = run.hover.u.reshape(-1, 4)
     for share in (1.0, 0.6, 1.4):
         command = hover * [share, 0.0, 0.0, 0.0]
@@ -126,8 +127,8 @@ def test_the_throttle_makes_up_for_truncation() -> None:
     The firmware loses 0.8 to 2.8 us of the throttle; a channel is a whole number of microseconds.
     """
     run = setup()
-    loop = Betaflight(run, STEP_S)
-    most_N = 4.0 * rotors_of(run)[0].thrust_N[1]
+    loop = Betaflight(plant_run(run), STEP_S)
+    most_N = 4.0 * rotors_of(plant_run(run))[0].thrust_N[1]
     lost_us = []
     for share in np.linspace(0.6, 1.4, 41):
         command = run.hover.u.reshape(-1, 4) * [share, 0.0, 0.0, 0.0]
@@ -145,7 +146,7 @@ def test_sensors_have_the_signs_of_the_firmware() -> None:
     run, to_flu = setup(), np.diag([1.0, -1.0, -1.0])
     x = run.initial_state()
     StateView(x).Theta[:] = [0.1, -0.3, 0.7]
-    (sensors, *_) = Betaflight(run, STEP_S)._sensors(x)
+    (sensors, *_) = Betaflight(plant_run(run), STEP_S)._sensors(x)
     R_IB = rotation(np.array([0.1, -0.3, 0.7]))
     felt_flu = to_flu @ R_IB.T @ [0.0, 0.0, -run.system.gravity]
     assert sensors[3:6] == pytest.approx(-felt_flu)
@@ -202,7 +203,7 @@ def test_sticks_have_the_signs_of_the_firmware(
 ) -> None:
     """A commanded body rate about forward, right or down moves its own stick, in proportion."""
     run = setup()
-    loop = Betaflight(run, STEP_S)
+    loop = Betaflight(plant_run(run), STEP_S)
     sticks = []
     for rate in (0.0, 0.5, 1.0, -1.0):
         command = run.hover.u.reshape(-1, 4).copy()
@@ -238,7 +239,7 @@ def test_a_vehicle_at_rest_feels_its_weight(
     Nose up the vehicle is supported towards its nose, right wing down towards its left.
     """
     run = setup()
-    loop = Betaflight(run, STEP_S)
+    loop = Betaflight(plant_run(run), STEP_S)
     x = run.initial_state()
     StateView(x).Theta[:] = Theta
     for _ in range(2):  # the velocity of the step before is that of this one
@@ -261,7 +262,7 @@ def test_attitudes_are_those_of_forward_left_up(
 ) -> None:
     """The quaternion turns about forward, left, up; angular velocities are about forward, right, down."""
     run = setup()
-    loop = Betaflight(run, STEP_S)
+    loop = Betaflight(plant_run(run), STEP_S)
     x = run.initial_state()
     StateView(x).Theta[:] = Theta
     StateView(x).uavs[:, OMEGA] = [0.1, 0.2, 0.3]
@@ -274,7 +275,7 @@ def test_attitudes_are_those_of_forward_left_up(
 def test_accelerations_are_changes_of_velocity(packets: list[Packets]) -> None:
     """A velocity that changes within a step is felt, forward negated; one that jumped, after `reset`, is not."""
     run = setup()
-    loop = Betaflight(run, STEP_S)
+    loop = Betaflight(plant_run(run), STEP_S)
     command, x = run.hover.u.reshape(-1, 4), run.initial_state()
     loop.moments(command, x)
     faster = x.copy()
@@ -293,12 +294,12 @@ def test_rotors_push_by_the_square_of_their_outputs(
 ) -> None:
     """Thrust and moments are those of (56) for thrusts T_max o^2, with outputs o within 0 and 1."""
     run = setup()
-    loop = Betaflight(run, STEP_S)
+    loop = Betaflight(plant_run(run), STEP_S)
     for each in packets:
         each.given = outputs
     found = loop.moments(run.hover.u.reshape(-1, 4), run.initial_state())
     squares = np.array([{1.2: 1.0, -0.1: 0.0}.get(output, output**2) for output in outputs])
-    for inputs, rotors in zip(found, rotors_of(run), strict=True):
+    for inputs, rotors in zip(found, rotors_of(plant_run(run)), strict=True):
         expected = Rotors(rotors).mixing @ (rotors.thrust_N[1] * squares)
         np.testing.assert_allclose(inputs, expected, rtol=1e-12, atol=1e-12)
 
@@ -308,8 +309,8 @@ def test_the_throttle_is_the_inverse_of_the_thrust(packets: list[Packets]) -> No
     assert f"set min_check = {IDLE_US}" in SETTINGS
     assert f"set motor_idle = {IDLE * 1e4:.0f}" in SETTINGS  # in 0.01 %
     run = setup()
-    loop = Betaflight(run, STEP_S)
-    hover_N, most_N = run.hover.u[0], 4.0 * rotors_of(run)[0].thrust_N[1]
+    loop = Betaflight(plant_run(run), STEP_S)
+    hover_N, most_N = run.hover.u[0], 4.0 * rotors_of(plant_run(run))[0].thrust_N[1]
     above_idle = (np.sqrt(hover_N / most_N) - IDLE) / (1.0 - IDLE)
     at_hover = round(IDLE_US + (FULL_US - IDLE_US) * above_idle + TRUNCATED_US)
     channels = []
@@ -325,7 +326,7 @@ def test_the_throttle_is_the_inverse_of_the_thrust(packets: list[Packets]) -> No
 def test_a_frozen_firmware_is_not_asked_again(packets: list[Packets]) -> None:
     """After a failure, each further step of the period has the commanded thrusts, without an exchange."""
     run = setup()
-    loop = Betaflight(run, STEP_S)
+    loop = Betaflight(plant_run(run), STEP_S)
     command, x = run.hover.u.reshape(-1, 4).copy(), run.initial_state()
     command[:, 1:] = 0.5
     packets[0].given = ()
@@ -378,7 +379,7 @@ def test_four_firmwares_carry_the_payload(scenario: str, settings: dict[str, Any
 def test_a_firmware_that_ends_ends_the_run() -> None:
     """The run diverges with a reason, and the other firmwares end."""
     run = setup()
-    loop = Betaflight(run, STEP_S)
+    loop = Betaflight(plant_run(run), STEP_S)
     command, x = run.hover.u.reshape(-1, 4), run.initial_state()
     os.kill(firmwares(psutil.Process())[0].pid, signal.SIGKILL)
     for _ in range(3):
@@ -455,4 +456,4 @@ def test_what_is_missing_is_told(
         monkeypatch.setattr(compiler, "find_compiler", lambda: None)
         expected = "plant.inner_loop: .*C compiler"
     with pytest.raises(ScenarioError, match=expected):
-        checked_firmware(setup())
+        checked_firmware(plant_run(setup()))

@@ -12,6 +12,7 @@ import pytest
 from tests.support.nodes import PlantNode
 from tests.support.runs import SHORT, integrated, plant_states, recorded, reproducible, setup
 from transport.flight.memory import simulate
+from transport.flight.roles import plant_run
 from transport.model.arrays import Array
 from transport.plant.engines import Engine, checked_engine, engine_version
 from transport.plant.environment import Environment
@@ -103,7 +104,7 @@ def broken(advance: str = "pass", state: str = "return self.x", reset: str = "se
 def refusal(run: Setup) -> str:
     """Return the text with which an engine is refused, wherever it is built."""
     with pytest.raises(ScenarioError) as checked:
-        checked_engine(run)
+        checked_engine(plant_run(run))
     with pytest.raises(ScenarioError) as built:
         PlantNode(run)
     assert str(checked.value) == str(built.value)
@@ -124,12 +125,12 @@ def states(messages: list[Message]) -> Array:
 def test_rods_is_the_model() -> None:
     """The default engine integrates the controllers' equations: the same bits as the model itself."""
     run = setup(SHORT)
-    engine = Engine(run, Environment(run).system)
+    engine = Engine(plant_run(run), Environment(plant_run(run)).system)
     u = run.hover.u * 1.02
     found, error = engine.advance(u, None, 0.05)
     np.testing.assert_array_equal(found, integrated(run, run.initial_state(), u))
     assert 0.0 <= error < 1e-6
-    assert checked_engine(run) == f"rods {engine_version('rods')}"
+    assert checked_engine(plant_run(run)) == f"rods {engine_version('rods')}"
 
 
 def test_an_engine_of_a_person_flies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -144,7 +145,7 @@ def test_an_engine_of_a_person_flies(tmp_path: Path, monkeypatch: pytest.MonkeyP
     run = setup(SHORT, *effects, "plant.engine=mine_flies:Own")
     own = recorded(run)
     assert sys.path == path
-    assert checked_engine(run) == "mine_flies:Own 1.2"
+    assert checked_engine(plant_run(run)) == "mine_flies:Own 1.2"
     assert np.abs(states(own) - states(recorded(setup(SHORT, *effects)))).max() < AGREEMENT
     assert {plant_state.local_error for plant_state in plant_states(own)} == {-1.0}
     # And once more: the same bits.
@@ -292,7 +293,7 @@ def test_an_engine_that_works_in_place(tmp_path: Path, monkeypatch: pytest.Monke
     run = runs[0]
     u = run.hover.u.copy()
     forces = np.ones(3 + 3 * run.system.N)
-    Engine(run, Environment(run).system).advance(u, forces, 0.05)
+    Engine(plant_run(run), Environment(plant_run(run)).system).advance(u, forces, 0.05)
     np.testing.assert_array_equal(u, run.hover.u)
     np.testing.assert_array_equal(forces, 1.0)
 

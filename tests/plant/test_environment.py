@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.runs import setup
+from transport.flight.roles import plant_run
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.physics.rotations import rotation
@@ -40,7 +41,7 @@ def state_in_motion(run: Setup) -> Array:
 def test_by_default_the_truth_is_what_the_controller_knows() -> None:
     """By default there are no forces, the nominal model, and exact measurements, bit for bit."""
     run = setup()
-    environment = Environment(run)
+    environment = Environment(plant_run(run))
     x = state_in_motion(run)
     assert environment.model is run.model
     assert environment.forces(7, x) is None
@@ -51,7 +52,7 @@ def test_by_default_the_truth_is_what_the_controller_knows() -> None:
 def test_masses(payload: float, uavs: float) -> None:
     """Only mass and inertia of payload and UAVs are multiplied, and only in the plant."""
     run = setup(f"plant.payload_mass_factor={payload}", f"plant.uav_mass_factor={uavs}")
-    true, known = Environment(run).model.system, run.system
+    true, known = Environment(plant_run(run)).model.system, run.system
     assert known.payload.mass == 3.0
     assert true.payload.mass == payload * known.payload.mass
     np.testing.assert_array_equal(true.payload.inertia, payload * known.payload.inertia)
@@ -65,7 +66,7 @@ def test_masses(payload: float, uavs: float) -> None:
 def test_drag_is_that_of_the_air_past_each_body() -> None:
     """F_j = c_j (W - velocity), docs/equations.md (42): zero on any body that moves with the air."""
     run = setup(MEAN, "plant.wind.drag_payload_kgps=0.7", "plant.wind.drag_uav_kgps=0.3")
-    environment = Environment(run)
+    environment = Environment(plant_run(run))
     wind = np.array([3.0, -1.0, 0.5])
     at_rest = environment.forces(0, run.initial_state())
     assert at_rest is not None
@@ -100,7 +101,7 @@ def test_drag_of_the_bodies_needs_no_wind() -> None:
     """
     for factor, knows in ((1.0, "true"), (0.5, "true"), (1.5, "false")):
         run = setup(*DRAG, f"plant.drag_factor={factor}", f"controller.knows_drag={knows}")
-        environment = Environment(run)
+        environment = Environment(plant_run(run))
         assert environment.forces(0, state_in_motion(run)) is None, (
             "a part of the engine's equations"
         )
@@ -113,7 +114,7 @@ def test_drag_of_the_bodies_needs_no_wind() -> None:
 def test_wind_carries_the_bodies_along() -> None:
     """A body that moves with the air feels no force: that of the wind is the drag against it, (42)."""
     run = setup(*DRAG, MEAN)
-    environment = Environment(run)
+    environment = Environment(plant_run(run))
     x = state_in_motion(run)
     in_wind = environment.forces(0, x)
     assert in_wind is not None
@@ -134,20 +135,20 @@ def test_wind_carries_the_bodies_along() -> None:
 def test_drag_without_coefficients() -> None:
     """Bodies without coefficients have drag in wind by default, in still air only if it is given."""
     x = state_in_motion(setup())
-    assert Environment(setup()).forces(0, x) is None
-    given = Environment(setup("plant.wind.drag_uav_kgps=0.3")).forces(0, x)
+    assert Environment(plant_run(setup())).forces(0, x) is None
+    given = Environment(plant_run(setup("plant.wind.drag_uav_kgps=0.3"))).forces(0, x)
     assert given is not None
     velocities = setup().model.velocities(x)
     np.testing.assert_allclose(given.reshape(5, 3)[1:], -0.3 * velocities[1:], atol=ROUNDING)
     assert not given[:3].any()
-    breeze = Environment(setup("plant.wind.speed_mps=[1e-9,0,0]")).forces(0, x)
+    breeze = Environment(plant_run(setup("plant.wind.speed_mps=[1e-9,0,0]"))).forces(0, x)
     assert breeze is not None
     np.testing.assert_allclose(breeze[:3], -0.4 * velocities[0], atol=1e-8)
 
 
 def test_gusts_are_a_gauss_markov_process() -> None:
     """Mean, standard deviation and correlation of (43) over time, here 4 ticks long."""
-    environment = Environment(setup(MEAN, GUSTS, "plant.wind.gust_time_constant_s=0.2"))
+    environment = Environment(plant_run(setup(MEAN, GUSTS, "plant.wind.gust_time_constant_s=0.2")))
     W = np.array([environment.wind(k) for k in range(6000)])
     scaled = (W - np.array([3.0, -1.0, 0.5])) / np.array([2.0, 1.0, 0.5])
     assert np.abs(scaled.mean(axis=0)).max() < STATISTICS
@@ -161,9 +162,9 @@ def test_gusts_are_a_gauss_markov_process() -> None:
 @pytest.mark.parametrize("period_s", [0.1, 0.025, 0.02, 0.0125, 0.012, 0.01])
 def test_the_same_wind_at_any_rate(period_s: float) -> None:
     """Gusts are a function of seed and time, linear between the same values at any sampling period."""
-    usual = Environment(setup(MEAN, GUSTS))
+    usual = Environment(plant_run(setup(MEAN, GUSTS)))
     every_50_ms = np.array([usual.wind(k) for k in range(41)])
-    other = Environment(setup(MEAN, GUSTS, f"controller.sampling_period_s={period_s}"))
+    other = Environment(plant_run(setup(MEAN, GUSTS, f"controller.sampling_period_s={period_s}")))
     times_s = period_s * np.arange(int(2.0 / period_s) + 1)
     found = np.array([other.wind(k) for k in range(len(times_s))])
     expected = [np.interp(times_s, 0.05 * np.arange(41), every_50_ms[:, axis]) for axis in range(3)]
@@ -173,7 +174,7 @@ def test_the_same_wind_at_any_rate(period_s: float) -> None:
 def test_noise_has_the_standard_deviations_asked_for() -> None:
     """Each kind of measurement errs by its own level, independently for every axis and agent."""
     run = setup(*NOISE)
-    environment = Environment(run)
+    environment = Environment(plant_run(run))
     x = state_in_motion(run)
     seen = np.array([environment.measured(k, agent, x) for k in range(400) for agent in (1, 2)])
     error, true = StateView(seen - x), StateView(x)
@@ -202,7 +203,7 @@ def test_noise_has_the_standard_deviations_asked_for() -> None:
 def test_noisy_rods_are_rods() -> None:
     """|e| = 1 and e . Omega = 0 hold in every measurement."""
     run = setup(*NOISE)
-    environment = Environment(run)
+    environment = Environment(plant_run(run))
     view = StateView(
         np.array([environment.measured(k, 1, state_in_motion(run)) for k in range(50)])
     )

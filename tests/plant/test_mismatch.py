@@ -7,6 +7,7 @@ from tests.support.logs import log_of
 from tests.support.random_systems import random_state
 from tests.support.runs import SHORT, completed, plant_states, setup
 from transport.analysis.events import events
+from transport.flight.roles import plant_run
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.physics.rotations import rotation
@@ -26,7 +27,7 @@ def advanced(engine: str, *settings: str) -> Array:
     """Return the state half a second after hover under held thrusts, one of them larger."""
     thin = ("plant.mujoco.rod_mass_kg=1e-4",) if engine == "mujoco" else ()
     run = setup(f"plant.engine={engine}", *thin, *settings)
-    physics = Engine(run, Environment(run).system)
+    physics = Engine(plant_run(run), Environment(plant_run(run)).system)
     u = run.hover.u.copy()
     u[0] *= 1.05
     for _ in range(10):
@@ -57,7 +58,7 @@ def test_a_centre_of_mass_ahead_pulls_the_nose_down() -> None:
     np.testing.assert_allclose(rods, mujoco, atol=ENGINES)
 
     run = setup(ahead)
-    physics = Engine(run, Environment(run).system)
+    physics = Engine(plant_run(run), Environment(plant_run(run)).system)
     x, _ = physics.advance(run.hover.u, None, 1e-6)
     np.testing.assert_allclose(x, run.initial_state(), atol=1e-5)
 
@@ -78,8 +79,8 @@ def test_a_known_centre_is_no_difference() -> None:
     u = known.hover.u
     expected = known.model.integrate(x, u, 0.05, 5)[0]
 
-    physics = Engine(mismatched, Environment(mismatched).system)
-    physics.restart(about(x, -CENTRE), Environment(mismatched).system)
+    physics = Engine(plant_run(mismatched), Environment(plant_run(mismatched)).system)
+    physics.restart(about(x, -CENTRE), Environment(plant_run(mismatched)).system)
     moved, _ = physics.advance(u, None, 0.05)
     np.testing.assert_allclose(about(moved, CENTRE), expected, atol=1e-9)
 
@@ -94,7 +95,7 @@ def test_factors_of_one_uav() -> None:
         "plant.uav=[{id=2,mass_factor=1.5,thrust_factor=0.95},{id=3,inertia_factor=2.0}]",
         "faults.event=[{at_s=0.5,do='degrade',target='uav2',efficiency=0.9}]",
     )
-    known, actual = run.system, Environment(run).system
+    known, actual = run.system, Environment(plant_run(run)).system
     masses = [uav.mass / of.mass for uav, of in zip(actual.uavs, known.uavs, strict=True)]
     np.testing.assert_allclose(masses, [1.1, 1.65, 1.1, 1.1])
     inertias = [
@@ -119,7 +120,7 @@ def test_a_load_that_changes(duration_s: float | None) -> None:
     lasting = "" if duration_s is None else f",duration_s={duration_s}"
     change = f"do='load',target='payload',mass_kg=2.0,centre_m=[0.05,0.0,0.0]{lasting}"
     run = setup(SHORT, f"faults.event=[{{at_s={0.05 * LOAD_TICK},{change}}}]")
-    node = PlantNode(run)
+    node = PlantNode(plant_run(run))
     ticks = range(LOAD_TICK - 1, LOAD_TICK + 7)
     loads = []
     for k in ticks:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from transport.flight.roles import plant_run
 from transport.model.arrays import Array
 from transport.plant.autopilot.node import PlayedPlant
 from transport.protocol.scenario.scenario_file import read_scenario
@@ -48,7 +49,7 @@ def played(share: float) -> tuple[PlayedPlant, Constant]:
     """A plant above autopilots that give a share of the thrust of hover."""
     run = flight()
     bank = Constant(share * run.hover.u)
-    return PlayedPlant(run, bank, wall_offset_ns=WALL_NS), bank
+    return PlayedPlant(plant_run(run), bank, wall_offset_ns=WALL_NS), bank
 
 
 def schedule(start_ns: int) -> Schedule:

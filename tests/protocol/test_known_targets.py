@@ -36,7 +36,7 @@ def three() -> list[Target]:
     run = RUN
     for tick, place in ((FIRST, (1, 0, -10)), (SECOND, (0, 1, -10)), (SECOND, (1, 1, -11))):
         targets.append(message(run, tick, len(targets) + 1, place))
-        run = run.led_to(targets[-1])
+        run = run.after([targets[-1]])
     return targets
 
 
@@ -47,7 +47,7 @@ class Team:
         self._passes = passes  # probability by sender and receiver, (M, M)
         self._delay = delay
         self._rng = rng
-        self.agents = {agent: KnownTargets(RUN) for agent in range(1, M + 1)}
+        self.agents = {agent: KnownTargets(RUN.run) for agent in range(1, M + 1)}
 
     def run(
         self,
@@ -62,7 +62,7 @@ class Team:
                 del self.agents[agent]
             for agent in self.agents:
                 if starts.get(agent) == tick:
-                    self.agents[agent] = KnownTargets(RUN)
+                    self.agents[agent] = KnownTargets(RUN.run)
             for agent, target in told.get(tick, ()):
                 if agent in self.agents:
                     self.agents[agent].add(msgspec.structs.replace(target, to=(agent,)))

@@ -237,7 +237,7 @@ def test_the_length_of_a_plan_is_known_before_the_run() -> None:
     assert run.scenario.radio is not None
     plans = [one for one in messages_of("radio={}") if isinstance(one, Plan)]
     longest = max(len(encode(plan)) for plan in plans)
-    expected = plan_length(run, run.scenario.radio, PlanShape.of(run))
+    expected = plan_length(run.run, run.scenario.radio, PlanShape.of(run.run))
     assert 0 <= expected - longest <= SHORTER_BYTES
 
 
@@ -259,7 +259,7 @@ def test_slots_that_do_not_fit_into_a_period_take_turns() -> None:
 def test_a_slow_plan_takes_as_long_as_stated() -> None:
     """Slots of all agents do not fit into a period with `SLOW`, those of two do."""
     run = setup(ticks(TICKS), *CLOSED_LOOP, SLOW)
-    slots = slot_lengths(run, PlanShape.of(run))
+    slots = slot_lengths(run.run, PlanShape.of(run.run))
     assert slots is not None
     assert slots.plan_s == pytest.approx(12.322e-3)
     assert slots.slots == AGENTS_OF_A_TICK
@@ -281,7 +281,7 @@ def test_slots_hold_the_own_data_of_a_class(rate_mbps: float, cycle: int) -> Non
     plans = [one for one in messages if isinstance(one, Plan)]
     assert {one.data.size for one in plans} == {512}
 
-    slots = slot_lengths(run, PlanShape.of(run).holding(plans))
+    slots = slot_lengths(run.run, PlanShape.of(run.run).holding(plans))
     assert slots is not None
     assert slots.cycle_ticks == cycle
     assert 0 <= slots.plan_bytes - max(len(encode(one)) for one in plans) <= SHORTER_BYTES
@@ -312,7 +312,7 @@ def test_proposals_of_one_window_all_go_on_the_air() -> None:
     """
     run = setup(ticks(TICKS), "radio={}", "controller.negotiation_iterations=2")
     assert run.scenario.radio is not None
-    radio = TeamRadio(run, run.scenario.radio)
+    radio = TeamRadio(run.run, run.scenario.radio)
     following = plan(run, 1, 0)
     proposal = replace(following, negotiation=1)
     for one in (proposal, following):

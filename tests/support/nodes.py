@@ -5,7 +5,7 @@ from typing import Any
 
 from transport.agent import node as agent_node
 from transport.coordinator import node as coordinator_node
-from transport.flight.roles import team_view
+from transport.flight.roles import plant_run, team_view
 from transport.plant import node as plant_node
 from transport.protocol.admission.gate import Rejections
 from transport.protocol.admission.plausibility import check_plausible
@@ -39,14 +39,14 @@ class AgentNode(_Checked, agent_node.AgentNode):
     """Agent behind the checks."""
 
     def __init__(self, setup: Setup, *args: Any, **options: Any) -> None:
-        super().__init__(setup, setup, *args, **options)
+        super().__init__(setup, setup.run, *args, **options)
 
 
 class PlantNode(_Checked, plant_node.PlantNode):
     """Plant behind the checks."""
 
     def __init__(self, setup: Setup, *args: Any, **options: Any) -> None:
-        super().__init__(setup, setup, *args, **options)
+        super().__init__(setup, plant_run(setup), *args, **options)
 
 
 class CoordinatorNode(_Checked, coordinator_node.CoordinatorNode):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from transport.flight.roles import plant_run
 from transport.model.arrays import Array
 from transport.model.state import INPUTS
 from transport.plant.autopilot.autopilot_processes import Autopilots
@@ -41,7 +42,9 @@ class Outside(PlayedPlant):
         """Play on; let the team go."""
         bank = self._autopilots
         assert isinstance(bank, Hovering)
-        if self._first is None and np.all(bank.thrusts_N > CARRIES * self._setup.hover.u[::INPUTS]):
+        if self._first is None and np.all(
+            bank.thrusts_N > CARRIES * self._setup.run.hover.u[::INPUTS]
+        ):
             self._first = self._played
         return super().poll(now_ns)
 
@@ -55,7 +58,7 @@ def main(file: str, port: int, speed: float) -> None:
         "vehicles.parameters={STAND_PILOT=1.0}",
     )
     setup = Setup.of(read_scenario(Path(file), settings), file)
-    outside = Outside(setup, Hovering(setup, port))
+    outside = Outside(plant_run(setup), Hovering(plant_run(setup), port))
     while True:
         outside.poll(time.monotonic_ns())
         time.sleep(0.002)

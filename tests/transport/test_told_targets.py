@@ -213,10 +213,10 @@ def test_an_agent_that_hears_two_at_once_has_the_path_of_one_that_heard_both_in_
     """Whatever was heard first: the path follows from the targets alone."""
     run = runs.ready("resilient", HOVER % 20)
     first = message(run, 20, points_m=[[1.0, 0.0, -10.0]], to=[1])
-    second = message(run.led_to(first), 40, number=2, points_m=[[0.0, 1.0, -10.0]], to=[1])
+    second = message(run.after([first]), 40, number=2, points_m=[[0.0, 1.0, -10.0]], to=[1])
     paths = []
     for order in ((first, second), (second, first)):
-        known = KnownTargets(run)
+        known = KnownTargets(run.run)
         assert all(known.add(target) for target in order)
         assert not known.add(first)
         paths.append(known.setup.X_ref)

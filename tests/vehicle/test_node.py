@@ -24,7 +24,7 @@ from transport.protocol.wire.messages import (
     VehicleStatus,
 )
 from transport.vehicle.autopilot import AutopilotState, Finding
-from transport.vehicle.node import VehicleNode
+from transport.vehicle.node import Conduct, VehicleNode
 from transport.vehicle.setpoints import Plans, interpolated
 
 SCENARIO = Path(__file__).resolve().parents[2] / "scenarios" / "flight.toml"
@@ -102,8 +102,9 @@ class Flight:
     def __init__(self, *settings: str, stands: bool = False) -> None:
         self.setup = flight(*settings)
         self.autopilot = Recording(self.setup)
+        conduct = Conduct(section=self.setup.scenario.vehicles, stands=stands)
         self.node = VehicleNode(
-            self.setup, UAV, self.autopilot, wall_offset_ns=WALL_NS, stands=stands
+            self.setup.run, UAV, self.autopilot, conduct, wall_offset_ns=WALL_NS
         )
         self.said: list[Message] = []
         self.now_ns = START_NS - 2 * S

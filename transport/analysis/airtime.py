@@ -112,8 +112,8 @@ def _slots(setup: Setup, log: RunLog) -> dict[str, Any] | None:
 
     They are those of the end of the run: plans of a class of the user may have become longer.
     """
-    shape = (PlanShape.of(setup) | log.plans_sent).holding(log.of(Plan))
-    slots = slot_lengths(setup, shape)
+    shape = (PlanShape.of(setup.run) | log.plans_sent).holding(log.of(Plan))
+    slots = slot_lengths(setup.run, shape)
     if slots is None:
         return None
     return {

@@ -129,7 +129,7 @@ def step(setup: Setup) -> Finding:
     setup = Setup.of(setup.scenario, setup.scenario.name)  # with the model as compiled by now
     times_ms = []
     with threadpoolctl.threadpool_limits(1):
-        node = AgentNode(setup, 1)
+        node = AgentNode(setup.run, 1)
         for _ in range(_WARM_UP + _STEPS):
             begun_s = time.perf_counter()
             node.warm_up()

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import threadpoolctl
 
 from transport.agent.node import AgentNode
-from transport.flight.roles import coordinator_of
+from transport.flight.roles import coordinator_of, plant_run
 from transport.flight.signals import check_interrupt
 from transport.plant.node import PlantNode
 from transport.protocol.scenario.faults.scripted_faults import Fault, due
@@ -69,8 +69,8 @@ class InMemoryRun:
         self._keys = Keys(setup.scenario.name)
 
         self._coordinator = coordinator_of(setup)
-        agents = [AgentNode(setup, agent, stopwatch=stopwatch) for agent in setup.agents]
-        nodes: list[Node] = [self._coordinator, PlantNode(setup), *agents]
+        agents = [AgentNode(setup.run, agent, stopwatch=stopwatch) for agent in setup.agents]
+        nodes: list[Node] = [self._coordinator, PlantNode(plant_run(setup)), *agents]
         self.nodes = {node.name: node for node in nodes}  # the running ones by name
         self._subscriptions = {name: self._keys.subscriptions(name) for name in self.nodes}
         self._subscribed: dict[tuple[str, str], list[str]] = {}  # names by key and sender
@@ -151,7 +151,7 @@ class InMemoryRun:
         self._incarnations[name] += 1
         incarnation = self._incarnations[name]
         agent = int(name.removeprefix("agent"))
-        self.nodes[name] = AgentNode(self._setup, agent, incarnation, self._stopwatch)
+        self.nodes[name] = AgentNode(self._setup.run, agent, incarnation, self._stopwatch)
         self._announce(Presence(name, incarnation, alive=True))
         return True
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from transport.coordinator.node import CoordinatorNode
 from transport.coordinator.team_view import TeamView
+from transport.plant.plant_run import PlantRun
 from transport.protocol.scenario.radio.team_radio import TeamRadio
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.targets.target_messages import TargetTiming, scripted
@@ -19,10 +20,21 @@ def coordinator_of(
     return CoordinatorNode(setup.rules, team_view(setup), incarnation, observers, wall_offset_ns)
 
 
+def plant_run(setup: Setup) -> PlantRun:
+    """Return a run as its plant sees it."""
+    scenario = setup.scenario
+    return PlantRun(
+        run=setup.run,
+        section=scenario.plant,
+        bodies=scenario.system,
+        vehicles=scenario.vehicles,
+    )
+
+
 def team_view(setup: Setup) -> TeamView:
     """Return the team of a run as its coordinator sees it."""
     scenario = setup.scenario
-    radio = None if scenario.radio is None else TeamRadio(setup, scenario.radio)
+    radio = None if scenario.radio is None else TeamRadio(setup.run, scenario.radio)
     x = setup.initial_state()
     return TeamView(
         targets=TargetTiming(setup),

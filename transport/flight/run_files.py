@@ -17,6 +17,7 @@ from pathlib import Path
 import psutil
 import tomli_w
 
+from transport.flight.roles import plant_run
 from transport.log.run_log import LATEST, point_latest
 from transport.model.kernels import native
 from transport.plant.engines import checked_engine
@@ -211,9 +212,9 @@ def checked(setup: Setup, external: Collection[str] = ()) -> dict[str, str]:
         # Imports all of an agent, which this process does not need otherwise.
         from transport.agent.user_class.user_planner import checked_controller
 
-        controller = checked_controller(setup)
+        controller = checked_controller(setup.run)
     return {
-        "engine": "external" if PLANT in external else checked_engine(setup),
+        "engine": "external" if PLANT in external else checked_engine(plant_run(setup)),
         "controller": controller,
     }
 

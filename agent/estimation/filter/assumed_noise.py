@@ -13,7 +13,7 @@ from transport.agent.estimation.filter.manifold import UAV_BLOCKS
 from transport.agent.estimation.filter.unknown_forces import PAYLOAD_FORCE, UAV_FORCE
 from transport.model.arrays import Array
 from transport.model.physics.parameters import System
-from transport.protocol.scenario.setup.run_setup import SensorSheet
+from transport.protocol.scenario.setup.team_run import SensorSheet
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,7 +9,7 @@ from transport.agent.communication.announced_inputs import Silent, Untold
 from transport.model import state
 from transport.model.arrays import Array, padded
 from transport.mpc.alone.fail_safe import FailSafe
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.team_run import TeamRun
 
 
 class Answers(Protocol):
@@ -32,7 +32,7 @@ _HELD = 0.015
 class SilentTeam:
     """UAVs that act alone: they answer to their own motion, about hover, with their own noise."""
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: TeamRun) -> None:
         system = setup.system
         gains = setup.settings.alone_gains
         alone = FailSafe(system, setup.hover.u, setup.hover.x[None], gains=gains)
@@ -46,14 +46,14 @@ class SilentTeam:
         self.holds = bool(self._held.any())  # whether forces of integrals are assumed to deviate
 
     @staticmethod
-    def _held_deviations(setup: Setup, alone: FailSafe) -> Array:
+    def _held_deviations(setup: TeamRun, alone: FailSafe) -> Array:
         """Return how much the forces that integrals hold deviate, sideways, by UAV, (N,), N.
 
         They do so for the time constant T of the integral; as white noise in each period that is
         2 T / T_s times the variance. Where forces are not estimated, no wind is assumed.
         """
         N, period_s = setup.system.N, setup.settings.sampling_period_s
-        if not setup.scenario.controller.disturbance.estimate:
+        if not setup.settings.disturbance.estimate:
             return np.zeros(N)
         hover_N = setup.hover.u.reshape(N, state.INPUTS)[:, 0]
         as_white_noise = [math.sqrt(2.0 * alone.law(uav).follows_s / period_s) for uav in range(N)]

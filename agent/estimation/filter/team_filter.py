@@ -43,7 +43,7 @@ from transport.model.arrays import Array
 from transport.model.linear import motor_lag as motors
 from transport.model.linear.discretisation import Discrete, zero_order_hold
 from transport.model.linear.linearisation import Model
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.team_run import TeamRun
 
 # Roll and pitch beyond which an estimate is that of no team in flight, rad: Euler angles become
 # singular. A variance that no measurement of a UAV's own sensors leaves, SI.
@@ -147,10 +147,10 @@ class TeamFilter:
             coordinates of a belief.
     """
 
-    def __init__(self, setup: Setup, noise: ModelNoise | None = None) -> None:
+    def __init__(self, setup: TeamRun, noise: ModelNoise | None = None) -> None:
         system = setup.system
         self.N = system.N
-        is_estimating = setup.scenario.controller.disturbance.estimate
+        is_estimating = setup.settings.disturbance.estimate
         self._system = system
         self._u_hover = setup.hover.u
         self._period_s = setup.settings.sampling_period_s

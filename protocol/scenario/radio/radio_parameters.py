@@ -17,7 +17,7 @@ from transport.protocol.radio.send_times import SendTimes
 from transport.protocol.radio.slot_length import fewest_periods, frame_lengths, occupied_ns
 from transport.protocol.radio.standards_80211 import STANDARDS
 from transport.protocol.scenario.sections.radio_section import RadioSection
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.codec import encoded_length
 from transport.protocol.wire.messages import Plan
 from transport.protocol.wire.names import agent_name
@@ -64,12 +64,12 @@ class PlanShape:
     data: int = 0  # numbers of a controller of the user
 
     @staticmethod
-    def of(setup: Setup) -> "PlanShape":
+    def of(setup: TeamRun) -> "PlanShape":
         """Return the shape of the plans of a run before its first plan.
 
         A class of the user decides with each plan; its least are the inputs of one tick.
         """
-        if all(map(is_class, setup.scenario.controllers)):
+        if all(map(is_class, setup.known.controllers)):
             return PlanShape(inputs=1, corrections=0)
         horizon = setup.settings.horizon
         is_corrected = setup.settings.prediction == "closed_loop"
@@ -96,7 +96,7 @@ def is_class(controller: str) -> bool:
     return ":" in controller
 
 
-def send_times(setup: Setup, section: RadioSection, shape: PlanShape) -> SendTimes:
+def send_times(setup: TeamRun, section: RadioSection, shape: PlanShape) -> SendTimes:
     """Return the instants at which the agents send, with slots as long as a plan needs.
 
     Where not all slots fit into a period, agents take turns. They do not where the section has a
@@ -104,7 +104,7 @@ def send_times(setup: Setup, section: RadioSection, shape: PlanShape) -> SendTim
     """
     if section.cycle_ticks is not None:
         return _with_cycle(setup, section, cycle=section.cycle_ticks)
-    is_negotiated = setup.scenario.controller.negotiation_iterations > 1
+    is_negotiated = setup.settings.negotiation_iterations > 1
     if is_negotiated or section.offsets != "slots":
         return _with_cycle(setup, section, cycle=1)
 
@@ -115,17 +115,17 @@ def send_times(setup: Setup, section: RadioSection, shape: PlanShape) -> SendTim
     return _with_cycle(setup, section, cycle=cycle)
 
 
-def _with_cycle(setup: Setup, section: RadioSection, *, cycle: int) -> SendTimes:
+def _with_cycle(setup: TeamRun, section: RadioSection, *, cycle: int) -> SendTimes:
     """Return the instants at which the agents send, each once in a cycle of so many ticks."""
     return SendTimes(
-        period_ns=setup.period_ns,
+        period_ns=setup.rules.period_ns,
         stations=len(setup.owned),
-        exchanges=setup.scenario.controller.negotiation_iterations,
+        exchanges=setup.settings.negotiation_iterations,
         offsets=section.offsets,
         cycle=cycle,
         computation_mean_ns=round(section.computation_mean_s * NS_PER_S),
         computation_deviation_ns=round(section.computation_deviation_s * NS_PER_S),
-        seed=setup.scenario.seed,
+        seed=setup.rules.seed,
     )
 
 
@@ -155,9 +155,9 @@ class SlotLengths:
         return f"{plan}, longer than its slot: plans wait for each other and collide; {slots}; {remedies}"
 
 
-def slot_lengths(setup: Setup, shape: PlanShape) -> SlotLengths | None:
+def slot_lengths(setup: TeamRun, shape: PlanShape) -> SlotLengths | None:
     """Return the slots of a run whose plans have a shape; None without a radio, and without slots."""
-    section = setup.scenario.radio
+    section = setup.known.radio
     if section is None or section.offsets != "slots":
         return None
     sends = send_times(setup, section, shape)
@@ -170,7 +170,7 @@ def slot_lengths(setup: Setup, shape: PlanShape) -> SlotLengths | None:
     )
 
 
-def slot_need_ns(setup: Setup, section: RadioSection, shape: PlanShape) -> int:
+def slot_need_ns(setup: TeamRun, section: RadioSection, shape: PlanShape) -> int:
     """Return the time that a plan (`plan_length`) occupies an idle channel, ns, without repetitions."""
     receivers = len(setup.owned) - 1 if section.delivery == "unicast" else None
     standard = STANDARDS[section.standard]
@@ -188,7 +188,7 @@ def length_on_air(plan: Plan, section: RadioSection) -> int:
     return encoded_length(replace(plan, inputs=plan.inputs[:1]))
 
 
-def plan_length(setup: Setup, section: RadioSection, shape: PlanShape) -> int:
+def plan_length(setup: TeamRun, section: RadioSection, shape: PlanShape) -> int:
     """Return the bytes on the air of a solved plan of the agent with most UAVs at the end of the run.
 
     Plans of other statuses and with many notes and reports
@@ -199,7 +199,7 @@ def plan_length(setup: Setup, section: RadioSection, shape: PlanShape) -> int:
     last_agent = setup.agents[-1]
     last_tick = setup.ticks
 
-    reported = REPORTS * REPORTED if setup.scenario.plant.sensors == "vehicle" else PER_UAV
+    reported = REPORTS * REPORTED if setup.sensors.vehicle else PER_UAV
     inputs = INPUTS * len(owned)
     plan = Plan(
         sender=agent_name(last_agent),

@@ -33,7 +33,7 @@ from transport.protocol.scenario.radio.radio_parameters import (
     send_times,
 )
 from transport.protocol.scenario.sections.radio_section import RadioSection
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import NO_NEWS, Plan
 
 _OTHERS_DB = 20.0  # power of the traffic of others above the sensitivity
@@ -72,13 +72,13 @@ class _Message:
 class TeamRadio:
     """Channel of one run, and the plans that are on their way; station i is agent i + 1."""
 
-    def __init__(self, setup: Setup, section: RadioSection) -> None:
+    def __init__(self, setup: TeamRun, section: RadioSection) -> None:
         self._setup = setup
         self._section = section
         self._agents = len(setup.owned)
         self._standard = STANDARDS[section.standard]
-        self._channel = Channel(channel_parameters(section, setup.scenario.seed))
-        self._propagation = propagation_of(section, setup.scenario.seed)
+        self._channel = Channel(channel_parameters(section, setup.rules.seed))
+        self._propagation = propagation_of(section, setup.rules.seed)
         self._at_reference = self._propagation.at_reference(self._agents)
         self._shape = PlanShape.of(setup)  # that holds all plans so far
         self._sends = send_times(setup, section, self._shape)
@@ -86,7 +86,7 @@ class TeamRadio:
             share=section.background,
             station=self._agents,
             power_mw=milliwatts(section.sensitivity_dbm + _OTHERS_DB),
-            seed=setup.scenario.seed,
+            seed=setup.rules.seed,
         )
         # Each agent has one radio, on the first of its UAVs (docs/radio.md).
         radio_uavs = [owned[0] for owned in setup.owned]

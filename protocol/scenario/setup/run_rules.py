@@ -18,6 +18,7 @@ class RunRules:
     controller. Links change during a run by messages, not here.
     """
 
+    name: str  # of the scenario
     digest: str  # fingerprint of the scenario: processes of different ones refuse each other
     shape: RunShape  # of the messages, with ticks, period, agents and their UAVs
     seed: int  # of all random numbers

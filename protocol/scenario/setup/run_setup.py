@@ -3,7 +3,6 @@
 import contextlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import chain
 
 import numpy as np
@@ -13,16 +12,14 @@ from transport.model.linear.linearisation import Model
 from transport.model.path.flat_reference import FlatReference, Track
 from transport.model.path.hover_reference import Reference as HoverReference
 from transport.model.path.maneuver import Maneuver
-from transport.model.path.target_and_stop import Slowing, Target
+from transport.model.path.target_and_stop import Target
 from transport.model.physics.hover import Hover, hover
 from transport.model.physics.obstacles import Obstacle
 from transport.model.physics.parameters import ParameterError, System
-from transport.mpc.law.hover_law import Crew
 from transport.mpc.law.present_law import Regulation, WholeTeam
 from transport.mpc.margins.design_of_gains_alone import AloneDesign, TeamAlone
 from transport.mpc.program.user_expressions import check_constraints, check_costs
 from transport.mpc.reference import Reference
-from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.checks.reference_limits import (
     Problems,
     blocked,
@@ -36,7 +33,7 @@ from transport.protocol.scenario.faults.faults_of_scenario import scripted
 from transport.protocol.scenario.faults.scripted_faults import Fault, failures
 from transport.protocol.scenario.sections.run_size import ticks_of
 from transport.protocol.scenario.sections.scenario_errors import HoverError, ScenarioError
-from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.sections.schema import ControllerSection, Scenario
 from transport.protocol.scenario.setup.acting_alone import check_design, hands_over, may_act_alone
 from transport.protocol.scenario.setup.collisions import Contacts
 from transport.protocol.scenario.setup.model_objects import (
@@ -46,7 +43,8 @@ from transport.protocol.scenario.setup.model_objects import (
     system_of,
 )
 from transport.protocol.scenario.setup.run_rules import RunRules
-from transport.protocol.scenario.targets.target_messages import check_scripted, target_of
+from transport.protocol.scenario.setup.team_run import Knowledge, SensorSheet, TeamOnPath, TeamRun
+from transport.protocol.scenario.targets.target_messages import check_scripted
 from transport.protocol.wire.messages import Target as TargetMessage
 from transport.protocol.wire.node_interface import RunShape
 
@@ -56,30 +54,16 @@ _REMEDY = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SensorSheet:
-    """Data sheet of the vehicles' own sensors.
-
-    Position, velocity, attitude, body rates, specific force.
-    """
-
-    vehicle: bool  # whether agents have these sensors, not states
-    noise: Array  # standard deviations, (5,), SI
-    bias: Array  # standard deviations of the constant errors, (5,), SI
-    ages: tuple[int, ...]  # sampling periods from a quantity to its measurement
-
-
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """A scenario turned into a system, a maneuver and controller settings."""
+    """A scenario and what follows from it, by purpose; only the runtimes hold it.
+
+    A role takes the part that it uses (`transport.flight.roles`): the coordinator `run.rules`, agents
+    and vehicles `run`, the plant also its section.
+    """
 
     scenario: Scenario
-    rules: RunRules  # all that does not depend on the team and its path
-    system: System
-    hover: Hover  # at the origin
-    model: Model  # equations of motion, compiled when they are first evaluated
-    reference: Reference  # with the targets so far
-    settings: ControllerSettings  # the same for every agent
+    run: TeamRun  # rules, the team on its path with the targets so far, what controllers know
     # Design of the law of UAVs alone, whose gains `settings` has; None where none of them acts alone.
     alone: AloneDesign | None = None
 
@@ -102,15 +86,22 @@ class Setup:
         is_flat = scenario.maneuver.reference == "flat"
         path = (FlatReference if is_flat else HoverReference)(system, equilibrium, maneuver)
         instants = ticks_of(scenario) + settings.horizon + 2
-        setup = Setup(
-            scenario=scenario,
-            rules=rules_of(scenario),
+        team = TeamOnPath(
             system=system,
             hover=equilibrium,
             model=Model(system),
             reference=Reference(path, settings.sampling_period_s, instants),
-            settings=settings,
+            has_ground=scenario.plant.ground_m is not None,
         )
+        known = Knowledge(
+            settings=settings,
+            sensors=_sensors_of(scenario),
+            obstacles=tuple(obstacle_of(section) for section in scenario.obstacle),
+            controllers=scenario.controllers,
+            radio=scenario.radio,
+        )
+        run = TeamRun(rules=rules_of(scenario), team=team, known=known)
+        setup = Setup(scenario=scenario, run=run)
         setup._check(source)
         return setup._with_gains_alone(source)
 
@@ -124,7 +115,8 @@ class Setup:
         design = self.team_alone(next_tick=self.scenario.clock.next_tick).design()
         check_design(self.scenario, source, design)
         settings = self.settings.model_copy(update={"alone": design.gains})
-        return replace(self, settings=settings, alone=design)
+        known = replace(self.run.known, settings=settings)
+        return replace(self, run=replace(self.run, known=known), alone=design)
 
     def team_alone(self, *, next_tick: bool) -> TeamAlone:
         """Return the team whose UAVs may act alone; with `next_tick` inputs act a period later."""
@@ -207,125 +199,129 @@ class Setup:
             number, problem = first
             yield f"obstacle.{number}", f"{problem}; {_REMEDY}"
 
-    @cached_property
+    @property
+    def rules(self) -> RunRules:
+        """Rules of the run: all that does not depend on the team and its path."""
+        return self.run.rules
+
+    @property
+    def system(self) -> System:
+        """Bodies of the team as the controllers assume them."""
+        return self.run.system
+
+    @property
+    def hover(self) -> Hover:
+        """Hover at the origin."""
+        return self.run.hover
+
+    @property
+    def model(self) -> Model:
+        """Equations of motion."""
+        return self.run.model
+
+    @property
+    def reference(self) -> Reference:
+        """Reference with the targets so far."""
+        return self.run.reference
+
+    @property
+    def settings(self) -> ControllerSection:
+        """Settings of every controller."""
+        return self.run.settings
+
+    @property
+    def sensors(self) -> SensorSheet:
+        """Data sheet of the vehicles' own sensors."""
+        return self.run.sensors
+
+    @property
     def obstacles(self) -> tuple[Obstacle, ...]:
         """Obstacles, in the order of the file."""
-        return tuple(obstacle_of(section) for section in self.scenario.obstacle)
+        return self.run.obstacles
 
     @property
     def maneuver(self) -> Maneuver:
         """Path of the payload, with the targets so far."""
-        return self.reference.maneuver
+        return self.run.maneuver
 
     @property
     def track(self) -> Track | None:
         """States and inputs along a flat reference at the sampling instants; else None."""
-        return self.reference.sampled.track
+        return self.run.track
 
     @property
     def Y_ref(self) -> Array:
         """Reference outputs at every instant that any horizon reaches, (K, 4 N + 9)."""
-        return self.reference.sampled.Y
+        return self.run.Y_ref
 
     @property
     def X_ref(self) -> Array:
         """Reference states at the same instants, (K, n)."""
-        return self.reference.sampled.X
-
-    def by_clock_of(self, agent: int) -> "Setup":
-        """Return the run as an agent, 1-based, follows it by its own clock."""
-        offsets_s = self.scenario.clock.offsets_s
-        if not offsets_s or offsets_s[agent - 1] == 0.0:
-            return self
-        return replace(self, reference=self.reference.by_clock(offsets_s[agent - 1]))
-
-    def with_target(self, target: Target) -> "Setup":
-        """Return the run with a further target; before it, the reference stays as it was."""
-        return replace(self, reference=self.reference.with_target(target))
-
-    def with_slowing(self, slowing: Slowing) -> "Setup":
-        """Return the run along whose path time is lost."""
-        return replace(self, reference=self.reference.with_slowing(slowing))
-
-    def after(self, targets: Iterable[TargetMessage]) -> "Setup":
-        """Return the run with those targets that follow its own, each once, by their numbers.
-
-        That is the path as the coordinator tells it; agents may know a part (`KnownTargets`).
-        """
-        setup = self
-        for message in targets:
-            if message.number == len(setup.maneuver.targets) + 1:
-                setup = setup.led_to(message)
-        return setup
-
-    def led_to(self, message: TargetMessage) -> "Setup":
-        """Return the run with the target of a message."""
-        period_s = self.settings.sampling_period_s
-        has_ground = self.scenario.plant.ground_m is not None
-        return self.with_target(target_of(message, period_s, has_ground=has_ground))
-
-    def whole_team(self) -> WholeTeam:
-        """Return the law of the whole team, with the fail-safe of UAVs whose plans have run out."""
-        crew = Crew(self.model, self.hover, self.settings)
-        return WholeTeam(crew, self.reference.sampled)
-
-    @cached_property
-    def sensors(self) -> SensorSheet:
-        """Data sheet of the vehicles' own sensors, which the filters of the agents know."""
-        noise = self.scenario.plant.noise
-        period_s = self.settings.sampling_period_s
-        quantities = type(noise.bias).model_fields
-        delays_s = noise.delay.model_dump().values()
-        return SensorSheet(
-            vehicle=self.scenario.plant.sensors == "vehicle",
-            noise=np.array([getattr(noise, quantity) for quantity in quantities]),
-            bias=np.array(list(noise.bias.model_dump().values())),
-            ages=tuple(round(delay_s / period_s) for delay_s in delays_s),
-        )
+        return self.run.X_ref
 
     @property
     def agents(self) -> tuple[int, ...]:
         """Agent ids, 1-based."""
-        return self.rules.agents
+        return self.run.rules.agents
 
     @property
     def owned(self) -> tuple[tuple[int, ...], ...]:
         """UAVs of agent 1, agent 2, ..., 0-based."""
-        return self.rules.owned
+        return self.run.rules.owned
 
     @property
     def ticks(self) -> int:
         """Sampling instants of the run: t_k < duration of the maneuver."""
-        return self.rules.ticks
+        return self.run.rules.ticks
 
     @property
     def period_ns(self) -> int:
         """Sampling period, ns."""
-        return self.rules.period_ns
+        return self.run.rules.period_ns
 
     @property
     def faults(self) -> tuple[Fault, ...]:
         """Scripted faults, in the order of time."""
-        return self.rules.faults
+        return self.run.rules.faults
+
+    def with_target(self, target: Target) -> "Setup":
+        """Return the run with a further target; before it, the reference stays as it was."""
+        return replace(self, run=self.run.with_target(target))
+
+    def after(self, targets: Iterable[TargetMessage]) -> "Setup":
+        """Return the run with those targets that follow its own, as the coordinator tells them."""
+        return replace(self, run=self.run.after(targets))
+
+    def whole_team(self) -> WholeTeam:
+        """Return the law of the whole team, with the fail-safe of UAVs whose plans have run out."""
+        return self.run.whole_team()
 
     def contacts(self) -> Contacts:
         """Return what tells the first contact of two UAVs of this run."""
         return Contacts(
-            self.positions_I,
+            self.run.positions_I,
             [uav.radius_m or 0.0 for uav in self.scenario.system.uav],
             self.faults,
-            self.settings.sampling_period_s,
+            self.rules.period_s,
         )
 
-    def positions_I(self, x: Array) -> Array:
-        """Return the positions of the UAVs in a state of the plant, (N, 3), m."""
-        return self.model.outputs(x)[: 3 * self.system.N].reshape(-1, 3)
-
-    def initial_state(self) -> np.ndarray:
+    def initial_state(self) -> Array:
         """Return the state of hover at the start of the maneuver, at rest, (12 + 12 N,)."""
-        x = self.hover.x.copy()
-        x[:3] += self.maneuver.start_I
-        return x
+        return self.run.initial_state()
+
+
+def _sensors_of(scenario: Scenario) -> SensorSheet:
+    """Return the data sheet of the vehicles' own sensors."""
+    noise = scenario.plant.noise
+    period_s = scenario.controller.sampling_period_s
+    quantities = type(noise.bias).model_fields
+    delays_s = noise.delay.model_dump().values()
+    return SensorSheet(
+        vehicle=scenario.plant.sensors == "vehicle",
+        noise=np.array([getattr(noise, quantity) for quantity in quantities]),
+        bias=np.array(list(noise.bias.model_dump().values())),
+        ages=tuple(round(delay_s / period_s) for delay_s in delays_s),
+    )
 
 
 def rules_of(scenario: Scenario) -> RunRules:
@@ -351,6 +347,7 @@ def rules_of(scenario: Scenario) -> RunRules:
         confirms=settings.targets == "confirmed",
     )
     return RunRules(
+        name=scenario.name,
         digest=scenario.digest(),
         shape=shape,
         seed=scenario.seed,

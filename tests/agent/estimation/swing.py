@@ -32,7 +32,7 @@ def moving(seed: int, doubt: float = 1.0) -> tuple[Setup, list[Array], list[Arra
     """
     run = setup(*VEHICLE)
     rng = np.random.default_rng(seed)
-    team = TeamFilter(run)
+    team = TeamFilter(run.run)
     first = team.first(run.X_ref[0])
     T = team.manifold.basis(first.x).T
     deviations = np.sqrt(np.diag(first.covariance.P))[: T.shape[1]]
@@ -104,7 +104,7 @@ def filtered(
     """
     run, _, U, Z = moving(seed, doubt)
     estimator = sensor_estimator(
-        run, 1, lambda k: run.X_ref[k].copy(), no_feedback(run), most_ticks
+        run.run, 1, lambda k: run.X_ref[k].copy(), no_feedback(run), most_ticks
     )
     announced = AnnouncedInputs(run.owned, run.hover.u, own=1)
     beliefs = []
@@ -121,6 +121,6 @@ def filtered(
 
 def error(run: Setup, belief: Belief, x: Array) -> Array:
     """Return the error of a belief in its coordinates."""
-    basis = TeamFilter(run).manifold.basis(belief.x)
+    basis = TeamFilter(run.run).manifold.basis(belief.x)
     xi: Array = basis.L.T @ (x - belief.x)
     return xi

@@ -54,8 +54,8 @@ def test_switched_off_it_is_the_plain_filter() -> None:
     """Without reuse every belief has the bits of the filter alone, with deferred covariances."""
     run, *_ = moving(4, HALF)
     own_only = range(10, 16)
-    plain = flown(TeamFilter(run), own_only)
-    off = flown(GainReuse(TeamFilter(run), [0], most_ticks=0), own_only)
+    plain = flown(TeamFilter(run.run), own_only)
+    off = flown(GainReuse(TeamFilter(run.run), [0], most_ticks=0), own_only)
     for one, other in zip(plain, off, strict=True):
         np.testing.assert_array_equal(one.x, other.x)
         np.testing.assert_array_equal(one.covariance.P, other.covariance.P)
@@ -64,7 +64,7 @@ def test_switched_off_it_is_the_plain_filter() -> None:
 def test_a_gain_is_used_again_where_own_measurements_are_alone_and_for_some_ticks() -> None:
     """Ticks with own measurements alone use a saved gain until the limit, then have their own."""
     run, *_ = moving(4, HALF)
-    beliefs = flown(GainReuse(TeamFilter(run), [0], most_ticks=3), range(10, 16))
+    beliefs = flown(GainReuse(TeamFilter(run.run), [0], most_ticks=3), range(10, 16))
     ticks = [None if belief.saved is None else belief.saved.ticks for belief in beliefs[9:17]]
     assert ticks == [0, 1, 2, 3, 0, 1, 2, 0]
 
@@ -72,7 +72,7 @@ def test_a_gain_is_used_again_where_own_measurements_are_alone_and_for_some_tick
 def test_a_deferred_covariance_is_computed_once_when_asked_for() -> None:
     """Nothing is computed before, and nothing twice."""
     run, *_ = moving(4, HALF)
-    covariance = TeamFilter(run).first(run.X_ref[0]).covariance
+    covariance = TeamFilter(run.run).first(run.X_ref[0]).covariance
     calls = []
 
     def compute() -> Covariance:

@@ -24,7 +24,7 @@ from transport.model.arrays import Array
 from transport.model.physics.hover import hover
 from transport.model.physics.parameters import table_1
 from transport.model.state import StateView
-from transport.protocol.scenario.setup.run_setup import SensorSheet
+from transport.protocol.scenario.setup.team_run import SensorSheet
 
 PERIOD_S = 0.05
 UNEQUAL = random_system(np.random.default_rng(5), 3)

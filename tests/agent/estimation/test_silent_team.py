@@ -45,7 +45,7 @@ def test_noise_is_that_of_its_equation(*, has_law: bool) -> None:
         D = np.diag(by_law * (1.0 - silent.alone) * np.sqrt(1.0 - silent.correlation**2))
         K_T = D @ K @ T
         expected = expected + B @ K_T @ P @ K_T.T @ B.T
-    found = SilentTeam(setup).noise(silent, answering, B, T, P)
+    found = SilentTeam(setup.run).noise(silent, answering, B, T, P)
     np.testing.assert_allclose(
         found, expected, rtol=ROUNDING, atol=ROUNDING * np.abs(expected).max()
     )

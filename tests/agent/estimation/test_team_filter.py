@@ -130,7 +130,7 @@ def test_against_a_dense_filter_with_numerical_jacobians(forces: str) -> None:
     """Means and covariances are those of the textbook filter with numerical Jacobians."""
     _, _, U, Z = moving(1, SMALL)
     run = setup(*VEHICLE, f"controller.disturbance.estimate={forces}")
-    team = TeamFilter(run)
+    team = TeamFilter(run.run)
     belief = team.first(run.X_ref[0])
     first = belief.covariance
     belief = replace(belief, source=replace(first, P=SMALL**2 * first.P))
@@ -173,7 +173,7 @@ def level_after_flight(pull_N: float) -> tuple[TeamFilter, Belief]:
     """Return filter and belief after three seconds, under an unknown force on the payload."""
     run, X, U, _ = moving(5, SMALL)
     rng = np.random.default_rng(5)
-    team = TeamFilter(run)
+    team = TeamFilter(run.run)
     x = X[0]
     belief = team.first(X[0])
     forces = np.zeros(3 + 3 * run.system.N)

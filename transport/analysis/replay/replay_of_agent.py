@@ -84,7 +84,7 @@ class Replay:
         feed = self._lockstep if self.setup.scenario.clock.mode == "lockstep" else self._realtime
         with threadpoolctl.threadpool_limits(1):  # as in every process of a run, for the same bits
             for process in processes:
-                node = AgentNode(self.setup, self.agent, process.incarnation)
+                node = AgentNode(self.setup.run, self.agent, process.incarnation)
                 yield from _steps(feed(node, process), recorded)
 
     def _note_controller(self) -> None:
@@ -94,7 +94,7 @@ class Replay:
         if not any(f"{name} " in recorded_with for name in names):
             return
 
-        present = checked_controller(self.setup)
+        present = checked_controller(self.setup.run)
         if present != recorded_with:
             self.notes.append(
                 f"the run was recorded with controller {recorded_with}, this is {present}"

@@ -180,9 +180,9 @@ def validate(
     thrusts = hover_thrusts(setup)
     classes = ", ".join(f"{kind} {name}" for kind, name in own_classes.items())
     typer.echo(f"valid: {sizes}, {thrusts}, digest {digest}, {classes}", err=True)
-    shapes = plan_shapes(setup) if setup.scenario.radio else {}
+    shapes = plan_shapes(setup.run) if setup.scenario.radio else {}
     for label, shape in shapes.items():
-        slots = slot_lengths(setup, shape)
+        slots = slot_lengths(setup.run, shape)
         if slots is not None:
             kind = "radio" if slots.are_enough else "radio, warning"
             typer.echo(f"{kind}: {label}{slots.text()}", err=True)

@@ -202,7 +202,7 @@ def agent(
         fail(f"--id: expected an agent from {allowed}, got {number}")
 
     place = options.place(agent_name(number))
-    node = AgentNode(setup, number, place.incarnation, time.perf_counter_ns)
+    node = AgentNode(setup.run, number, place.incarnation, time.perf_counter_ns)
     node.warm_up()
     raise typer.Exit(_run(node, place, setup))
 
@@ -235,6 +235,7 @@ def plant(options: ProcessOptions) -> None:
 
     Example: transport plant --scenario paper
     """
+    from transport.flight.roles import plant_run
     from transport.plant.node import PlantNode
 
     setup = options.compiled_setup()
@@ -242,15 +243,15 @@ def plant(options: ProcessOptions) -> None:
         fail("plant: expected a scenario with plant.kind = 'simulated', got 'vehicles'")
     place = options.place(PLANT)
     if setup.scenario.plant.autopilot is None:
-        node = PlantNode(setup, place.incarnation)
+        node = PlantNode(plant_run(setup), place.incarnation)
     else:
         from transport.plant.autopilot.autopilot_processes import Autopilots
         from transport.plant.autopilot.node import PlayedPlant
         from transport.protocol.scenario.sections.vehicles_section import DEFAULT_VEHICLE_PORT
 
         port = setup.scenario.network.vehicle_port or DEFAULT_VEHICLE_PORT
-        autopilots = Autopilots(setup, port)
-        node = PlayedPlant(setup, autopilots, place.incarnation, wall_offset_ns())
+        autopilots = Autopilots(plant_run(setup), port)
+        node = PlayedPlant(plant_run(setup), autopilots, place.incarnation, wall_offset_ns())
     node.warm_up()
     raise typer.Exit(_run(node, place, setup))
 
@@ -291,20 +292,23 @@ def vehicle(
 
     Example: transport vehicle --uav 2 --autopilot ardupilot --link udp:127.0.0.1:14550
     """
-    from transport.vehicle.node import VehicleNode
+    from transport.vehicle.node import Conduct, VehicleNode
     from transport.vehicle.start import check_autopilot, open_autopilot
 
     setup = options.setup() if check else options.compiled_setup()
     if uav > setup.system.N:
         allowed = f"1 to {setup.system.N} of scenario {setup.scenario.name}"
         fail(f"--uav: expected a UAV from {allowed}, got {uav}")
-    driver = open_autopilot(setup, uav, link, autopilot, key)
+    section = setup.scenario.vehicles
+    most_N = setup.settings.limits.thrust_N[1]
+    driver = open_autopilot(section, most_N, uav, link, autopilot, key)
     try:
         if check:
             raise typer.Exit(check_autopilot(driver, typer.echo))
         place = options.place(vehicle_name(uav))
         offset_ns = wall_offset_ns()
-        node = VehicleNode(setup, uav, driver, place.incarnation, offset_ns, stands=stands)
+        conduct = Conduct(section=section, stands=stands)
+        node = VehicleNode(setup.run, uav, driver, conduct, place.incarnation, offset_ns)
         node.warm_up()
         raise typer.Exit(_run(node, place, setup))
     finally:
