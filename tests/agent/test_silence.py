@@ -46,11 +46,6 @@ SETTLED, MORE = 600, 200
 SAME = 1e-5
 # Most by which the largest deviation of a pass of `eight` exceeds that of the pass before: rounding.
 LAP = 1.05
-# Of `eight`: up to 5 m/s, a lap at that speed, and to rest.
-ONE_LAP = (
-    "maneuver.phase=[{name='eight',kind='eight',size_m=[3.8,1.9,0.0],laps=2.0,"
-    "speed_mps=5.0,ramp_s=5.0}]"
-)
 ATTITUDE_DEG = 10.0
 DEAF = 3
 # Payload with a death from that without: what the last plan and the integral of a UAV alone differ by.
@@ -255,7 +250,6 @@ def test_before_a_first_plan_the_others_follow_the_law() -> None:
     [
         ("resilient", (3,), ()),
         ("resilient", (1, 2), ("links.delay_s=0.2", "links.loss=0.3")),
-        ("eight", (1, 2), (ONE_LAP,)),
     ],
 )
 def test_a_death_is_hardly_felt(
@@ -398,13 +392,9 @@ def test_late_news_leave_the_formation_steady() -> None:
     assert 0.0 < max(shares) < 1.0
 
 
-@pytest.mark.parametrize(
-    "late",
-    [("links.delay_s=0.2", "links.loss=0.3"), ("links.delay_s=0.4",)],
-    ids=["late and lost", "late"],
-)
-def test_a_death_on_a_late_network_is_held(late: Sequence[str]) -> None:
+def test_a_death_on_a_late_network_is_held() -> None:
     """With a filter, late news make agents act alone in part, also after a death."""
+    late = ("links.delay_s=0.2", "links.loss=0.3")
     death = "faults.event=[{at_s=2.0,do='kill',target='agent3'}]"
     lost = (death, "clock.on_agent_loss=continue")
     run = runs.ready("precise", *VEHICLE, FORCES, *late, *lost, runs.ticks(160))

@@ -99,18 +99,10 @@ def test_a_team_flies_through_the_loss_of_a_vehicle_and_of_the_coordinator(
 @pytest.mark.slow
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_the_whole_maneuver(program: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the autopilots' estimates the payload keeps within 10 cm, with 200 ms and 30 % loss as well."""
-    errors = []
-    for name, changes in (
-        ("perfect", ()),
-        ("late", ("links.delay_s=0.2", "links.loss=0.3")),
-    ):
-        folder = tmp_path / name
-        folder.mkdir()
-        summary, _ = flown(folder, f"plant.autopilot={program}", *changes, monkeypatch=monkeypatch)
-        errors.append(summary["payload_tracking"]["rms_m"])
-    assert max(errors) < WHOLE_M
-    assert errors[1] < 1.1 * errors[0]
+    """By the autopilots' estimates the payload keeps within 10 cm, with 200 ms and 30 % loss."""
+    late = ("links.delay_s=0.2", "links.loss=0.3")
+    summary, _ = flown(tmp_path, f"plant.autopilot={program}", *late, monkeypatch=monkeypatch)
+    assert summary["payload_tracking"]["rms_m"] < WHOLE_M
 
 
 @pytest.mark.slow

@@ -90,10 +90,9 @@ def test_a_heavier_payload_hangs_low() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("links", [(), LATE], ids=["perfect", "impaired"])
-def test_a_heavier_payload_is_held(links: tuple[str, ...]) -> None:
-    """With it the payload is where it should be, and every agent knows what pulls at it, however bad the network."""
-    flight = flown(CLIMB, HEAVY, ESTIMATE, *links)
+def test_a_heavier_payload_is_held() -> None:
+    """With it the payload is where it should be, and every agent knows what pulls at it, on a bad network too."""
+    flight = flown(CLIMB, HEAVY, ESTIMATE, *LATE)
     assert flight.outcome == "completed"
     assert np.abs(mean(flight.payload_error_I)).max() < 0.01
     assert np.abs(flight.force_I - [0.0, 0.0, EXCESS_N]).max() < 0.02 * EXCESS_N
@@ -123,15 +122,6 @@ def test_perfect_knowledge_costs_nothing() -> None:
     """With a plant that equals the model the estimate is zero on a perfect network."""
     assert flown(WAY, ESTIMATE).cost == pytest.approx(flown(WAY).cost, rel=0.01)
     assert np.abs(flown(WAY, ESTIMATE).force_I).max() < 1e-3
-
-
-@pytest.mark.slow
-def test_noise_of_late_plans_costs_little() -> None:
-    """With delay and packet loss the estimate errs by the error of the others' predictions.
-
-    It costs a few per cent.
-    """
-    assert flown(WAY, ESTIMATE, *LATE).cost == pytest.approx(flown(WAY, *LATE).cost, rel=0.05)
 
 
 def test_equal_flights_have_equal_bits() -> None:

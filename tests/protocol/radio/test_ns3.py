@@ -11,7 +11,7 @@ from benchmarks.radio.results import differences, numbers, read
 
 REFERENCE = read()
 MOST_QUICK = 4  # stations of a case that takes a fraction of a second
-LARGE = 30  # stations of a case that takes seconds
+LARGE = 16  # stations of a case that takes seconds
 SPREADS_S = (0.0, 5e-3)  # of these
 
 
