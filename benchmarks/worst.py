@@ -25,9 +25,9 @@ from transport.experiments.weather_experiment import FORCES, SENSORS
 from transport.experiments.workers import Workers
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.search.candidate import Base, Candidate
-from transport.search.drawn_events import Death, Event, Silence
-from transport.search.evaluation import Problem
-from transport.search.objective import Objective
+from transport.search.drawn_events import Death, DrawnSilence, Event
+from transport.search.evaluation import FoundProblem
+from transport.search.objective import SearchObjective
 from transport.search.search import Evaluations, Search, flying, random_search
 from transport.search.search_options import SearchOptions, search
 from transport.search.search_progress import SearchProgress
@@ -59,7 +59,7 @@ class PlantedFault(Case):
         path = find_scenario(self.scenario)
         scenario = read_scenario(path, self.settings)
         base = Base(scenario=scenario, source=str(path))
-        problem = Problem(base=base, objective=Objective.of("attitude", None, scenario))
+        problem = FoundProblem(base=base, objective=SearchObjective.of("attitude", None, scenario))
         space = Space(self.over, Bounds.model_validate(self.bounds), scenario)
         return Search(problem=problem, space=space, budget=budget, seed=seed, until_failure=True)
 
@@ -121,10 +121,10 @@ LOST_DEG = 20.0
 # Minimal cases of searches on `resilient`, rounded.
 TOGETHER: Sequence[tuple[Event, ...]] = (
     (Death(agent=1, at_s=3.0),),
-    (Death(agent=4, at_s=1.0), Silence(start_s=4.0, duration_s=2.0, who="cut 2 3")),
-    (Death(agent=4, at_s=1.5), Silence(start_s=2.0, duration_s=5.5)),
-    (Death(agent=3, at_s=8.0), Silence(start_s=8.5, duration_s=10.0)),
-    (Death(agent=2, at_s=12.0), Silence(start_s=7.5, duration_s=8.5, who="cut 2 4")),
+    (Death(agent=4, at_s=1.0), DrawnSilence(start_s=4.0, duration_s=2.0, who="cut 2 3")),
+    (Death(agent=4, at_s=1.5), DrawnSilence(start_s=2.0, duration_s=5.5)),
+    (Death(agent=3, at_s=8.0), DrawnSilence(start_s=8.5, duration_s=10.0)),
+    (Death(agent=2, at_s=12.0), DrawnSilence(start_s=7.5, duration_s=8.5, who="cut 2 4")),
 )
 _UPSET_DEG = 80.0  # limit of the attitude at which these runs end
 
@@ -216,8 +216,8 @@ def together() -> str:
         for fail_safe in ("follow", "level"):
             scenario = read_scenario(path, [f"controller.fail_safe={fail_safe}"])
             base = Base(scenario=scenario, source=str(path))
-            objective = Objective.of("attitude", _UPSET_DEG, scenario)
-            found = Problem(base=base, objective=objective).evaluate(candidate)
+            objective = SearchObjective.of("attitude", _UPSET_DEG, scenario)
+            found = FoundProblem(base=base, objective=objective).evaluate(candidate)
             row.append(
                 f"{found.value:.1f} deg"
                 if found.outcome == "completed"

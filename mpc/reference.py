@@ -12,9 +12,9 @@ import numpy as np
 from transport.model.arrays import Array, continued, frozen
 from transport.model.identity import SharedResults, digest
 from transport.model.path.flat_reference import FlatReference, Track
-from transport.model.path.hover_reference import Reference as HoverReference
+from transport.model.path.hover_reference import HoverReference as HoverReference
 from transport.model.path.maneuver import Maneuver
-from transport.model.path.target_and_stop import Slowing, Target
+from transport.model.path.target_and_stop import PathTarget, Slowing
 
 # Instants before a target for which a track and its gains are kept: more than estimators look back
 # (`WINDOW` of agent/estimation/repeated_ticks.py).
@@ -25,7 +25,7 @@ _WITH_TARGETS: SharedResults["Reference"] = SharedResults()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Change:
+class ReferenceChange:
     """The part of a reference from its newest target on, until the payload is at rest."""
 
     first: int  # first instant at which it differs from the reference before the target
@@ -40,7 +40,7 @@ class Sampled:
     X: Array  # states, (K, n), SI
     Y: Array = field(default_factory=lambda: np.zeros((0, 0)))  # outputs, (K, 4 N + 9), SI
     track: Track | None = None  # of a flat reference; after a target it begins at `track.first`
-    change: Change | None = None  # by the newest target
+    change: ReferenceChange | None = None  # by the newest target
 
     @property
     def key(self) -> bytes:
@@ -99,7 +99,7 @@ class Reference:
         maneuver = dataclasses.replace(self.maneuver, ahead_s=ahead_s)
         return Reference(self._path.with_maneuver(maneuver), self._period_s, self._instants)
 
-    def with_target(self, target: Target) -> "Reference":
+    def with_target(self, target: PathTarget) -> "Reference":
         """Return the reference with a further target."""
         maneuver = self.maneuver.with_target(target)
         return _WITH_TARGETS.get(digest(self._key, target), lambda: self._after(maneuver))
@@ -171,7 +171,7 @@ class Reference:
         if part is not None and before.track is not None:
             track = continued(before.track, part, KEPT)
 
-        change = Change(first=first, X=X_part, track=part)
+        change = ReferenceChange(first=first, X=X_part, track=part)
         return Sampled(
             X=_replaced(before.X, X_part, first),
             Y=_replaced(before.Y, Y_part, first),

@@ -162,7 +162,7 @@ class Limits(Section):
     """largest change of each commanded body rate; only with `controller.inputs=rates`"""
 
 
-class Separation(Section):
+class SeparationSection(Section):
     """The smallest distance between the centres of any two UAVs.
 
     Softened, so that no state makes the QP infeasible.
@@ -176,7 +176,7 @@ class Separation(Section):
     """penalty on the largest violation over the horizon"""
 
 
-class Tilt(Section):
+class TiltSection(Section):
     """The largest roll and pitch that an agent plans for its UAVs, softened.
 
     The linearisation is valid within them.
@@ -188,7 +188,7 @@ class Tilt(Section):
     """penalty on the largest violation over the horizon"""
 
 
-class Tension(Section):
+class TensionSection(Section):
     """The smallest rod tension that an agent plans for its UAVs, softened.
 
     A taut cable behaves as a rod.
@@ -200,7 +200,7 @@ class Tension(Section):
     """penalty on the largest violation over the horizon"""
 
 
-class Constraint(Section):
+class ConstraintSection(Section):
     """A constraint of the user as text over the variables of the model (see `mpc.program.user_expressions`)."""
 
     expression: str
@@ -315,11 +315,11 @@ class ControllerSettings(Section):
     of the plant is `plant.motors.lag_s`"""
     weights: Weights = Weights()
     limits: Limits = Limits()
-    separation: Separation | None = None
-    tilt: Tilt | None = None
-    tension: Tension | None = None
+    separation: SeparationSection | None = None
+    tilt: TiltSection | None = None
+    tension: TensionSection | None = None
     alone: AloneGains | None = None
-    constraint: Annotated[tuple[Constraint, ...], BeforeValidator(as_tuple)] = ()
+    constraint: Annotated[tuple[ConstraintSection, ...], BeforeValidator(as_tuple)] = ()
     cost: Annotated[tuple[CostTerm, ...], BeforeValidator(as_tuple)] = ()
 
     @property

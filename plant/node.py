@@ -57,7 +57,7 @@ class Integrated:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Period:
+class PlantPeriod:
     """What is decided at the beginning of a sampling period.
 
     Attributes:
@@ -331,14 +331,14 @@ class PlantNode(Participant):
         period = self._period(now_ns)
         return self._conclude(period, self._advance(period.u, period.forces))
 
-    def _period(self, now_ns: int) -> Period:
+    def _period(self, now_ns: int) -> PlantPeriod:
         """Return what is decided for [t_k, t_{k+1})."""
         plans_lost = self._schedule_arrived(now_ns)
         u, sources = self._commands()
         forces = self.environment.forces(self._k, self._x)
-        return Period(u=u, sources=sources, forces=forces, plans_lost=plans_lost)
+        return PlantPeriod(u=u, sources=sources, forces=forces, plans_lost=plans_lost)
 
-    def _conclude(self, period: Period, end: Integrated) -> list[Message]:
+    def _conclude(self, period: PlantPeriod, end: Integrated) -> list[Message]:
         """Go on to the next tick; return what is recorded of the period until it."""
         k = self._k
         x = self._x

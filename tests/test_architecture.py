@@ -5,6 +5,7 @@ Who may import whom, who may know a clock, what must be described.
 
 import ast
 import re
+from collections import Counter
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -54,10 +55,16 @@ ROOMS = {
 }
 MOST_ROOMS = 14  # more cannot be taken in at a glance
 MOST_FILES_OF_COORDINATOR = 45
+MOST_FILES = 14  # of a folder, besides __init__.py and __main__.py
 MOST_FILES_AT_ROOT = 4  # besides __init__.py and __main__.py
 
 # Files of `model` about numbers and keys, not about bodies.
 WITHOUT_PHYSICS = {f"model/{file}.py" for file in ("__init__", "arrays", "section", "state")}
+
+# Base names of files for the same role in different processes.
+SAME_ROLE = {"node.py", "air.py"}
+# Classes of the Python interface that wrap one of the same name: people write both the same way.
+WRAPPED = {"Run", "Scenario"}
 
 # Packages beside the sources, which no source imports.
 NOT_FOR_SOURCES = {"benchmarks", "docs", "examples", "tests"}
@@ -253,6 +260,31 @@ def test_rooms_import_lower_floors_only(package: str) -> None:
         and floor[room_of(other, package)] >= floor[room_of(path, package)]
     ]
     assert wrong == []
+
+
+def public_classes(path: Path) -> list[str]:
+    """Return the names of the classes of a file that others may import."""
+    names = [node.name for node in tree(path).body if isinstance(node, ast.ClassDef)]
+    return [name for name in names if not name.startswith("_")]
+
+
+def test_folders_can_be_taken_in_at_a_glance() -> None:
+    """No folder has more than 14 files."""
+    files = Counter(path.parent for path in SOURCES if not path.name.startswith("__"))
+    crowded = {named(folder): count for folder, count in files.items() if count > MOST_FILES}
+    assert crowded == {}
+
+
+def test_a_base_name_names_one_file() -> None:
+    """No two files have one base name, but for the same role in different processes."""
+    files = Counter(path.name for path in SOURCES if not path.name.startswith("__"))
+    assert {name for name, count in files.items() if count > 1} == SAME_ROLE
+
+
+def test_a_class_name_names_one_class() -> None:
+    """No two public classes have one name, but for those of the Python interface that wrap the other."""
+    classes = Counter(name for path in SOURCES for name in public_classes(path))
+    assert {name for name, count in classes.items() if count > 1} == WRAPPED
 
 
 def test_messages_and_bus_know_no_physics() -> None:

@@ -45,7 +45,7 @@ _TELL_NS = 200_000_000
 _NO_PLACE = np.zeros(3)
 
 
-class Phase(Enum):
+class VehiclePhase(Enum):
     """Phase of a vehicle, as the table above has them."""
 
     SILENT = "silent"
@@ -104,7 +104,7 @@ class VehicleNode(Participant):
         self._setup = setup
         super().__init__(setup.rules, vehicle_name(uav), incarnation, after=1)
 
-        self.phase = Phase.SILENT
+        self.phase = VehiclePhase.SILENT
         self._ticking: Ticking | None = None
         self._schedule_ns = 0  # the start that it follows, ns since 1970
         self._heard: tuple[int, int] = 0, 0  # `Schedule.sent_ns` and when it arrived
@@ -175,7 +175,7 @@ class VehicleNode(Participant):
 
     def _end(self) -> Sequence[Message]:
         """Let the autopilot land, or hold its place, by itself: the run has ended."""
-        self.phase = Phase.RELEASED
+        self.phase = VehiclePhase.RELEASED
         is_in_order = self.finished is not None and self.finished.outcome == "completed"
         if is_in_order and self._vehicles.at_end == "land":
             self._autopilot.land()
@@ -186,10 +186,10 @@ class VehicleNode(Participant):
     def _prepare(self, told: AutopilotState | None, now_ns: int) -> Sequence[Message]:
         """Check the autopilot, and on a stand arm it and give it the thrust of hover."""
         self._problem = self._lacks(told)
-        self.phase = Phase.SILENT if told is None else Phase.CHECKING
+        self.phase = VehiclePhase.SILENT if told is None else VehiclePhase.CHECKING
         if told is not None and not self._problem:
             is_up = told.armed and told.takes_setpoints
-            self.phase = Phase.READY if is_up else Phase.CHECKING
+            self.phase = VehiclePhase.READY if is_up else VehiclePhase.CHECKING
             if not is_up:
                 self._problem = (
                     f"not armed in the mode of setpoints: {told.mode} {told.says}".strip()
@@ -203,7 +203,7 @@ class VehicleNode(Participant):
         if now_ns < self._tells_ns:
             return ()
         self._tells_ns = now_ns + _TELL_NS
-        if self._stands and told is not None and self.phase is Phase.CHECKING:
+        if self._stands and told is not None and self.phase is VehiclePhase.CHECKING:
             self._autopilot.arm()
         # The coordinator speaks first, once all processes listen, the recorder too.
         return [self._status(told, 0, -1.0, now_ns)] if self._heard[0] else []
@@ -224,7 +224,7 @@ class VehicleNode(Participant):
 
     def _fly(self, told: AutopilotState | None, ticking: Ticking, now_ns: int) -> Sequence[Message]:
         """Measure at a tick that has come, and send a setpoint that is due."""
-        self.phase = Phase.FLYING
+        self.phase = VehiclePhase.FLYING
         out: list[Message] = []
         tick = ticking.newest(now_ns)  # also after the last one, until the run has an end
         self._schedule_arrived(tick, now_ns)

@@ -4,7 +4,7 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.mpc.alone.motion_by_own_sensors import OwnSensors
-from transport.mpc.alone.uav_motion import Motion
+from transport.mpc.alone.uav_motion import UavMotion
 from transport.mpc.law.laws_of_uavs_alone import AloneTeam
 from transport.mpc.law.present_law import Regulation
 from transport.protocol.scenario.setup.team_run import TeamRun
@@ -64,5 +64,5 @@ class OwnLaw:
         inputs = np.clip(wanted, before - step, before + step)
         return np.clip(inputs, settings.lower(1), settings.upper(1))
 
-    def _reference(self, tick: int) -> Motion:
+    def _reference(self, tick: int) -> UavMotion:
         return self._team.setpoint(self._uav, tick).motion

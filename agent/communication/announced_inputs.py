@@ -51,7 +51,7 @@ class Silent:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Untold:
+class Unannounced:
     """Inputs of a tick that no plan has told, as masks, (m,), which `tell` changes."""
 
     by_law: npt.NDArray[np.bool_]  # of agents that follow the shared control law
@@ -63,7 +63,7 @@ class Untold:
         self.by_fail_safe[input_slice(uav)] = False
 
     def any(self) -> bool:
-        """Return whether an input is untold."""
+        """Return whether an input is unannounced."""
         return bool(self.by_fail_safe.any() or self.by_law.any())
 
 
@@ -272,7 +272,7 @@ class AnnouncedInputs:
         lower, upper = self._bounds
         return np.minimum(np.maximum(u, lower), upper)
 
-    def untold(self, tick: int, before: int) -> Untold:
+    def unannounced(self, tick: int, before: int) -> Unannounced:
         """Return which of the inputs of `in_force` no plan has told.
 
         - An agent off the roster: by the fail-safe once its last plan has been played; without a plan
@@ -283,17 +283,19 @@ class AnnouncedInputs:
           `in_force` has hover inputs or announced ones.
         """
         m = len(self._u_hover)
-        untold = Untold(by_law=np.zeros(m, dtype=bool), by_fail_safe=np.zeros(m, dtype=bool))
+        unannounced = Unannounced(
+            by_law=np.zeros(m, dtype=bool), by_fail_safe=np.zeros(m, dtype=bool)
+        )
         for agent, columns in self._columns.items():
             plan = self.plans.newest(agent, before, started=tick)
             is_over = plan is not None and self._is_on_fail_safe(plan, tick)
             if agent in self.heard.off_roster:
-                untold.by_fail_safe[columns] = is_over
+                unannounced.by_fail_safe[columns] = is_over
             elif is_over or (plan is None and self.heard.is_before_return(agent, tick)):
-                untold.by_fail_safe[columns] = True
+                unannounced.by_fail_safe[columns] = True
             elif agent != self._own:
-                untold.by_law[columns] = plan is None or plan.start_tick < tick
-        return untold
+                unannounced.by_law[columns] = plan is None or plan.start_tick < tick
+        return unannounced
 
     def silent(self, tick: int, before: int) -> Silent | None:
         """Return what is assumed of the others' inputs; None where all news are as usual."""

@@ -8,8 +8,8 @@ from transport.agent.estimation.disturbance import DisturbanceEstimator, Measure
 from transport.agent.estimation.filter.belief import Belief
 from transport.agent.estimation.filter.gain_reuse import MOST_TICKS, GainReuse
 from transport.agent.estimation.filter.team_filter import TeamFilter
-from transport.agent.estimation.predicted_motion import STEPS, Failure, Motion
-from transport.agent.estimation.received_states import News
+from transport.agent.estimation.predicted_motion import STEPS, Failure, PredictedMotion
+from transport.agent.estimation.received_states import NewStates
 from transport.agent.estimation.sensor_estimator import Feedback, SensorEstimator
 from transport.agent.estimation.state_estimator import StateEstimator
 from transport.model.arrays import Array
@@ -21,7 +21,7 @@ class Estimator(Protocol):
     """Estimate of the whole state from messages, in any order of arrival."""
 
     @property
-    def news(self) -> News:
+    def news(self) -> NewStates:
         """Newest ticks that were heard of."""
 
     @property
@@ -114,9 +114,9 @@ def sensor_estimator(
     return SensorEstimator(motion, owned, team_filter, feedback, setup.sensors.ages)
 
 
-def _motion(setup: TeamRun, reference: Callable[[int], Array], steps: int) -> Motion:
+def _motion(setup: TeamRun, reference: Callable[[int], Array], steps: int) -> PredictedMotion:
     """Return the motion of the team by the agents' model."""
-    return Motion(
+    return PredictedMotion(
         model=setup.model,
         reference=reference,
         period_s=setup.settings.sampling_period_s,

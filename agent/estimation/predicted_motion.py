@@ -28,7 +28,7 @@ class Failure:
 
 
 @dataclass(slots=True, kw_only=True)
-class Motion:
+class PredictedMotion:
     """Prediction of the state over a sampling period; docs/equations.md (13b), (53)."""
 
     model: Model  # equations of motion before any failure

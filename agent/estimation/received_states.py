@@ -95,7 +95,7 @@ class Reports:
         self._first = max(self._first, tick)
 
 
-class News:
+class NewStates:
     """Newest ticks that an agent has heard of."""
 
     def __init__(self) -> None:

@@ -14,7 +14,7 @@ Entry = TypeVar("Entry")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recursion(Generic[Entry]):
+class TickRecursion(Generic[Entry]):
     """A recursion over ticks. Its steps are pure in the entry and in all that was told so far."""
 
     begin: Callable[[int], Entry]  # entry of the first tick, before its messages
@@ -68,7 +68,7 @@ class History(Generic[Entry]):
             self._told_from = tick
         self.outdate_after(tick)
 
-    def advance(self, k: int, recursion: Recursion[Entry]) -> Entry:
+    def advance(self, k: int, recursion: TickRecursion[Entry]) -> Entry:
         """Return the entry of tick k, not before the newest one; repeat what is outdated."""
         if not self._entries:
             self.first = k

@@ -12,10 +12,10 @@ import numpy as np
 
 from transport.agent.communication.announced_inputs import AnnouncedInputs
 from transport.agent.estimation.filter.belief import NAMES, Belief, pose_numbers
-from transport.agent.estimation.filter.team_filter import Filter, Period, Sensed
-from transport.agent.estimation.predicted_motion import Failure, Motion
-from transport.agent.estimation.received_states import News, Reports, UavReport, by_uav
-from transport.agent.estimation.repeated_ticks import History, Recursion
+from transport.agent.estimation.filter.team_filter import Filter, FilterPeriod, Sensed
+from transport.agent.estimation.predicted_motion import Failure, PredictedMotion
+from transport.agent.estimation.received_states import NewStates, Reports, UavReport, by_uav
+from transport.agent.estimation.repeated_ticks import History, TickRecursion
 from transport.agent.silence.hand_over_by_age import SHARED
 from transport.model import state
 from transport.model.arrays import Array, ShapeError
@@ -27,7 +27,7 @@ Feedback = Callable[[int], Array]
 
 
 @dataclass(frozen=True, slots=True)
-class Tick:
+class FilterTick:
     """Beliefs at a tick."""
 
     prior: Belief  # before its measurements
@@ -47,13 +47,13 @@ class SensorEstimator:
 
     def __init__(
         self,
-        motion: Motion,
+        motion: PredictedMotion,
         owned: Sequence[int],
         team_filter: Filter,
         feedback: Feedback,
         ages: Sequence[int],
     ) -> None:
-        self.news = News()
+        self.news = NewStates()
         self.resets: set[int] = set()  # ticks at which the filter began anew about the reference
         self.forces: Array | None = None  # of the last estimate, (4 + 3 N,); None if not estimated
         self._motion = motion
@@ -66,7 +66,7 @@ class SensorEstimator:
             for age in sorted(set(ages))
         ]
         self._reports = Reports()
-        self._history: History[Tick] = History()
+        self._history: History[FilterTick] = History()
         # Inputs in force over the newest period of the estimate, (4 N,); None before there is one.
         self._newest_inputs: Array | None = None
 
@@ -126,11 +126,11 @@ class SensorEstimator:
         Ticks come in order; gaps are bridged by prediction.
         """
 
-        def following(entry: Tick, tick: int) -> Tick:
+        def following(entry: FilterTick, tick: int) -> FilterTick:
             period = self._period(entry.posterior, tick, announced, k)
             return self._advanced(entry.posterior, tick, period)
 
-        recursion = Recursion(begin=self._begin, corrected=self._corrected, following=following)
+        recursion = TickRecursion(begin=self._begin, corrected=self._corrected, following=following)
         belief = self._history.advance(k, recursion).posterior
         self._reports.forget_before(self._history.first)
         self.forces = self._filter.forces(belief)
@@ -172,12 +172,14 @@ class SensorEstimator:
         except (ShapeError, np.linalg.LinAlgError):
             return {}  # its covariance, computed only now, is out of range: the next tick begins anew
 
-    def _begin(self, tick: int) -> Tick:
+    def _begin(self, tick: int) -> FilterTick:
         """Return the beliefs about the reference, without any measurement: a new start."""
         belief = self._filter.first(self._motion.reference_at(tick))
-        return Tick(prior=belief, posterior=belief)
+        return FilterTick(prior=belief, posterior=belief)
 
-    def _period(self, belief: Belief, tick: int, announced: AnnouncedInputs, k: int) -> Period:
+    def _period(
+        self, belief: Belief, tick: int, announced: AnnouncedInputs, k: int
+    ) -> FilterPeriod:
         """Return the period after `tick` as it is understood at tick k, and keep its inputs.
 
         The last call of an `advance` is for the newest period, of which `inputs_until` tells.
@@ -190,25 +192,25 @@ class SensorEstimator:
 
         # Inputs that are not told answer to the state: du = K dx. The gain is that of the law of
         # now, whenever the covariance is computed.
-        untold = announced.untold(tick, before=k)
+        unannounced = announced.unannounced(tick, before=k)
         for uav in self._reports.uavs(tick + 1):
-            untold.tell(uav)
-        K = self._feedback(tick) if untold.any() else None
+            unannounced.tell(uav)
+        K = self._feedback(tick) if unannounced.any() else None
 
         # x(k' + 1) of k' = tick, under the estimated forces: (13b).
         forces = self._filter.forces(belief)
-        return Period(
+        return FilterPeriod(
             model=self._motion.model_at(tick),
             end=self._motion.predict(belief.x, tick, u, forces),
             u=u,
             forces=forces,
-            untold=untold,
+            unannounced=unannounced,
             K=K,
             correlation=SHARED,
             silent=announced.silent(tick, before=k),
         )
 
-    def _advanced(self, belief: Belief, tick: int, period: Period) -> Tick:
+    def _advanced(self, belief: Belief, tick: int, period: FilterPeriod) -> FilterTick:
         """Return the beliefs after a period that began at `tick`."""
         try:
             prior = self._filter.predict(belief, period)
@@ -216,23 +218,23 @@ class SensorEstimator:
                 prior = self._filter.certain(prior, entries)
         except (ShapeError, np.linalg.LinAlgError):
             return self._begun_anew(tick + 1)
-        return self._corrected(Tick(prior=prior, posterior=prior), tick + 1)
+        return self._corrected(FilterTick(prior=prior, posterior=prior), tick + 1)
 
-    def _corrected(self, entry: Tick, tick: int) -> Tick:
+    def _corrected(self, entry: FilterTick, tick: int) -> FilterTick:
         """Return the beliefs of a tick with all its measurements."""
         posterior = self._plausible(entry.prior, tick)
         if posterior is None:
             return self._begun_anew(tick)
-        return Tick(prior=entry.prior, posterior=posterior)
+        return FilterTick(prior=entry.prior, posterior=posterior)
 
-    def _begun_anew(self, tick: int) -> Tick:
+    def _begun_anew(self, tick: int) -> FilterTick:
         """Return the beliefs of a tick about the reference, as those before were implausible.
 
         The cause may be a measurement of this tick: then without it.
         """
         self.resets.add(tick)
         anew = self._filter.first(self._motion.reference_at(tick))
-        return Tick(prior=anew, posterior=self._plausible(anew, tick) or anew)
+        return FilterTick(prior=anew, posterior=self._plausible(anew, tick) or anew)
 
     def _plausible(self, prior: Belief, tick: int) -> Belief | None:
         """Return a belief with the measurements of its tick; None if it is implausible."""

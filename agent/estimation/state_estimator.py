@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 
 from transport.agent.communication.announced_inputs import AnnouncedInputs
 from transport.agent.estimation.disturbance import DisturbanceEstimator, MeasuredTeam
-from transport.agent.estimation.predicted_motion import Failure, Motion
-from transport.agent.estimation.received_states import News, Reports, UavReport, by_uav
-from transport.agent.estimation.repeated_ticks import History, Recursion
+from transport.agent.estimation.predicted_motion import Failure, PredictedMotion
+from transport.agent.estimation.received_states import NewStates, Reports, UavReport, by_uav
+from transport.agent.estimation.repeated_ticks import History, TickRecursion
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.wire.messages import Measurement, Plan
@@ -32,9 +32,12 @@ class StateEstimator:
     belief = None  # no covariance
 
     def __init__(
-        self, motion: Motion, owned: Sequence[int], disturbance: DisturbanceEstimator | None = None
+        self,
+        motion: PredictedMotion,
+        owned: Sequence[int],
+        disturbance: DisturbanceEstimator | None = None,
     ) -> None:
-        self.news = News()
+        self.news = NewStates()
         self.resets: set[int] = set()  # none: estimates are measured
         self._motion = motion
         self._owned = list(owned)
@@ -102,7 +105,7 @@ class StateEstimator:
             is_informed = is_learning and announced.heard.is_informed(tick + 1, before=k)
             return self._advanced(x, tick, u, is_informed=is_informed)
 
-        recursion = Recursion(
+        recursion = TickRecursion(
             begin=self._motion.reference_at, corrected=self._joined, following=following
         )
         x = self._history.advance(k, recursion)

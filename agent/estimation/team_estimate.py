@@ -11,7 +11,7 @@ from transport.agent.estimation.law_inputs import LawInputs
 from transport.agent.estimation.predicted_motion import Failure
 from transport.agent.received import Received
 from transport.agent.silence.hand_over_by_age import LESS_THAN_OTHERS, Silence
-from transport.agent.silence.integrator_states import HeldForces
+from transport.agent.silence.integrator_states import IntegratorForces
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.physics.hover import motor_off_state, released_state
@@ -81,7 +81,7 @@ class TeamEstimate:
             settings=setup.settings,
         )
         self.announced.fail_safe = regulation.fail_safe
-        self._held_forces = HeldForces(setup.settings.sampling_period_s)
+        self._held_forces = IntegratorForces(setup.settings.sampling_period_s)
         self.expected: Expected | None = None
         self._has_landed = False
         self._forces_in_flight = self.estimator.forces

@@ -18,7 +18,7 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.mpc.alone.alone_law import steps_alone
 from transport.mpc.alone.motion_by_own_sensors import OwnSensors
-from transport.mpc.alone.uav_motion import Motion, ahead, motion_of
+from transport.mpc.alone.uav_motion import UavMotion, ahead, motion_of
 from transport.mpc.law.laws_of_uavs_alone import AloneTeam
 from transport.mpc.law.present_law import Regulation
 from transport.protocol.scenario.setup.team_run import TeamRun
@@ -191,7 +191,7 @@ class AlonePlanner:
             return self._inputs
         return measured.inputs.reshape(-1)
 
-    def _motion(self, i: int, measured: Measurement, start: int, before: Array) -> Motion:
+    def _motion(self, i: int, measured: Measurement, start: int, before: Array) -> UavMotion:
         """Return the motion of the i-th owned UAV at tick `start` by its own measurements.
 
         `before` are the inputs of the owned UAVs in force until then, (4 owned,).
@@ -216,7 +216,7 @@ class AlonePlanner:
         here, inputs = self._team.setpoint(uav, tick), before[state.input_slice(i)]
         return self._team.law(uav).driven(motion, here, reference(start), inputs, period_s)
 
-    def _reference(self, uav: int) -> Callable[[int], Motion]:
+    def _reference(self, uav: int) -> Callable[[int], UavMotion]:
         return lambda tick: self._team.setpoint(uav, tick).motion
 
     def _said(self, k: int) -> Array:

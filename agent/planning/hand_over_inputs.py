@@ -12,7 +12,7 @@ from transport.model.arrays import Array
 from transport.model.physics.rotations import rotation
 from transport.mpc.alone.alone_law import steps_alone
 from transport.mpc.alone.motion_by_own_sensors import OwnSensors
-from transport.mpc.alone.uav_motion import Motion, ahead, motion_of
+from transport.mpc.alone.uav_motion import UavMotion, ahead, motion_of
 from transport.mpc.program.prediction import Linear
 from transport.protocol.scenario.setup.team_run import TeamRun
 
@@ -82,7 +82,7 @@ class HandOver:
         ahead = self._team.alone_ahead(uav, start, steps)
         return np.asarray(ahead + fading[:, None] * deviation)
 
-    def _motion(self, uav: int, k: int, start: int, linear: Linear) -> Motion:
+    def _motion(self, uav: int, k: int, start: int, linear: Linear) -> UavMotion:
         """Return the motion of a UAV at tick `start` by its own sensors: (31d), (31e).
 
         Without all measurements of tick k: by the estimate. The inputs in force until `start` are those
@@ -91,7 +91,7 @@ class HandOver:
         """
         system, estimator = self._setup.system, self._team.estimator
 
-        def reference(tick: int) -> Motion:
+        def reference(tick: int) -> UavMotion:
             return self._team.alone(uav, tick)[1].motion
 
         if isinstance(estimator, SensorEstimator):
@@ -114,8 +114,8 @@ class HandOver:
         k: int,
         start: int,
         estimator: SensorEstimator,
-        reference: Callable[[int], Motion],
-    ) -> Motion | None:
+        reference: Callable[[int], UavMotion],
+    ) -> UavMotion | None:
         """Return the motion at tick `start` by the vehicle's sensors, observed to tick k.
 
         What the inputs until then do is left out. None without all measurements of tick k.

@@ -58,7 +58,7 @@ class HorizonStart:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Problem:
+class StepProblem:
     """Problem of an agent at a tick: the same in all iterations but for the announced plans."""
 
     y_ref: Array  # reference outputs at steps 0..N_p, (N_p + 1, p)
@@ -70,13 +70,13 @@ class Problem:
 
 
 @dataclass(slots=True, kw_only=True)
-class Step:
+class MpcStep:
     """An open tick: its problem, and the newest result."""
 
     received: Received
     uav_states: Array  # states or measurements of the owned UAVs for the plan, (owned, 12 or 80)
     start_tick: int  # first tick that the plan is for
-    problem: Problem
+    problem: StepProblem
     negotiation: int
     result: StepResult | None = None
 
@@ -155,7 +155,7 @@ class Planner:
         self._integrated(x0, hover.u, None)
         controller.regulation.fail_safe.warm_up()
 
-    def begin(self, received: Received) -> Step:
+    def begin(self, received: Received) -> MpcStep:
         """Estimate the state at a tick and form the problem that follows from it."""
         self._times.begin(received.started_ns)
         k = received.tick
@@ -163,7 +163,7 @@ class Planner:
         self._handover.advance(k)
         start = self._horizon_start(k, x)
         problem = self._problem(k, start)
-        return Step(
+        return MpcStep(
             received=received,
             uav_states=self._team.estimator.reported(k, x),
             start_tick=start.tick,
@@ -189,7 +189,7 @@ class Planner:
         )
         return motors.integrate(self._controller.model, x, u, period, forces)
 
-    def _problem(self, k: int, start: HorizonStart) -> Problem:
+    def _problem(self, k: int, start: HorizonStart) -> StepProblem:
         """Return the problem of tick k, about the begin of its horizon."""
         controller = self._controller
         setup = self._setup
@@ -217,7 +217,7 @@ class Planner:
         discrete = self._discrete(linear)
         self._times.lap("discretise")
         y_ref = setup.Y_ref[first : first + steps + 1]
-        return Problem(y_ref=y_ref, U=U, law=law, end=end, linear=linear, discrete=discrete)
+        return StepProblem(y_ref=y_ref, U=U, law=law, end=end, linear=linear, discrete=discrete)
 
     def _discrete(self, linear: Linear) -> Discrete | None:
         """Return the difference equation; None if out-of-range states have none."""
@@ -226,7 +226,7 @@ class Planner:
         except ShapeError:
             return None
 
-    def plan(self, step: Step, out: Outbox, publish_ns: int) -> list[Message]:
+    def plan(self, step: MpcStep, out: Outbox, publish_ns: int) -> list[Message]:
         """Solve a step's problem; return a proposal, or at the end the tick's plan and report.
 
         The step's `negotiation` counts down to 0; the last messages took `publish_ns` to publish.
@@ -255,7 +255,7 @@ class Planner:
         self._times.resume()
         return [*notes, *softened, plan, report]
 
-    def _plan(self, step: Step, result: StepResult, out: Outbox) -> Plan:
+    def _plan(self, step: MpcStep, result: StepResult, out: Outbox) -> Plan:
         """Return the plan of a result; the last one of a tick is shared if the others need it."""
         received = step.received
         corrections = Corrections(
@@ -283,7 +283,7 @@ class Planner:
             stale=self._freshness.age(received.tick, is_solved=result.solution.status == "solved"),
         )
 
-    def _handed_over(self, step: Step, result: StepResult) -> StepResult:
+    def _handed_over(self, step: MpcStep, result: StepResult) -> StepResult:
         """Return the result with inputs between the team's and those of the UAVs alone, (32d).
 
         The corrections stay those to the team's law: receivers mix that law with the one alone, by
@@ -295,7 +295,7 @@ class Planner:
             return result
         return replace(result, U=U, c=result.c[: len(U)])
 
-    def adopt(self, step: Step, proposals: Sequence[Plan]) -> None:
+    def adopt(self, step: MpcStep, proposals: Sequence[Plan]) -> None:
         """Take the others' proposals and the own one into the next iteration of the negotiation.
 
         U = [u_1, ..., u_M] of iteration r - 1, and with a shared control law c likewise: (47). The
@@ -321,7 +321,7 @@ class Planner:
         """Return nothing: this controller has nothing to end with the run."""
         return []
 
-    def _solved(self, step: Step) -> StepResult:
+    def _solved(self, step: MpcStep) -> StepResult:
         """Return the result of a problem: predict, condense, solve and conclude."""
         controller = self._controller
         problem = step.problem
@@ -357,7 +357,7 @@ class Planner:
             )
         return result
 
-    def _shifted(self, step: Step) -> StepResult:
+    def _shifted(self, step: MpcStep) -> StepResult:
         """Return the shifted previous plan without a solve: all UAVs of the agent act wholly alone.
 
         `_handed_over` replaces its inputs, and cuts its corrections to `steps_alone` entries.
@@ -394,7 +394,7 @@ class Planner:
         )
         return [numbers_note(tick, self._agent, {}, out, problem)]
 
-    def _report(self, step: Step, result: StepResult, out: Outbox) -> StepReport:
+    def _report(self, step: MpcStep, result: StepResult, out: Outbox) -> StepReport:
         """Return the report of a step."""
         k = step.received.tick
         team = self._team

@@ -7,7 +7,12 @@ silent. Source: docs/equations.md (32c), (63c).
 from collections.abc import Iterable
 
 from transport.agent.received import ReceivedPlans
-from transport.agent.silence.hand_over_by_age import NO_WAIT, News, NewsAge, Silence
+from transport.agent.silence.hand_over_by_age import (
+    NO_WAIT,
+    InformationAge,
+    InformationAges,
+    Silence,
+)
 from transport.protocol.wire.messages import Plan
 
 # Tick of an event that has not occurred: before the first.
@@ -51,7 +56,7 @@ class HeardOthers:
 
         self.plans = ReceivedPlans(self._agents)
         self._peers = tuple(agent for agent in self._agents if agent != own)
-        self._news = News(self._peers, silence)
+        self._news = InformationAges(self._peers, silence)
         self.oldest_news = NO_WAIT
 
         # The first tick at which news were observed, and that at which an agent returned: from these
@@ -93,16 +98,16 @@ class HeardOthers:
             age = self.age(agent, plan, k)
             mean = max(mean, age.mean)
             overdue = max(overdue, age.overdue)
-        self.oldest_news = NewsAge(mean=mean, overdue=overdue)
+        self.oldest_news = InformationAge(mean=mean, overdue=overdue)
 
-    def age(self, agent: int, plan: Plan | None, tick: int) -> NewsAge:
+    def age(self, agent: int, plan: Plan | None, tick: int) -> InformationAge:
         """Return how old an agent's news are at a tick, also for past ticks by those of now."""
         if agent == self._own or agent in self.off_roster:
             return NO_WAIT
         # Without any plan, as if one had been made just before the first that can be expected.
         newest = self._expected_since(agent) - 1 if plan is None else plan.solved_tick
         overdue = max(0.0, float(tick - newest - self._news.usual(agent)))
-        return NewsAge(mean=self._news.mean(agent), overdue=overdue)
+        return InformationAge(mean=self._news.mean(agent), overdue=overdue)
 
     def _expected_since(self, agent: int) -> int:
         """Return the tick from which on plans of an agent are expected."""
@@ -185,7 +190,7 @@ class HeardOthers:
         return self.age(agent, None, tick).overdue > silence.overdue.begins
 
 
-def alone_by(silence: Silence, plan: Plan | None, age: NewsAge) -> float:
+def alone_by(silence: Silence, plan: Plan | None, age: InformationAge) -> float:
     """Return the larger share alone of what a plan says and of what follows from its age."""
     said = 0.0 if plan is None else plan.alone
     return max(said, silence.alone(age))

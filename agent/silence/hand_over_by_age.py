@@ -46,7 +46,7 @@ SHARED = 0.6
 _FORGETS_S = 0.3  # time constant in which own measurements replace what both know
 
 
-class NewsAge(NamedTuple):
+class InformationAge(NamedTuple):
     """Age of the newest plan of another agent, ticks."""
 
     mean: float  # over the last second
@@ -54,7 +54,7 @@ class NewsAge(NamedTuple):
 
 
 # Of an agent that is not waited for: the agent itself, and those off the roster.
-NO_WAIT = NewsAge(mean=0.0, overdue=0.0)
+NO_WAIT = InformationAge(mean=0.0, overdue=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,12 +120,12 @@ class Silence:
         """
         return replace(self, late=None)
 
-    def alone(self, age: NewsAge) -> float:
+    def alone(self, age: InformationAge) -> float:
         """Return the share of the law alone, 0 to 1, by the age of news. Source: (32c)."""
         late = 0.0 if self.late is None else self.late.share(age.mean)
         return max(late, self.overdue.share(age.overdue))
 
-    def correlation(self, age: NewsAge) -> float:
+    def correlation(self, age: InformationAge) -> float:
         """Return the correlation of two agents' errors by the age of news. Source: (63c)."""
         since_begin = age.overdue - self.overdue.begins
         if since_begin <= 0.0:
@@ -133,7 +133,7 @@ class Silence:
         return float(SHARED * np.exp(-since_begin / self.forgets))
 
 
-class News:
+class InformationAges:
     """Ages of the newest plans of the others, and how old they usually are, ticks."""
 
     def __init__(self, peers: Iterable[int], silence: Silence | None = None) -> None:

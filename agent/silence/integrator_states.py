@@ -8,7 +8,7 @@ from collections.abc import Collection
 from transport.model.arrays import Array
 
 
-class HeldForces:
+class IntegratorForces:
     """Forces that the integrals have followed, by the estimate of one agent.
 
     The others' share in them is only what this agent expects of them, so agents need not agree.

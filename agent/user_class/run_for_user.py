@@ -13,7 +13,7 @@ from transport.agent.user_class.entry_names import Layout
 from transport.agent.user_class.user_estimate import OwnEstimate
 from transport.model.arrays import Array, frozen
 from transport.model.linear.linearisation import Model
-from transport.model.path.target_and_stop import Target
+from transport.model.path.target_and_stop import PathTarget
 from transport.model.physics.parameters import System
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.setup.team_run import TeamRun
@@ -96,7 +96,7 @@ class Run(Layout):
         return np.array(X_ref[min(tick, len(X_ref) - 1)])
 
     @property
-    def targets(self) -> tuple[Target, ...]:
+    def targets(self) -> tuple[PathTarget, ...]:
         """Targets that this agent knows and follows, in the order in which they were told."""
         return self._setup.maneuver.targets
 

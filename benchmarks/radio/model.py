@@ -2,7 +2,7 @@
 
 from benchmarks.radio.cases import PERIOD_NS, Case, end_ns, sends
 from benchmarks.radio.reference import Arrivals
-from transport.protocol.radio.frames import Frame, Result
+from transport.protocol.radio.frames import Frame, FrameResult
 from transport.protocol.radio.medium_access import Channel, ChannelParameters, ChannelState
 from transport.protocol.radio.propagation import Propagation, milliwatts, noise_mw, ratio
 from transport.protocol.radio.standards_80211 import STANDARDS
@@ -55,7 +55,7 @@ def run(case: Case, *, draws: bool = False) -> tuple[Arrivals, dict[str, int]]:
     state = ChannelState.idle(stations, STANDARDS[case.standard])
     arrivals: Arrivals = {}
     counts = dict.fromkeys(
-        ("transmissions", "repetitions", *(result.name.lower() for result in Result)), 0
+        ("transmissions", "repetitions", *(result.name.lower() for result in FrameResult)), 0
     )
     place = 0
     for until in range(2 * PERIOD_NS, end_ns(case) + PERIOD_NS, PERIOD_NS):
@@ -65,7 +65,7 @@ def run(case: Case, *, draws: bool = False) -> tuple[Arrivals, dict[str, int]]:
         state, outcomes, counted = channel.advance(state, powers, frames[begin:place], until)
         for outcome in outcomes:
             counts[outcome.result.name.lower()] += 1
-            if outcome.result is Result.DELIVERED:
+            if outcome.result is FrameResult.DELIVERED:
                 arrivals[outcome.frame.sequence, outcome.receiver] = outcome.time_ns
         counts["transmissions"] += counted.transmissions + counted.acknowledgements
         counts["repetitions"] += counted.repetitions

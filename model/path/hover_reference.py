@@ -10,7 +10,7 @@ from transport.model.physics.hover import Hover
 from transport.model.physics.parameters import System
 
 
-class Reference:
+class HoverReference:
     """Reference outputs and states: the hover configuration moved along the path of a maneuver."""
 
     def __init__(self, system: System, hover: Hover, maneuver: Maneuver) -> None:
@@ -29,9 +29,9 @@ class Reference:
         """Digest of the numbers that the reference follows from."""
         return digest("hover", self._system, self._hover, self.maneuver)
 
-    def with_maneuver(self, maneuver: Maneuver) -> "Reference":
+    def with_maneuver(self, maneuver: Maneuver) -> "HoverReference":
         """Return the reference of another maneuver of the team."""
-        return Reference(self._system, self._hover, maneuver)
+        return HoverReference(self._system, self._hover, maneuver)
 
     def followed(self, t_s: Array) -> tuple[Array, Array]:
         """Return outputs and states that controllers follow, at times t_s, (k,), s.

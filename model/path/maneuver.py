@@ -11,7 +11,7 @@ from transport.model.arrays import Array, ArrayLike, assign, checked
 from transport.model.path import taylor_jets as jets
 from transport.model.path.curves import ORDERS
 from transport.model.path.phase import Phase, Profile
-from transport.model.path.target_and_stop import Slowing, Target
+from transport.model.path.target_and_stop import PathTarget, Slowing
 from transport.model.physics.parameters import ParameterError
 
 # Names of the way to a target and of the rest after it: in flight, and of one that lands.
@@ -30,7 +30,7 @@ class Maneuver:
     # Depth of the controllers' reference below the path while the ground carries the payload, m.
     press_m: float
     # Given during the flight, in this order: each leads away from the path before it.
-    targets: tuple[Target, ...]
+    targets: tuple[PathTarget, ...]
     # Losses of time along the path with all targets, in this order.
     slowings: tuple[Slowing, ...]
     # By how much the clock by which the path is followed is ahead, s: at t it is where it is to be then.
@@ -43,7 +43,7 @@ class Maneuver:
         phases: Sequence[Phase],
         profile: Profile = "ramp",
         press_m: float = 0.0,
-        targets: Sequence[Target] = (),
+        targets: Sequence[PathTarget] = (),
         slowings: Sequence[Slowing] = (),
         ahead_s: float = 0.0,
     ) -> None:
@@ -61,7 +61,7 @@ class Maneuver:
             ahead_s=ahead_s,
         )
 
-    def with_target(self, target: Target) -> "Maneuver":
+    def with_target(self, target: PathTarget) -> "Maneuver":
         """Return the maneuver with a further target."""
         return replace(self, targets=(*self.targets, target))
 

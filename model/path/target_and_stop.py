@@ -13,7 +13,7 @@ STOP_S = 1.0  # least time of slowing to a rest in silence, and of speeding up a
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Target:
+class PathTarget:
     """A target given during the flight.
 
     The payload leaves its path for it, and may run through a curve from there.

@@ -17,9 +17,9 @@ from transport.model.physics.rotations import rotation
 from transport.mpc.alone.attitude_loop import OuterGain, attitude_loop
 from transport.mpc.alone.thrust_direction import roll_and_pitch, roll_and_pitch_slopes
 from transport.mpc.alone.uav_motion import (
-    Motion,
     MotionSlopes,
     Setpoint,
+    UavMotion,
     hover_motion_slopes,
     motion_slopes,
     turn_by_inputs,
@@ -86,7 +86,7 @@ class AloneLaw:
         turning_loop = [self._stiffness.reshape(-1), self._damping.reshape(-1)]
         return np.concatenate([*rod, self._masses, position_loop, *turning_loop])
 
-    def inputs(self, motion: Motion, setpoint: Setpoint, held_I: Array | None = None) -> Array:
+    def inputs(self, motion: UavMotion, setpoint: Setpoint, held_I: Array | None = None) -> Array:
         """Return thrust and moments, or body rates, before limits, (4,), N and N m or rad/s: (31b).
 
         `held_I` is the force of the integral, (3,), N; None for none.
@@ -113,7 +113,7 @@ class AloneLaw:
         thrust_N = -(rotation(motion.Theta)[:, 2] @ force_I)
         return np.concatenate([[thrust_N], turning])
 
-    def force(self, motion: Motion, setpoint: Setpoint, held_I: Array | None = None) -> Array:
+    def force(self, motion: UavMotion, setpoint: Setpoint, held_I: Array | None = None) -> Array:
         """Return the desired force of the thrust, (3,), inertial frame, N. Source: docs/equations.md (31a)."""
         gains = self._gains
         desired = setpoint.motion
@@ -127,7 +127,7 @@ class AloneLaw:
         force_I: Array = setpoint.force_I + self._masses * acceleration
         return force_I if held_I is None else force_I + held_I
 
-    def held(self, held_I: Array, motion: Motion, setpoint: Setpoint, period_s: float) -> Array:
+    def held(self, held_I: Array, motion: UavMotion, setpoint: Setpoint, period_s: float) -> Array:
         """Return the force of the integral one period later, (3,), N. Source: docs/equations.md (31a)."""
         error_I = setpoint.motion.position_I - motion.position_I
         rate_I = self._masses * self._gains.integral * error_I - held_I / self._gains.forgets_s
@@ -196,8 +196,8 @@ class AloneLaw:
         return slopes
 
     def driven(
-        self, motion: Motion, here: Setpoint, there: Motion, inputs: Array, duration_s: float
-    ) -> Motion:
+        self, motion: UavMotion, here: Setpoint, there: UavMotion, inputs: Array, duration_s: float
+    ) -> UavMotion:
         """Return a motion `ahead` by a time, s, with what the inputs in force until then do: (31h).
 
         They turn the UAV, and their thrust moves it, in the direction of half that time. The force of the rod

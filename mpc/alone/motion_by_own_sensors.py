@@ -11,7 +11,7 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.model.physics.parameters import System
 from transport.model.physics.rotations import euler_rates, rotation
-from transport.mpc.alone.uav_motion import Motion
+from transport.mpc.alone.uav_motion import UavMotion
 
 # Observer of the rod from the specific force: fast enough for the pendulum of a rod, slow enough for
 # the noise.
@@ -82,7 +82,7 @@ class OwnSensors:
         return reckoned
 
     def observe(
-        self, sensed: Array, thrust_N: float, tick: int, reference: Callable[[int], Motion]
+        self, sensed: Array, thrust_N: float, tick: int, reference: Callable[[int], UavMotion]
     ) -> None:
         """Correct the estimate of the rod by measurements of a tick, (15,), with the thrust until it.
 
@@ -110,8 +110,8 @@ class OwnSensors:
         self._rate_I = self._rate_I + self._period_s * RATE_GAIN * error_I
 
     def motion(
-        self, sensed: Array, tick: int, start: int, reference: Callable[[int], Motion]
-    ) -> Motion:
+        self, sensed: Array, tick: int, start: int, reference: Callable[[int], UavMotion]
+    ) -> UavMotion:
         """Return the motion at tick `start` from measurements of a tick, (15,), and the estimate of the rod.
 
         Each measurement is compared with the reference of its time; deviations of position and attitude
@@ -126,7 +126,7 @@ class OwnSensors:
         turning_s = self._period_s * (start - tick + self._ages[2])
         position_I = sensed[state.POSITION] - position_ref.position_I + moving_s * velocity_I
         Theta = sensed[state.THETA] - attitude_ref.Theta + turning_s * omega_B
-        return Motion(
+        return UavMotion(
             position_I=there.position_I + position_I,
             velocity_I=there.velocity_I + velocity_I,
             Theta=there.Theta + Theta,
@@ -135,6 +135,6 @@ class OwnSensors:
             swing_I=there.swing_I + self._rate_I,
         )
 
-    def _delayed(self, reference: Callable[[int], Motion], tick: int) -> tuple[Motion, ...]:
+    def _delayed(self, reference: Callable[[int], UavMotion], tick: int) -> tuple[UavMotion, ...]:
         """Return the reference at the time that each measurement of a tick is of."""
         return tuple(reference(max(tick - age, 0)) for age in self._ages)

@@ -12,7 +12,7 @@ from transport.model.physics.rotations import cross, euler_rates, rotation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Motion:
+class UavMotion:
     """Motion of one UAV, SI."""
 
     position_I: Array  # (3,)
@@ -27,13 +27,13 @@ class Motion:
 class Setpoint:
     """What one UAV follows at an instant: its part of the motion of the team, and the inputs that belong to it."""
 
-    motion: Motion
+    motion: UavMotion
     force_I: Array  # force of the thrust, (3,), N
     turning: Array  # moments, N m, or commanded body rates, rad/s, (3,)
     inputs: Array  # thrust and `turning`, (4,)
 
 
-def motion_of(system: System, uav: int, x: Array) -> Motion:
+def motion_of(system: System, uav: int, x: Array) -> UavMotion:
     """Return the motion of a UAV, 0-based, in a state of the team, (n,). Source: docs/equations.md (1), (39)."""
     own = x[state.uav_slice(uav)]
     rho = system.uavs[uav].rho
@@ -42,7 +42,7 @@ def motion_of(system: System, uav: int, x: Array) -> Motion:
 
     swing_P = cross(own[state.ROD_RATE], rod_P)
     turning_P = cross(x[state.OMEGA0], rho) - swing_P
-    return Motion(
+    return UavMotion(
         position_I=x[state.R0] + R0 @ (rho - rod_P),
         velocity_I=R0 @ (x[state.V0] + turning_P),
         Theta=own[state.THETA],
@@ -66,8 +66,8 @@ def setpoint_of(system: System, uav: int, x: Array, u: Array) -> Setpoint:
 
 
 def ahead(
-    motion: Motion, tick: int, start: int, reference: Callable[[int], Motion], period_s: float
-) -> Motion:
+    motion: UavMotion, tick: int, start: int, reference: Callable[[int], UavMotion], period_s: float
+) -> UavMotion:
     """Return the motion at tick `start` of a UAV that has a motion at an earlier tick.
 
     Its deviations of position and attitude from the reference, which is given by tick, go on at their
@@ -81,7 +81,7 @@ def ahead(
 
     velocity_I = motion.velocity_I - here.velocity_I
     omega_B = motion.omega_B - here.omega_B
-    return Motion(
+    return UavMotion(
         position_I=there.position_I + motion.position_I - here.position_I + duration_s * velocity_I,
         velocity_I=there.velocity_I + velocity_I,
         Theta=there.Theta + motion.Theta - here.Theta + duration_s * omega_B,

@@ -11,9 +11,9 @@ from transport.model.linear.linearisation import Model
 from transport.model.physics.hover import Hover, hover_after_failures
 from transport.model.state import input_slice
 from transport.mpc.alone.fail_safe import FailSafe
-from transport.mpc.law.infinite_horizon_lqr import HoveringTeam, Regulator, Team, regulator
+from transport.mpc.law.infinite_horizon_lqr import HoveringTeam, Regulator, TeamFailures, regulator
 from transport.mpc.law.preview import at_rest
-from transport.mpc.law.steady_state import Target, target
+from transport.mpc.law.steady_state import SteadyState, target
 from transport.mpc.program.feedback_law import FeedbackError
 from transport.mpc.program.stage_cost import Cost
 from transport.mpc.program.user_expressions import UserCosts
@@ -56,7 +56,7 @@ class HoverLaw:
     regulator: Regulator | None  # None if the settings need none
 
     @cached_property
-    def target(self) -> Target:
+    def target(self) -> SteadyState:
         """Steady state under external forces. Source: docs/equations.md (40)."""
         return target(self.hovering)
 
@@ -87,7 +87,7 @@ class HoverLaw:
 _HOVER_LAWS: SharedResults[HoverLaw] = SharedResults()
 
 
-def hover_law(crew: Crew, fail_safe: FailSafe, team: Team) -> HoverLaw:
+def hover_law(crew: Crew, fail_safe: FailSafe, team: TeamFailures) -> HoverLaw:
     """Return the law of a team about hover; UAVs without agents follow the fail-safe, (45), (50).
 
     Raises: ParameterError: the team has no hover. FeedbackError: no gain stabilises it.
@@ -98,7 +98,7 @@ def hover_law(crew: Crew, fail_safe: FailSafe, team: Team) -> HoverLaw:
     return _HOVER_LAWS.get(key, lambda: _hover_law(key, crew, fail_safe, team))
 
 
-def _hover_law(key: bytes, crew: Crew, fail_safe: FailSafe, team: Team) -> HoverLaw:
+def _hover_law(key: bytes, crew: Crew, fail_safe: FailSafe, team: TeamFailures) -> HoverLaw:
     """Return the law of a team about hover, anew."""
     hovering = _hovering(crew, fail_safe, team)
     law = None
@@ -109,7 +109,7 @@ def _hover_law(key: bytes, crew: Crew, fail_safe: FailSafe, team: Team) -> Hover
     return HoverLaw(key=key, crew=crew, hovering=hovering, regulator=law)
 
 
-def _hovering(crew: Crew, fail_safe: FailSafe, team: Team) -> HoveringTeam:
+def _hovering(crew: Crew, fail_safe: FailSafe, team: TeamFailures) -> HoveringTeam:
     """Return a team about its hover, with the thrusts of UAVs on the fail-safe as they are."""
     # A UAV without motors has no fail-safe.
     uncontrolled = {uav: fail_safe.gain(uav) for uav in team.gone - team.off}

@@ -32,7 +32,7 @@ _RANK = 1e-12
 _EXPECTED = "expected a team that linear feedback can stabilise about hover"
 
 
-class Team(NamedTuple):
+class TeamFailures(NamedTuple):
     """UAVs, 0-based, without an agent, without motors, and of these the released ones."""
 
     gone: frozenset[int] = frozenset()
@@ -47,7 +47,7 @@ class HoveringTeam:
     model: Model
     hover: Hover
     cost: Cost
-    team: Team = field(default_factory=Team)
+    team: TeamFailures = field(default_factory=TeamFailures)
     # Feedback of UAVs without an agent, (4, n), by 0-based numbers.
     uncontrolled: Mapping[int, Array] = field(default_factory=dict)
 

@@ -15,7 +15,7 @@ from transport.model.path.flat_reference import Track
 from transport.model.physics.hover import Hover
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.law.hover_law import Crew
-from transport.mpc.law.infinite_horizon_lqr import Team
+from transport.mpc.law.infinite_horizon_lqr import TeamFailures
 from transport.mpc.law.reconfiguration import (
     Followed,
     law_after_change,
@@ -26,7 +26,7 @@ from transport.mpc.law.team_law import TeamLaw
 from transport.mpc.law.tracking_lqr import Recursion
 from transport.mpc.program.feedback_law import FeedbackLaw
 from transport.mpc.program.user_expressions import UserCosts
-from transport.mpc.reference import Change, Sampled
+from transport.mpc.reference import ReferenceChange, Sampled
 from transport.mpc.settings import ControllerSettings
 
 
@@ -42,12 +42,12 @@ class WholeTeam:
     def __init__(self, crew: Crew, reference: Sampled | None) -> None:
         self._crew = crew
         self.followed = Followed.of(crew, reference)
-        self.law = law_before_tracking(crew, self.followed, Team())
+        self.law = law_before_tracking(crew, self.followed, TeamFailures())
 
-    def follow(self, reference: Sampled, change: Change) -> None:
+    def follow(self, reference: Sampled, change: ReferenceChange) -> None:
         """Follow a reference with a further target, from that target's instant on."""
         self.followed = Followed.after(self._crew, reference, change, self.law)
-        self.law = law_before_tracking(self._crew, self.followed, Team())
+        self.law = law_before_tracking(self._crew, self.followed, TeamFailures())
 
 
 class Regulation:
@@ -67,9 +67,9 @@ class Regulation:
         self._whole = WholeTeam(self.crew, reference)
         self._followed = self._whole.followed
         # Recursions along the present reference, by team; one of them may still be advancing.
-        self._recursions: dict[Team, Recursion] = {}
+        self._recursions: dict[TeamFailures, Recursion] = {}
         self._advancing: Recursion | None = None
-        self.current = self._law_of(Team(), None, None)
+        self.current = self._law_of(TeamFailures(), None, None)
 
     def form(
         self,
@@ -85,10 +85,10 @@ class Regulation:
         until `advance` returns true: the regulator along it takes several ticks to compute. Without
         `since` the final law is computed at once.
         """
-        team = Team(frozenset(gone), frozenset(off), frozenset(released))
+        team = TeamFailures(frozenset(gone), frozenset(off), frozenset(released))
         self.current = self._law_of(team, self.current, since)
 
-    def _law_of(self, team: Team, before: TeamLaw | None, since: int | None) -> TeamLaw:
+    def _law_of(self, team: TeamFailures, before: TeamLaw | None, since: int | None) -> TeamLaw:
         """Return the law of a team, with what holds until its recursion is ready."""
         law = law_before_tracking(self.crew, self._followed, team)
         self._advancing = None

@@ -19,12 +19,12 @@ from transport.model.state import input_indices
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.alone.undisturbed_motion import ControlledTeam, UndisturbedMotion
 from transport.mpc.law.hover_law import Crew, HoverLaw, hover_law
-from transport.mpc.law.infinite_horizon_lqr import Regulator, Team
+from transport.mpc.law.infinite_horizon_lqr import Regulator, TeamFailures
 from transport.mpc.law.preview import Preview, only_known, preview
 from transport.mpc.law.team_law import TeamLaw
 from transport.mpc.law.tracking_lqr import Recursion, Tracker
 from transport.mpc.program.feedback_law import FeedbackError
-from transport.mpc.reference import KEPT, Change, Sampled
+from transport.mpc.reference import KEPT, ReferenceChange, Sampled
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,7 +36,7 @@ class Followed:
     """
 
     fail_safe: FailSafe  # of the whole team, which follows its undisturbed motion
-    ahead: Change | None  # the part whose preview is computed; None without reference
+    ahead: ReferenceChange | None  # the part whose preview is computed; None without reference
     preview_before: Preview | None = None  # the response to the reference before that part
 
     @staticmethod
@@ -44,13 +44,15 @@ class Followed:
         """Return the whole of a reference; without one the team hovers."""
         if reference is None:
             return Followed(fail_safe=_fail_safe(crew, crew.hover.x[None], None), ahead=None)
-        whole = Change(first=0, X=reference.X, track=reference.track)
+        whole = ReferenceChange(first=0, X=reference.X, track=reference.track)
         fail_safe = _fail_safe(crew, reference.X, reference.track)
         followed = Followed(fail_safe=fail_safe, ahead=whole)
         return followed.with_motion(crew, reference, None)
 
     @staticmethod
-    def after(crew: Crew, reference: Sampled, change: Change, whole: TeamLaw) -> "Followed":
+    def after(
+        crew: Crew, reference: Sampled, change: ReferenceChange, whole: TeamLaw
+    ) -> "Followed":
         """Return a reference from its newest change on; before, the whole team's law stays."""
         fail_safe = _fail_safe(crew, reference.X, reference.track)
         followed = Followed(fail_safe=fail_safe, ahead=change, preview_before=whole.preview)
@@ -69,7 +71,7 @@ class Followed:
         if not self.fail_safe.follows or reference.track is not None or not is_known:
             return self
 
-        law = law_before_tracking(crew, self, Team())
+        law = law_before_tracking(crew, self, TeamFailures())
         by_before = None if before is None else before.key
         key = digest(law.about_hover.key, reference.key, by_before)
         first = 0 if before is None or reference.change is None else reference.change.first
@@ -106,7 +108,7 @@ def undisturbed(
     return UndisturbedMotion(team, X_ref, before=before, first=first, key=key)
 
 
-def law_before_tracking(crew: Crew, followed: Followed, team: Team) -> TeamLaw:
+def law_before_tracking(crew: Crew, followed: Followed, team: TeamFailures) -> TeamLaw:
     """Return the law of a team without the regulator along a flat reference, which takes longest.
 
     If the remaining UAVs cannot stabilise the payload, the law is that of the team without the
@@ -114,14 +116,14 @@ def law_before_tracking(crew: Crew, followed: Followed, team: Team) -> TeamLaw:
     (51).
     Raises: FeedbackError: the settings need a regulator, and none stabilises the whole team.
     """
-    fewer = [team, Team(off=team.off, released=team.released), Team(gone=team.gone)]
+    fewer = [team, TeamFailures(off=team.off, released=team.released), TeamFailures(gone=team.gone)]
     for possible in fewer if any(team) else []:
         with contextlib.suppress(FeedbackError, ParameterError):
             return _law_of(crew, followed, possible)
-    return _law_of(crew, followed, Team())
+    return _law_of(crew, followed, TeamFailures())
 
 
-def _law_of(crew: Crew, followed: Followed, team: Team) -> TeamLaw:
+def _law_of(crew: Crew, followed: Followed, team: TeamFailures) -> TeamLaw:
     """Return the law of exactly this team, without the regulator along a flat reference."""
     fail_safe = followed.fail_safe
     if team.off:

@@ -19,7 +19,7 @@ _EFFECT = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Target:
+class SteadyState:
     """The deviation from hover of the steady state under external forces."""
 
     M_x: Array  # state per newton, (n, 3 + 3 N), SI
@@ -34,7 +34,7 @@ class _Equations:
     h: Array
 
 
-def target(hovering: HoveringTeam) -> Target:
+def target(hovering: HoveringTeam) -> SteadyState:
     """Return the steady state with least output error, then least effort, else as at hover.
 
     z = [xi, du] solves three problems, each within the solutions of the ones before:
@@ -59,7 +59,7 @@ def target(hovering: HoveringTeam) -> Target:
     M_x = T @ z[: T.shape[1]]
     M_u = z[T.shape[1] :]
     frozen(M_x, M_u)
-    return Target(M_x=M_x, M_u=M_u)
+    return SteadyState(M_x=M_x, M_u=M_u)
 
 
 def _at_rest(hovering: HoveringTeam, linear: Linearisation, T: Array) -> _Equations:

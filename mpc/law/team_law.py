@@ -10,9 +10,9 @@ from transport.model.path.flat_reference import Track
 from transport.model.physics.hover import Hover
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.law.hover_law import HoverLaw
-from transport.mpc.law.infinite_horizon_lqr import Regulator, Team
+from transport.mpc.law.infinite_horizon_lqr import Regulator, TeamFailures
 from transport.mpc.law.preview import Preview
-from transport.mpc.law.steady_state import Target
+from transport.mpc.law.steady_state import SteadyState
 from transport.mpc.law.tracking_lqr import Tracker
 from transport.mpc.program.feedback_law import FeedbackError, FeedbackLaw, Gains
 from transport.mpc.program.horizon_cost import CostToGo
@@ -34,7 +34,7 @@ class TeamLaw:
         return self.fail_safe.track
 
     @property
-    def team(self) -> Team:
+    def team(self) -> TeamFailures:
         """The team that the law is for: fewer failures than asked for if these leave no law."""
         return self.about_hover.hovering.team
 
@@ -54,7 +54,7 @@ class TeamLaw:
         return self.about_hover.regulator
 
     @property
-    def target(self) -> Target:
+    def target(self) -> SteadyState:
         """The steady state under external forces."""
         return self.about_hover.target
 

@@ -14,7 +14,7 @@ from transport.model.linear.linearisation import Model
 from transport.model.physics.obstacles import Obstacle
 from transport.mpc.program.constraints import constraints_of
 from transport.mpc.program.constraints.block import Constraint
-from transport.mpc.program.constraints.input_limits import Bounds, Rates, within_limits
+from transport.mpc.program.constraints.input_limits import InputBounds, Rates, within_limits
 from transport.mpc.program.constraints.obstacle_distance import Clearance
 from transport.mpc.program.constraints.stack import Rows, Stack
 from transport.mpc.program.decision import Decision
@@ -56,12 +56,14 @@ class CourseProgram:
         self._actuation = Actuation.of(decision.settings, decision.system.N)
         self._free = self._actuation.without_limits(decision.own)
 
-        constraints: list[Constraint] = [Bounds(decision), *constraints_of(decision)]
+        constraints: list[Constraint] = [InputBounds(decision), *constraints_of(decision)]
         if obstacles:
             constraints.append(Clearance(decision, obstacles))
         self.stack = Stack(decision, constraints)
         # Constraints on states; those on inputs are judged relative to their range.
-        self._on_states = [each for each in constraints if not isinstance(each, Bounds | Rates)]
+        self._on_states = [
+            each for each in constraints if not isinstance(each, InputBounds | Rates)
+        ]
 
     def course(
         self, model: Model, linear: Linear, law: FeedbackLaw, gains: Sequence[Gains]

@@ -16,7 +16,7 @@ from transport.mpc.program.feedback_law import FeedbackLaw
 from transport.mpc.program.horizon_cost import CostToGo, Objective, condense
 from transport.mpc.program.prediction import Linear, Prediction, follow, own_response, predict
 from transport.mpc.program.qp_solvers import QP
-from transport.mpc.program.relaxation import Mixture, relaxed
+from transport.mpc.program.relaxation import Relaxation, relaxed
 from transport.mpc.program.rollout import Rollout
 from transport.mpc.program.stage_cost import Cost
 from transport.mpc.program.trajectory import Announced, TimeInvariant
@@ -149,7 +149,7 @@ class Program:
         if self.compiled is not None and self.compiled.follows(prediction, law):
             return self.compiled.relaxed(z, w)
         own = self.decision.own
-        mixture = Mixture(at_x0=law.uncorrected[:, own], previous=law.c[:, own], w=w)
+        mixture = Relaxation(at_x0=law.uncorrected[:, own], previous=law.c[:, own], w=w)
         return relaxed(self.decision, prediction, mixture, z)
 
     def _objective(

@@ -8,7 +8,7 @@ from transport.mpc.program.prediction import Prediction, convolve
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Mixture:
+class Relaxation:
     """The data that a new optimum is mixed with."""
 
     at_x0: Array  # owned inputs by the law with the state held at x0, (N_p, m_own)
@@ -17,7 +17,7 @@ class Mixture:
 
 
 def relaxed(
-    decision: Decision, prediction: Prediction, plan: Mixture, z: Array
+    decision: Decision, prediction: Prediction, plan: Relaxation, z: Array
 ) -> tuple[Array, Array]:
     """Return owned inputs and corrections, (N_p, m_own) each, of a solution z and its weight w.
 

@@ -24,7 +24,7 @@ from transport.model.arrays import Array, frozen
 from transport.model.kernels.casadi_functions import Compiled
 from transport.model.physics.dynamics import Symbols, uav_positions
 from transport.model.physics.parameters import Kind, System
-from transport.mpc.settings import Constraint, CostTerm, SettingsError
+from transport.mpc.settings import ConstraintSection, CostTerm, SettingsError
 
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
@@ -193,7 +193,7 @@ class UserConstraints(Expressions):
 
     def __init__(
         self,
-        constraints: Sequence[Constraint],
+        constraints: Sequence[ConstraintSection],
         system: System,
         on: Variable,
         penalties: tuple[float, float] = (1.0, 1.0),
@@ -222,7 +222,7 @@ class UserConstraints(Expressions):
 
 
 def compile_constraints(
-    constraints: Sequence[Constraint], system: System
+    constraints: Sequence[ConstraintSection], system: System
 ) -> tuple[UserConstraints, UserConstraints]:
     """Read the user's constraints on states and on inputs.
 
@@ -249,7 +249,7 @@ def check_costs(
 
 
 def check_constraints(
-    constraints: Sequence[Constraint], system: System, x: Array, u: Array
+    constraints: Sequence[ConstraintSection], system: System, x: Array, u: Array
 ) -> None:
     """Check that constraints can be read and are finite at the start, x, (n,), and hover, u, (m,).
 

@@ -34,7 +34,7 @@ _NONE: Vector = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class CopterEstimate:
     """What the autopilot takes for its motion, in its own frame, SI."""
 
     position: Vector
@@ -44,7 +44,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True)
-class Setpoint:
+class CopterSetpoint:
     """Thrust as a share of the largest, body rates, rad/s, and the time of its arrival, s."""
 
     thrust: float
@@ -65,7 +65,7 @@ class CopterControl:
     parameters: Mapping[str, float]
     mode: int = STABILIZE
     is_armed: bool = False
-    _setpoint: Setpoint | None = None
+    _setpoint: CopterSetpoint | None = None
     _desired: Quaternion | None = None
     _place: Vector | None = None
     _rates: Vector = _NONE  # desired, on their way to those of the setpoint
@@ -91,14 +91,14 @@ class CopterControl:
             self._setpoint = self._desired = self._place = None
         return True
 
-    def take(self, setpoint: Setpoint) -> bool:
+    def take(self, setpoint: CopterSetpoint) -> bool:
         """Take a setpoint; return whether this mode obeys it."""
         if self.mode != GUIDED or not self.is_armed:
             return False
         self._setpoint = setpoint
         return True
 
-    def outputs(self, time_s: float, step_s: float, estimate: Estimate) -> tuple[float, ...]:
+    def outputs(self, time_s: float, step_s: float, estimate: CopterEstimate) -> tuple[float, ...]:
         """Return the thrust of each rotor as a share of its largest, four numbers."""
         if not self.is_armed:
             return 0.0, 0.0, 0.0, 0.0
@@ -111,13 +111,13 @@ class CopterControl:
             return self._level(step_s, estimate)
         return self._hold(step_s, estimate)
 
-    def _level(self, step_s: float, estimate: Estimate) -> tuple[float, ...]:
+    def _level(self, step_s: float, estimate: CopterEstimate) -> tuple[float, ...]:
         """Keep level, without climbing or sinking."""
         self._desired = _level(estimate.attitude)
         thrust = self._lift(estimate, _CLIMB * estimate.velocity[2])
         return self._turn(step_s, estimate, thrust, _NONE)
 
-    def _hold(self, step_s: float, estimate: Estimate) -> tuple[float, ...]:
+    def _hold(self, step_s: float, estimate: CopterEstimate) -> tuple[float, ...]:
         """Keep the place, and the height unless the mode lands."""
         if self._place is None:
             self._place = estimate.position
@@ -134,14 +134,14 @@ class CopterControl:
         self._desired = _tilted(estimate.attitude, north / _GRAVITY, east / _GRAVITY)
         return self._turn(step_s, estimate, self._lift(estimate, up), _NONE)
 
-    def _lift(self, estimate: Estimate, up_mps2: float) -> float:
+    def _lift(self, estimate: CopterEstimate, up_mps2: float) -> float:
         """Return the share of thrust that accelerates upwards at any tilt."""
         _, x, y, _ = estimate.attitude
         upright = max(1.0 - 2.0 * (x * x + y * y), 0.5)
         return self.parameters["MOT_THST_HOVER"] * (1.0 + up_mps2 / _GRAVITY) / upright
 
     def _turn(
-        self, step_s: float, estimate: Estimate, thrust: float, rates: Vector
+        self, step_s: float, estimate: CopterEstimate, thrust: float, rates: Vector
     ) -> tuple[float, ...]:
         """Return the outputs that turn at body rates, by way of a desired attitude."""
         rates = self._shaped(step_s, rates)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from transport.model.arrays import Array
-from transport.plant.node import Integrated, Period, PlantNode
+from transport.plant.node import Integrated, PlantNode, PlantPeriod
 from transport.plant.plant_run import PlantRun
 from transport.protocol.admission.ticking import Ticking
 from transport.protocol.wire.messages import Message, Schedule
@@ -61,7 +61,7 @@ class PlayedPlant(PlantNode):
         self._played = 0  # steps since then
         self._first: int | None = None  # the step of tick 0
         self._ticking: Ticking | None = None
-        self._decided: Period | None = None  # for the period that is played
+        self._decided: PlantPeriod | None = None  # for the period that is played
         self._until: Integrated | None = None  # within the period
 
     def _take(self, message: Message, now_ns: int) -> None:

@@ -24,9 +24,9 @@ from typing import Any
 from transport.plant.autopilot.copter_control import (
     GUIDED,
     CopterControl,
-    Estimate,
+    CopterEstimate,
+    CopterSetpoint,
     Quaternion,
-    Setpoint,
     Vector,
 )
 from transport.protocol.network.mavlink import Endpoint, MavlinkLink, messages, read_key
@@ -119,7 +119,7 @@ class StandIn:
         self.time_s = 0.0
         self._step_s = 1.0 / self.parameters["SIM_RATE_HZ"]
         self._count = 0
-        self._estimate = Estimate((0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3)
+        self._estimate = CopterEstimate((0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3)
         self._force: Vector = (0.0, 0.0, -9.8)
         self._outputs: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
@@ -163,7 +163,7 @@ class StandIn:
         error = 1.0, tilt[0] / 2, tilt[1] / 2, tilt[2] / 2
         w, x, y, z = told["quaternion"]
         attitude = _multiplied((w, x, y, z), error)
-        self._estimate = Estimate(
+        self._estimate = CopterEstimate(
             (place[0], place[1], place[2]),
             _sum(told["velocity"], off["velocity"]),
             attitude,
@@ -203,7 +203,7 @@ class StandIn:
         match message.get_type():
             case "SET_ATTITUDE_TARGET":
                 rates = message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate
-                taken = self.control.take(Setpoint(message.thrust, rates, self.time_s))
+                taken = self.control.take(CopterSetpoint(message.thrust, rates, self.time_s))
                 numbers = self.time_s, message.time_boot_ms / 1e3, message.thrust, *rates
                 if taken:
                     self._record.write(",".join(f"{value:.4f}" for value in numbers) + "\n")

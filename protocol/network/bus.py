@@ -39,7 +39,7 @@ class Interrupted:
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
+class Departed:
     """Event for the recorder: a process has sent its last message, and all have arrived."""
 
     name: str
@@ -52,7 +52,7 @@ class _Renewal:
     incarnation: int
 
 
-BusEvent = Event | Sample | Interrupted | Left
+BusEvent = Event | Sample | Interrupted | Departed
 _Item = zenoh.Sample | zenoh.Query | Interrupted | Request | _Renewal
 
 
@@ -394,6 +394,6 @@ class Bus:
             return self._take_token(item)
         name = key.removeprefix(self._keys.left(""))
         if name != key:
-            return Left(name)
+            return Departed(name)
         self._accepted = self.gate.accept(key, item.payload.to_bytes())
         return None

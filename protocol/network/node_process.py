@@ -15,7 +15,7 @@ from types import FrameType
 import threadpoolctl
 
 from transport.protocol.admission.gate import Gate, Sample
-from transport.protocol.network.bus import Bus, BusOptions, Interrupted, Left, Place
+from transport.protocol.network.bus import Bus, BusOptions, Departed, Interrupted, Place
 from transport.protocol.network.endpoints import first_exposed
 from transport.protocol.network.exchange import Exchange, exchange_of
 from transport.protocol.network.parent import PARENT_PIPE, ending_signals
@@ -168,7 +168,7 @@ def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) ->
         event = None if arrival is None else arrival.event
         if isinstance(event, Interrupted):
             return event
-        if isinstance(event, Left | Sample):
+        if isinstance(event, Departed | Sample):
             continue  # for recorders
         if isinstance(event, wire.Message):
             _fail_if_due(faults, node.name, event, exchange)

@@ -45,7 +45,7 @@ class Stage(Enum):
     LEAVING = "leaving"
 
 
-class Step(Enum):
+class PresenceStep(Enum):
     """Step of a process from one stage to another."""
 
     ANNOUNCE = "announce"
@@ -56,19 +56,23 @@ class Step(Enum):
 
 
 # Next stage by stage and step. A pair that is not here is a defect of the caller.
-STAGES: Mapping[Stage, Mapping[Step, Stage]] = {
+STAGES: Mapping[Stage, Mapping[PresenceStep, Stage]] = {
     # One that fails before it has joined leaves as well.
-    Stage.CONNECTED: {Step.ANNOUNCE: Stage.ALIVE, Step.LEAVE: Stage.LEAVING},
-    Stage.ALIVE: {Step.ANNOUNCE: Stage.ALIVE, Step.JOIN: Stage.READY, Step.LEAVE: Stage.LEAVING},
-    Stage.READY: {Step.RENEW: Stage.RENEWING, Step.LEAVE: Stage.LEAVING},
+    Stage.CONNECTED: {PresenceStep.ANNOUNCE: Stage.ALIVE, PresenceStep.LEAVE: Stage.LEAVING},
+    Stage.ALIVE: {
+        PresenceStep.ANNOUNCE: Stage.ALIVE,
+        PresenceStep.JOIN: Stage.READY,
+        PresenceStep.LEAVE: Stage.LEAVING,
+    },
+    Stage.READY: {PresenceStep.RENEW: Stage.RENEWING, PresenceStep.LEAVE: Stage.LEAVING},
     Stage.RENEWING: {
         # Removed from the roster once more before the first note was read.
-        Step.RENEW: Stage.RENEWING,
-        Step.BEGIN_ANEW: Stage.READY,
-        Step.LEAVE: Stage.LEAVING,
+        PresenceStep.RENEW: Stage.RENEWING,
+        PresenceStep.BEGIN_ANEW: Stage.READY,
+        PresenceStep.LEAVE: Stage.LEAVING,
     },
     # A note that is still in the queue: nothing begins any more.
-    Stage.LEAVING: {Step.BEGIN_ANEW: Stage.LEAVING},
+    Stage.LEAVING: {PresenceStep.BEGIN_ANEW: Stage.LEAVING},
 }
 
 
@@ -108,11 +112,11 @@ class OwnPresence:
         """Show the others that this process is there; once."""
         if self._stage is Stage.CONNECTED:
             self._show("alive")
-        self._go(Step.ANNOUNCE)
+        self._go(PresenceStep.ANNOUNCE)
 
     def join(self) -> None:
         """Show the others that this process takes part."""
-        self._go(Step.JOIN)
+        self._go(PresenceStep.JOIN)
         self._show("ready")
 
     def may_renew(self, incarnation: int, now_s: float) -> bool:
@@ -125,12 +129,12 @@ class OwnPresence:
 
     def renew(self, incarnation: int) -> None:
         """Note that the queue has a note of a new incarnation."""
-        self._go(Step.RENEW)
+        self._go(PresenceStep.RENEW)
         self._newest = incarnation
 
     def begin_anew(self, incarnation: int) -> None:
         """Replace the tokens by those of a new incarnation, ready at once, unless this process leaves."""
-        self._go(Step.BEGIN_ANEW)
+        self._go(PresenceStep.BEGIN_ANEW)
         if self._stage is Stage.LEAVING:
             return
         old = self._tokens
@@ -143,7 +147,7 @@ class OwnPresence:
 
     def leave(self) -> None:
         """Note that the last message is sent."""
-        self._go(Step.LEAVE)
+        self._go(PresenceStep.LEAVE)
 
     def _show(self, kind: str) -> None:
         if kind == "alive":
@@ -152,7 +156,7 @@ class OwnPresence:
             key = self._keys.ready(self._name, self.incarnation)
         self._tokens.append(self._declare(key))
 
-    def _go(self, step: Step) -> None:
+    def _go(self, step: PresenceStep) -> None:
         following = STAGES[self._stage].get(step)
         if following is None:
             raise RuntimeError(f"{self._name} cannot {step.value} while it is {self._stage.value}")

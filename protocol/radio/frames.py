@@ -15,7 +15,7 @@ _SETS_KEPT = 4096  # saves only time
 Powers = Sequence[Sequence[float]]
 
 
-class Result(IntEnum):
+class FrameResult(IntEnum):
     """Fate of a frame at one receiver; a loss is minus this number in `Airtime.arrivals`."""
 
     DELIVERED = 0
@@ -36,12 +36,12 @@ class Frame(NamedTuple):
     receivers: tuple[int, ...]
 
 
-class Outcome(NamedTuple):
+class FrameOutcome(NamedTuple):
     """Fate of a frame at one receiver, and the instant of the arrival or loss."""
 
     frame: Frame
     receiver: int
-    result: Result
+    result: FrameResult
     time_ns: int
 
     @property

@@ -12,9 +12,9 @@ from typing import NamedTuple
 from transport.protocol.radio.counter_draws import uniform
 from transport.protocol.radio.frames import (
     Frame,
-    Outcome,
+    FrameOutcome,
+    FrameResult,
     Powers,
-    Result,
     Transmission,
     at_least,
     enter,
@@ -131,7 +131,7 @@ class _Window:
         self.stations = [station.copy() for station in state.stations]
         self.air = [transmission.copy() for transmission in state.air]
         self.events = list(state.events)
-        self.outcomes: list[Outcome] = []
+        self.outcomes: list[FrameOutcome] = []
         self.counts = ChannelCounts()
 
         self._until_ns = state.time_ns  # end of the window
@@ -192,7 +192,9 @@ class _Window:
                 station.queue.append(Pending(frame, receiver))
             else:
                 lost = frame.receivers if receiver == BROADCAST else (receiver,)
-                self.outcomes.extend([Outcome(frame, loser, Result.QUEUE, now) for loser in lost])
+                self.outcomes.extend(
+                    [FrameOutcome(frame, loser, FrameResult.QUEUE, now) for loser in lost]
+                )
         if was_idle:
             self._transmit_when_due(station)
 
@@ -221,7 +223,8 @@ class _Window:
         sender.window = self._standard.cw_min
         sender.draw_backoff(self._seed, end)
         self.outcomes += [
-            Outcome(frame, receiver, Result.DELIVERED, end) for receiver in frame.receivers
+            FrameOutcome(frame, receiver, FrameResult.DELIVERED, end)
+            for receiver in frame.receivers
         ]
         return True
 
@@ -431,11 +434,11 @@ class _Window:
     ) -> None:
         frame = sender.queue.pop(0).frame
         for receiver in frame.receivers:
-            result = Result.DELIVERED
+            result = FrameResult.DELIVERED
             if not decoded >> receiver & 1:
                 is_weak = self._is_weak(transmission, receiver)
-                result = Result.WEAK if is_weak else Result.COLLISION
-            self.outcomes.append(Outcome(frame, receiver, result, now))
+                result = FrameResult.WEAK if is_weak else FrameResult.COLLISION
+            self.outcomes.append(FrameOutcome(frame, receiver, result, now))
         self._release(sender, now)
 
     def _is_weak(self, transmission: Transmission, number: int) -> bool:
@@ -463,7 +466,7 @@ class _Window:
         if decoded & receiver:
             if not pending.delivered:
                 self.outcomes.append(
-                    Outcome(pending.frame, pending.receiver, Result.DELIVERED, now)
+                    FrameOutcome(pending.frame, pending.receiver, FrameResult.DELIVERED, now)
                 )
                 sender.queue[0] = pending._replace(delivered=True)
             acknowledgement = Event(
@@ -488,7 +491,9 @@ class _Window:
             self._back_off(station, now)
             return
         if not pending.delivered:
-            self.outcomes.append(Outcome(pending.frame, pending.receiver, Result.RETRIES, now))
+            self.outcomes.append(
+                FrameOutcome(pending.frame, pending.receiver, FrameResult.RETRIES, now)
+            )
         station.queue.pop(0)
         self._release(station, now)
 
@@ -536,7 +541,7 @@ class Channel:
         until_ns: int,
         *,
         near: bool = False,
-    ) -> tuple[ChannelState, list[Outcome], ChannelCounts]:
+    ) -> tuple[ChannelState, list[FrameOutcome], ChannelCounts]:
         """Return the channel at a later instant, with what was decided meanwhile.
 
         Args:

@@ -84,7 +84,7 @@ def test_fail_safe_begins_where_the_inputs_in_force_end() -> None:
         is_over = tick >= start + STEPS
         expected = U_HOVER[COLUMNS[2]] if is_over else assumed[tick - start, COLUMNS[2]]
         np.testing.assert_array_equal(rows(2, inputs.in_force(tick, before=tick)), expected)
-        by_fail_safe = inputs.untold(tick, before=tick).by_fail_safe
+        by_fail_safe = inputs.unannounced(tick, before=tick).by_fail_safe
         assert (by_fail_safe[COLUMNS[2]] == is_over).all()
 
 
@@ -104,10 +104,10 @@ def test_stale_plans_are_played_like_a_last_one(agent: int) -> None:
         in_force = rows(agent, inputs.in_force(tick, before=tick + 1))
         U = rows(agent, inputs.sequence(tick, STEPS, before=tick + 1))
         c = rows(agent, inputs.corrections(tick, STEPS, before=tick + 1))
-        untold = inputs.untold(tick, before=tick + 1)
+        unannounced = inputs.unannounced(tick, before=tick + 1)
         hover = U_HOVER[COLUMNS[agent]]
         np.testing.assert_array_equal(in_force, hover if is_over else plan.inputs[0])
-        assert (untold.by_fail_safe[COLUMNS[agent]] == is_over).all()
+        assert (unannounced.by_fail_safe[COLUMNS[agent]] == is_over).all()
         # The own shifted plan stays what the next solution is mixed with.
         is_known = not is_over or agent == OWN
         np.testing.assert_array_equal(U, plan.inputs if is_known else np.tile(hover, (STEPS, 1)))

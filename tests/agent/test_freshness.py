@@ -10,7 +10,7 @@ import pytest
 import transport
 from tests.support import runs
 from tests.support.runs import setup
-from transport.agent.planning.mpc_planner import Planner, Step
+from transport.agent.planning.mpc_planner import MpcStep, Planner
 from transport.agent.received import Received
 from transport.agent.silence.freshness import Freshness, Repetition
 from transport.agent.user_class.run_for_user import Run
@@ -99,7 +99,7 @@ def test_an_agent_that_never_solves_is_as_if_killed(monkeypatch: pytest.MonkeyPa
     begin = Planner.begin
     solve = Controller.solve
 
-    def begin_noted(self: Planner, received: Received) -> Step:
+    def begin_noted(self: Planner, received: Received) -> MpcStep:
         of_this_step[0] = is_dead(self._agent, received.tick)
         return begin(self, received)
 

@@ -5,7 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from transport.agent.silence.hand_over_by_age import SHARED, Mixture, News, NewsAge, Silence, mixed
+from transport.agent.silence.hand_over_by_age import (
+    SHARED,
+    InformationAge,
+    InformationAges,
+    Mixture,
+    Silence,
+    mixed,
+)
 
 PERIOD_S = 0.05
 TO_ALONE_S, UNHEARD_S, TO_TEAM_S = 1.0, 0.5, 2.0  # (32d)
@@ -13,9 +20,9 @@ RULES = [Silence.of(PERIOD_S, is_filtered=filtered) for filtered in (True, False
 ROUNDING = 1e-12
 
 
-def _overdue(ticks: float) -> NewsAge:
+def _overdue(ticks: float) -> InformationAge:
     """Return news that come at once, and then are overdue."""
-    return NewsAge(mean=1.0, overdue=ticks)
+    return InformationAge(mean=1.0, overdue=ticks)
 
 
 @pytest.mark.parametrize("rule", RULES)
@@ -41,7 +48,8 @@ def test_late_news_count_by_their_mean_age_with_a_filter() -> None:
     """News within 150 ms are those of a team, news a second old are none; measured, none is late."""
     filtered, measured = RULES
     ages = [
-        NewsAge(mean=age_s / PERIOD_S, overdue=0.0) for age_s in (0.1, 0.15, 0.3, 0.6, 1.0, 2.0)
+        InformationAge(mean=age_s / PERIOD_S, overdue=0.0)
+        for age_s in (0.1, 0.15, 0.3, 0.6, 1.0, 2.0)
     ]
     shares = [filtered.alone(age) for age in ages]
     assert shares[:2] == [0.0, 0.0]
@@ -54,8 +62,8 @@ def test_late_news_count_by_their_mean_age_with_a_filter() -> None:
 def test_news_of_the_tick_before_are_never_late(period_s: float) -> None:
     """On a perfect network no agent acts alone, however long its period is."""
     rule = Silence.of(period_s, is_filtered=True)
-    assert rule.alone(NewsAge(mean=1.0, overdue=0.0)) == 0.0
-    assert rule.alone(NewsAge(mean=1.0 + 1.0 / period_s, overdue=0.0)) == 1.0
+    assert rule.alone(InformationAge(mean=1.0, overdue=0.0)) == 0.0
+    assert rule.alone(InformationAge(mean=1.0 + 1.0 / period_s, overdue=0.0)) == 1.0
 
 
 def test_a_lost_heartbeat_is_no_silence() -> None:
@@ -71,7 +79,7 @@ def test_a_lost_heartbeat_is_no_silence() -> None:
 @given(st.lists(st.integers(1, 300), min_size=1, max_size=200))
 def test_usual_age_is_the_least_recent_one(ages: list[int]) -> None:
     """The usual age is the smallest in its window, and the mean one that of the last second."""
-    news = News((2,), RULES[0])
+    news = InformationAges((2,), RULES[0])
     for count, age in enumerate(ages, start=1):
         news.observe(2, age)
         known = ages[:count]
@@ -83,7 +91,7 @@ def test_usual_age_is_the_least_recent_one(ages: list[int]) -> None:
 @pytest.mark.parametrize("rule", RULES)
 def test_a_silence_for_good_stays_one(rule: Silence) -> None:
     """Ages that grow for ever never become usual: the window is longer than the age at which an agent acts alone."""
-    news = News((2,), rule)
+    news = InformationAges((2,), rule)
     for age in range(1, 5000):
         news.observe(2, age)
     assert rule.alone(_overdue(4999 - news.usual(2))) == 1.0

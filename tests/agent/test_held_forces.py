@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from transport.agent.silence.integrator_states import HeldForces
+from transport.agent.silence.integrator_states import IntegratorForces
 from transport.model.arrays import Array
 
 N = 4
@@ -14,9 +14,9 @@ ROUNDING = 1e-12
 BEFORE, NOW = np.random.default_rng(31).uniform(-5.0, 5.0, (2, 3 + 3 * N))
 
 
-def _followed(*shares: float) -> HeldForces:
+def _followed(*shares: float) -> IntegratorForces:
     """Return the forces that follow `BEFORE` with the team, and then `NOW` by some shares alone."""
-    held = HeldForces(PERIOD_S)
+    held = IntegratorForces(PERIOD_S)
     held.follow(BEFORE, share_alone=0.0, follows_s=FOLLOWS_S)
     for share in shares:
         held.follow(NOW, share_alone=share, follows_s=FOLLOWS_S)
@@ -24,7 +24,7 @@ def _followed(*shares: float) -> HeldForces:
 
 
 def _assert_holds(
-    held: HeldForces, forces: Array, motors_off: frozenset[int] = frozenset()
+    held: IntegratorForces, forces: Array, motors_off: frozenset[int] = frozenset()
 ) -> None:
     """Check that each UAV balances the force on it, and its part of the force on the payload."""
     carrying = set(range(N)) - motors_off
@@ -38,7 +38,7 @@ def _assert_holds(
 
 def test_without_an_estimate_nothing_is_held() -> None:
     """An agent that estimates no forces assumes none."""
-    assert HeldForces(PERIOD_S).part(0, ()) is None
+    assert IntegratorForces(PERIOD_S).part(0, ()) is None
 
 
 def test_with_the_team_the_estimate_is_held() -> None:
@@ -49,7 +49,7 @@ def test_with_the_team_the_estimate_is_held() -> None:
 
 def test_the_first_estimate_is_held_alone_too() -> None:
     """An agent that starts alone has nothing to follow from."""
-    held = HeldForces(PERIOD_S)
+    held = IntegratorForces(PERIOD_S)
     held.follow(NOW, share_alone=1.0, follows_s=FOLLOWS_S)
     _assert_holds(held, NOW)
 

@@ -15,13 +15,13 @@ from transport.agent.communication.announced_inputs import (
     AnnouncedInputs,
     SharedLaw,
     Silent,
-    Untold,
+    Unannounced,
 )
 from transport.agent.estimation.estimator import sensor_estimator
 from transport.agent.estimation.filter.belief import Belief
 from transport.agent.estimation.filter.gain_reuse import GainReuse
-from transport.agent.estimation.filter.team_filter import Period, Sensed, TeamFilter
-from transport.agent.estimation.predicted_motion import Failure, Motion
+from transport.agent.estimation.filter.team_filter import FilterPeriod, Sensed, TeamFilter
+from transport.agent.estimation.predicted_motion import Failure, PredictedMotion
 from transport.agent.estimation.sensor_estimator import SensorEstimator
 from transport.agent.node import AgentNode
 from transport.agent.planning.mpc_planner import Planner
@@ -82,18 +82,18 @@ def _alone(run: Setup, along: Sequence[tuple[Array, Array]], ticks: int) -> list
     controller = Controller(run.model, run.hover, run.settings, run.owned[0], run.reference.sampled)
     kalman, m = TeamFilter(run.run), run.system.m
     by_law = np.repeat(np.arange(run.system.N) != 0, state.INPUTS)
-    untold = Untold(by_law=by_law, by_fail_safe=np.zeros(m, dtype=bool))
+    unannounced = Unannounced(by_law=by_law, by_fail_safe=np.zeros(m, dtype=bool))
     silent = Silent(alone=by_law.astype(np.float64), correlation=np.zeros(m))
 
     belief, deviations = kalman.first(along[0][0]), []
     for k in range(ticks):
         tick = k % len(along)
-        period = Period(
+        period = FilterPeriod(
             model=run.model,
             end=along[(k + 1) % len(along)][0],
             u=along[tick][1],
             forces=kalman.forces(belief),
-            untold=untold,
+            unannounced=unannounced,
             K=controller.regulation.gain(tick),
             correlation=SHARED,
             silent=silent,
@@ -207,7 +207,7 @@ def test_a_covariance_out_of_range_at_a_failure_begins_anew() -> None:
     """The filter raises at the tick at which motors stop; the agent goes on, and counts it."""
     run = runs.setup(*VEHICLE)
     no_gain = np.zeros((run.system.m, run.system.n))
-    motion = Motion(
+    motion = PredictedMotion(
         model=run.model,
         reference=lambda tick: run.X_ref[tick],
         period_s=run.settings.sampling_period_s,
@@ -367,9 +367,9 @@ def test_before_its_return_an_agent_was_on_its_fail_safe() -> None:
     np.testing.assert_array_equal(u[4:8], announced.fail_safe.inputs(1, x, 49))
     np.testing.assert_array_equal(announced.in_force(50, before=51, x=x)[4:8], [4, 5, 6, 7])
     np.testing.assert_array_equal(u[8:], run.hover.u[8:])
-    untold = [announced.untold(tick, before=51) for tick in (49, 50)]
-    assert [one.by_fail_safe[4:8].all() for one in untold] == [True, False]
-    assert [one.by_law[4:8].all() for one in untold] == [False, True]
+    unannounced = [announced.unannounced(tick, before=51) for tick in (49, 50)]
+    assert [one.by_fail_safe[4:8].all() for one in unannounced] == [True, False]
+    assert [one.by_law[4:8].all() for one in unannounced] == [False, True]
 
 
 @pytest.mark.parametrize("tick", [0, 5])

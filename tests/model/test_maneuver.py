@@ -8,10 +8,10 @@ from tests.support.systems import paper_maneuver
 from transport.model.arrays import Array, ShapeError
 from transport.model.linear.linearisation import Model
 from transport.model.path.curves import Curve
-from transport.model.path.hover_reference import Reference
+from transport.model.path.hover_reference import HoverReference
 from transport.model.path.maneuver import Maneuver
 from transport.model.path.phase import Phase, PhaseKind, Profile
-from transport.model.path.target_and_stop import Target
+from transport.model.path.target_and_stop import PathTarget
 from transport.model.physics.hover import hover
 from transport.model.physics.parameters import ParameterError, table_1
 from transport.model.state import StateView
@@ -121,7 +121,7 @@ def test_reference_outputs_are_those_of_the_reference_states(
     """
     system = table_1()
     at = hover(system, rods_leaning() if leaning else None)
-    reference = Reference(system, at, two_legs(profile))
+    reference = HoverReference(system, at, two_legs(profile))
     model = Model(system)
     t = np.linspace(-0.5, 6.0, 27)
     outputs = np.array([model.outputs(x) for x in reference.states(t)])
@@ -132,7 +132,7 @@ def test_reference_states_move_along_the_path() -> None:
     """x_ref is the hover state at r0(t) with velocity r0'(t), payload level; C f then gives y_ref'."""
     system = table_1()
     at = hover(system)
-    reference = Reference(system, at, two_legs("min_jerk"))
+    reference = HoverReference(system, at, two_legs("min_jerk"))
     t = np.linspace(0.0, 5.0, 11)
     r, v = reference.maneuver.path(t)
     states = reference.states(t)
@@ -195,7 +195,7 @@ def test_what_controllers_follow_is_below_the_path_on_the_ground() -> None:
     )
     assert np.abs((ahead - behind) / (2.0 * DIFFERENCE_STEP_S) - rate).max() < SPEED_TOLERANCE
     system = table_1()
-    reference = Reference(system, hover(system), maneuver)
+    reference = HoverReference(system, hover(system), maneuver)
     y, x = reference.followed(times_s)
     flown_y, flown_x = reference.outputs(times_s), reference.states(times_s)
     lower = np.zeros(system.p)
@@ -226,7 +226,7 @@ def test_a_landing_after_a_target_does_not_press() -> None:
     """Before the target the reference is pressed as without it, then it stays on the path, (59)."""
     given_s = 6.0  # in flight
     approach = Curve(kind=None, duration_s=4.0, ramp_s=2.0, size_I=(1.0, 0.0, 0.0))
-    aside = Target(since_s=given_s, point_I=np.array([1.0, 1.0, -2.0]), approach=approach)
+    aside = PathTarget(since_s=given_s, point_I=np.array([1.0, 1.0, -2.0]), approach=approach)
     times_s = np.linspace(0.0, 17.0, 341)
     before = times_s <= given_s
     landing, led = delivery(), delivery().with_target(aside)

@@ -6,7 +6,7 @@ import pytest
 from transport.model.path.curves import Curve
 from transport.model.path.maneuver import Maneuver
 from transport.model.path.phase import Phase
-from transport.model.path.target_and_stop import Slowing, Target
+from transport.model.path.target_and_stop import PathTarget, Slowing
 
 STEP_S = 1e-4
 TOLERANCE = 1e-5  # of finite differences
@@ -18,7 +18,7 @@ def along() -> Maneuver:
     straight = Curve(kind=None, duration_s=6.0, ramp_s=2.0, size_I=(1.0, 0.0, 0.0))
     path = Maneuver(start_I=(0.0, 0.0, -10.0), phases=(go,), profile="smooth")
     return path.with_target(
-        Target(since_s=4.0, point_I=np.array([3.0, 3.0, -9.0]), approach=straight)
+        PathTarget(since_s=4.0, point_I=np.array([3.0, 3.0, -9.0]), approach=straight)
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 from transport.model.path.curves import ORDERS, Curve
 from transport.model.path.maneuver import Maneuver
 from transport.model.path.phase import Phase
-from transport.model.path.target_and_stop import Target
+from transport.model.path.target_and_stop import PathTarget
 
 RAMPS = Maneuver(
     start_I=[0.0, 0.0, -10.0],
@@ -31,12 +31,12 @@ EIGHT = Maneuver(
 
 def target(
     since_s: float, point: list[float], duration_s: float = 4.0, way: Curve | None = None
-) -> Target:
+) -> PathTarget:
     """Return a target that is approached in some time."""
     approach = Curve(
         kind=None, duration_s=duration_s, ramp_s=duration_s / 2.0, size_I=(1.0, 0.0, 0.0)
     )
-    return Target(since_s=since_s, point_I=np.array(point), approach=approach, way=way)
+    return PathTarget(since_s=since_s, point_I=np.array(point), approach=approach, way=way)
 
 
 WAY = Curve(kind="spline", duration_s=6.0, ramp_s=2.0, points_I=[[1.0, 0.0, 0.0], [1.0, 1.0, -1.0]])
@@ -95,7 +95,7 @@ END_S = 10.0  # of the phases of `RAMPS`
     ],
     ids=["none", "within", "boundary", "beyond", "replaced", "two"],
 )
-def test_the_stages_of_a_flight_follow_each_other(targets: list[Target]) -> None:
+def test_the_stages_of_a_flight_follow_each_other(targets: list[PathTarget]) -> None:
     """Each begins where the one before it ends, and is the phase at its first and last instant."""
     maneuver = Maneuver(start_I=RAMPS.start_I, phases=RAMPS.phases, targets=targets)
     stages = maneuver.stages()

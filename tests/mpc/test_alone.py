@@ -17,7 +17,7 @@ from transport.model.physics.parameters import System, table_1
 from transport.mpc.alone.alone_law import GAINS, AloneLaw, steps_alone
 from transport.mpc.alone.compiled_alone_law import CompiledAloneLaw, CompiledSetpoint
 from transport.mpc.alone.fail_safe import FailSafe
-from transport.mpc.alone.uav_motion import Motion, Setpoint, motion_of, setpoint_of
+from transport.mpc.alone.uav_motion import Setpoint, UavMotion, motion_of, setpoint_of
 from transport.mpc.controller import Controller
 from transport.mpc.law.tangent import tangent
 from transport.mpc.margins.actual_plant import Mismatch
@@ -101,7 +101,7 @@ def test_its_derivative_by_the_sensors() -> None:
     at_rest = motion_of(SYSTEM, UAV, AT_REST.x)
 
     def inputs(dz: Array) -> Array:
-        moved = Motion(
+        moved = UavMotion(
             position_I=at_rest.position_I + dz[state.POSITION],
             velocity_I=at_rest.velocity_I + dz[state.VELOCITY],
             Theta=at_rest.Theta + dz[state.THETA],

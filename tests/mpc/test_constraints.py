@@ -15,7 +15,13 @@ from transport.model.state import THETA, V0, uav_slice
 from transport.mpc.program.constraints.separation import pair_distances
 from transport.mpc.program.prediction import Prediction, convolve
 from transport.mpc.program.qp_solvers import QP
-from transport.mpc.settings import Constraint, ControllerSettings, Separation, Tension, Tilt
+from transport.mpc.settings import (
+    ConstraintSection,
+    ControllerSettings,
+    SeparationSection,
+    TensionSection,
+    TiltSection,
+)
 
 # Relative to the largest margin of the block: the same sums in another order.
 ROUNDING = 1e-10
@@ -39,15 +45,15 @@ OFF = 2  # the UAV that fails
 BY_DIFFERENCES = 1e-6
 SETTINGS = ControllerSettings(
     horizon=HORIZON,
-    separation=Separation(minimum_m=MINIMUM_M),
-    tilt=Tilt(limit_deg=TILT_DEG),
-    tension=Tension(minimum_N=TENSION_N),
+    separation=SeparationSection(minimum_m=MINIMUM_M),
+    tilt=TiltSection(limit_deg=TILT_DEG),
+    tension=TensionSection(minimum_N=TENSION_N),
     constraint=(
-        Constraint(expression=f"r0[2] >= {CEILING_M}", soft=False),
-        Constraint(expression=f"thrust1 * thrust2 <= {THRUST_PRODUCT}"),
-        Constraint(expression=f"dot(v0, v0) <= {SPEED_LIMIT}"),
-        Constraint(expression="r0[0] == 0.5"),
-        Constraint(expression=f"tau1[0] + tau4[1] == {MOMENT_SUM}"),
+        ConstraintSection(expression=f"r0[2] >= {CEILING_M}", soft=False),
+        ConstraintSection(expression=f"thrust1 * thrust2 <= {THRUST_PRODUCT}"),
+        ConstraintSection(expression=f"dot(v0, v0) <= {SPEED_LIMIT}"),
+        ConstraintSection(expression="r0[0] == 0.5"),
+        ConstraintSection(expression=f"tau1[0] + tau4[1] == {MOMENT_SUM}"),
     ),
 )
 
@@ -337,13 +343,13 @@ def test_soft_equals_hard_when_the_penalty_is_high() -> None:
     u = setup.hover.u
     at = Situation(x=setup.x, u=u, U=np.tile(u, (horizon, 1)), y_ref=y_ref)
     hard = ControllerSettings(
-        horizon=horizon, constraint=(Constraint(expression=ceiling, soft=False),)
+        horizon=horizon, constraint=(ConstraintSection(expression=ceiling, soft=False),)
     )
     soft = ControllerSettings(
-        horizon=horizon, constraint=(Constraint(expression=ceiling, penalty=1e4),)
+        horizon=horizon, constraint=(ConstraintSection(expression=ceiling, penalty=1e4),)
     )
     cheap = ControllerSettings(
-        horizon=horizon, constraint=(Constraint(expression=ceiling, penalty=1e-3),)
+        horizon=horizon, constraint=(ConstraintSection(expression=ceiling, penalty=1e-3),)
     )
     plans = [
         step(controller(setup, settings, (0, 1, 2, 3)), at) for settings in (hard, soft, cheap)

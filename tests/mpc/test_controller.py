@@ -8,10 +8,10 @@ from tests.support import naive
 from tests.support.systems import Setup, Situation, controller, paper_setup, situation, step
 from transport.model.arrays import Array
 from transport.mpc.settings import (
-    Constraint,
+    ConstraintSection,
     ControllerSettings,
     PenalisedInput,
-    Separation,
+    SeparationSection,
     Weights,
 )
 
@@ -72,7 +72,7 @@ def test_objective_is_the_cost_of_the_paper(
     settings = ControllerSettings(
         horizon=horizon,
         weights=Weights(penalised_input=penalised_input),
-        separation=Separation(minimum_m=0.45, penalty=30.0),
+        separation=SeparationSection(minimum_m=0.45, penalty=30.0),
     )
     at = situation(setup, settings, seed=horizon)
     one = controller(setup, settings, owned)
@@ -142,8 +142,8 @@ def test_owning_all_is_the_centralized_controller(solver: str) -> None:
         horizon=6,
         weights=Weights(penalised_input="absolute"),
         constraint=(
-            Constraint(expression=f"r0[2] >= {ceiling}", soft=False),
-            Constraint(expression="thrust1 == thrust2"),
+            ConstraintSection(expression=f"r0[2] >= {ceiling}", soft=False),
+            ConstraintSection(expression="thrust1 == thrust2"),
         ),
         solver="daqp" if solver == "daqp" else "clarabel",
     )

@@ -16,7 +16,7 @@ from transport.mpc.program.user_expressions import (
     compile_constraints,
     read,
 )
-from transport.mpc.settings import Constraint, SettingsError
+from transport.mpc.settings import ConstraintSection, SettingsError
 
 # Hand computation and compiled expression differ by rounding only; the largest value here is about
 # 500.
@@ -101,7 +101,7 @@ def test_slopes_by_finite_differences(text: str) -> None:
     """Compiled slopes, the gradients of paper (20)-(21), are central differences of the compiled values."""
     x, u = at_a_point()
     system = paper_setup().system
-    on_state, on_input = compile_constraints((Constraint(expression=text),), system)
+    on_state, on_input = compile_constraints((ConstraintSection(expression=text),), system)
     compiled, point = (on_state, x) if len(on_state) else (on_input, u)
     assert len(on_state) + len(on_input) == 1
     moved = np.eye(len(point)) * STEP
@@ -209,7 +209,9 @@ def test_constraints_are_finite_at_the_start(text: str, problem: str) -> None:
     """A constraint without a value or slope at the first state and input is refused with its text."""
     setup = paper_setup()
     with pytest.raises(SettingsError) as refused:
-        check_constraints([Constraint(expression=text)], setup.system, setup.hover.x, setup.hover.u)
+        check_constraints(
+            [ConstraintSection(expression=text)], setup.system, setup.hover.x, setup.hover.u
+        )
     assert repr(text) in str(refused.value)
     assert problem in str(refused.value)
 
@@ -222,13 +224,15 @@ def test_hard_constraints_allow_hover(text: str, by: str) -> None:
     """A team that may not hover falls, whatever it plans."""
     setup = paper_setup()
     with pytest.raises(SettingsError, match=f"expected inputs that allow hover.* by {by}$"):
-        check_constraints([Constraint(expression=text)], setup.system, setup.hover.x, setup.hover.u)
+        check_constraints(
+            [ConstraintSection(expression=text)], setup.system, setup.hover.x, setup.hover.u
+        )
 
 
 def test_integers_of_a_text_are_floats() -> None:
     """Arithmetic of constants has the rounding of floats, where integers would have all digits."""
     setup = paper_setup()
-    beyond_53_bits = [Constraint(expression="r0[0] <= 3**40 + 1 - 3**40")]
+    beyond_53_bits = [ConstraintSection(expression="r0[0] <= 3**40 + 1 - 3**40")]
     on_state, _ = compile_constraints(beyond_53_bits, setup.system)
     value, _ = on_state.at(setup.hover.x)
     assert value[0] == 0.0

@@ -15,7 +15,7 @@ from transport.model.physics.hover import hover, hover_after_failures
 from transport.model.physics.parameters import System, table_1
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller, Horizon
-from transport.mpc.law.infinite_horizon_lqr import HoveringTeam, Regulator, Team, regulator
+from transport.mpc.law.infinite_horizon_lqr import HoveringTeam, Regulator, TeamFailures, regulator
 from transport.mpc.law.present_law import Regulation
 from transport.mpc.law.tangent import tangent
 from transport.mpc.program.feedback_law import FeedbackError
@@ -37,7 +37,7 @@ def found(system: System, off: AbstractSet[int], released: AbstractSet[int]) -> 
     """Return the regulator of the remaining team."""
     at = hover_after_failures(system, off, released)
     cost = Cost(Weights(), system, at, off, released)
-    team = Team(off=frozenset(off), released=frozenset(released))
+    team = TeamFailures(off=frozenset(off), released=frozenset(released))
     model = Model(system, off, released)
     return regulator(HoveringTeam(model=model, hover=at, cost=cost, team=team), PERIOD_S)
 

@@ -11,7 +11,7 @@ import pytest
 from tests.support.systems import Situation, controller, paper_setup, situation, step
 from transport.mpc.controller import Controller, StepResult
 from transport.mpc.program.prediction import Prediction
-from transport.mpc.settings import Constraint, ControllerSettings, SolverName
+from transport.mpc.settings import ConstraintSection, ControllerSettings, SolverName
 
 HORIZON = 6
 SOLVERS: list[SolverName] = ["daqp", "clarabel"]
@@ -21,13 +21,13 @@ THRUST_LIMIT = 20.0
 
 # Hard constraints of the user that no plan meets.
 NOT_MET = {
-    "payload 15 m below": (Constraint(expression="r0[2] >= 5", soft=False),),
+    "payload 15 m below": (ConstraintSection(expression="r0[2] >= 5", soft=False),),
     "two thrusts at once": (
-        Constraint(expression="thrust1 == 10"),
-        Constraint(expression="thrust1 == 12"),
+        ConstraintSection(expression="thrust1 == 10"),
+        ConstraintSection(expression="thrust1 == 12"),
     ),
-    "beyond the bounds": (Constraint(expression="thrust1 >= 50"),),
-    "faster than the rates": (Constraint(expression="thrust1 == 40"),),
+    "beyond the bounds": (ConstraintSection(expression="thrust1 >= 50"),),
+    "faster than the rates": (ConstraintSection(expression="thrust1 == 40"),),
 }
 
 
@@ -86,7 +86,7 @@ def test_softened_constraint_never_fails() -> None:
     """
     setup = paper_setup()
     settings = ControllerSettings(
-        horizon=HORIZON, constraint=(Constraint(expression="r0[2] >= 5"),)
+        horizon=HORIZON, constraint=(ConstraintSection(expression="r0[2] >= 5"),)
     )
     optimum = step(controller(setup, settings, (0, 1, 2, 3)), situation(setup, settings, seed=1))
     assert optimum.solution.status == "solved"
@@ -134,7 +134,9 @@ def test_others_inputs_do_not_stop_a_controller(expression: str) -> None:
     UAV1 cannot repair it, so refusing every program would freeze UAV1 for what UAV2 announces.
     """
     setup = paper_setup()
-    settings = ControllerSettings(horizon=HORIZON, constraint=(Constraint(expression=expression),))
+    settings = ControllerSettings(
+        horizon=HORIZON, constraint=(ConstraintSection(expression=expression),)
+    )
     at = situation(setup, settings, seed=1)
     U = np.tile(setup.hover.u, (HORIZON, 1))
     U[:, 4] = THRUST_LIMIT + 1.0
@@ -154,7 +156,9 @@ def test_speed_limit_holds_at_rest(expression: str) -> None:
     unsolvable.
     """
     setup = paper_setup()
-    settings = ControllerSettings(horizon=HORIZON, constraint=(Constraint(expression=expression),))
+    settings = ControllerSettings(
+        horizon=HORIZON, constraint=(ConstraintSection(expression=expression),)
+    )
     at = Situation(
         x=setup.x,
         u=setup.hover.u,

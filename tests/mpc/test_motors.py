@@ -17,11 +17,11 @@ from transport.mpc.law.infinite_horizon_lqr import HoveringTeam, regulator
 from transport.mpc.program.prediction import Prediction, convolve
 from transport.mpc.program.stage_cost import Cost
 from transport.mpc.settings import (
-    Constraint,
+    ConstraintSection,
     ControllerSettings,
     CostTerm,
-    Separation,
-    Tilt,
+    SeparationSection,
+    TiltSection,
     Weights,
 )
 
@@ -32,11 +32,11 @@ SETTINGS = ControllerSettings(
 # With rows and terms that read states, but for tensions and clearances from obstacles.
 FULL = changed(
     SETTINGS,
-    separation=Separation(minimum_m=0.45),
-    tilt=Tilt(limit_deg=20.0),
+    separation=SeparationSection(minimum_m=0.45),
+    tilt=TiltSection(limit_deg=20.0),
     constraint=(
-        Constraint(expression="r0[2] <= -2"),
-        Constraint(expression="thrust1 + thrust2 <= 60"),
+        ConstraintSection(expression="r0[2] <= -2"),
+        ConstraintSection(expression="thrust1 + thrust2 <= 60"),
     ),
     cost=(CostTerm(expression="v0[0]", weight=0.3),),
 )

@@ -12,7 +12,7 @@ from transport.model.physics.hover import hover
 from transport.model.physics.parameters import table_1
 from transport.model.physics.rotations import euler_rates, rotation
 from transport.mpc.alone.motion_by_own_sensors import OwnSensors
-from transport.mpc.alone.uav_motion import Motion, motion_of
+from transport.mpc.alone.uav_motion import UavMotion, motion_of
 
 SYSTEM = table_1()
 AT_REST = hover(SYSTEM)
@@ -35,7 +35,7 @@ def own_sensors(ages: Sequence[int] = (0,) * 5) -> OwnSensors:
     return OwnSensors(SYSTEM, UAV, TENSION_N, ages, PERIOD_S)
 
 
-def measured(rest: Motion, pull_I: Array) -> Array:
+def measured(rest: UavMotion, pull_I: Array) -> Array:
     """Return the measurements, (15,), of a level UAV at rest whose rod has a force, (3,), N."""
     z = np.zeros(state.SENSED)
     z[state.POSITION] = rest.position_I
@@ -120,8 +120,8 @@ def test_late_sensors_show_deviations_that_go_on(ages: tuple[int, ...], ahead: i
         np.array([2.0, 0.0, 0.0]),
     )
 
-    def reference(tick: int) -> Motion:
-        return Motion(
+    def reference(tick: int) -> UavMotion:
+        return UavMotion(
             position_I=rest.position_I + PERIOD_S * tick * moving,
             velocity_I=moving,
             Theta=rest.Theta,

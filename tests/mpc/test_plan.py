@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.systems import Situation, controller, paper_setup, ring_setup, situation, step
 from transport.model.arrays import Array
-from transport.mpc.settings import ControllerSettings, Separation
+from transport.mpc.settings import ControllerSettings, SeparationSection
 
 # N and N m. Bounds are clipped exactly; rates are as good as the solver's primal tolerance times
 # the scale.
@@ -35,7 +35,7 @@ def limits_kept(
 def test_plan_keeps_bounds_and_rates(owned: tuple[int, ...], seed: int) -> None:
     """From violent states the plan stays within the input limits and their rates, paper (18) and section V-A."""
     setup = paper_setup()
-    settings = ControllerSettings(horizon=12, separation=Separation(minimum_m=0.4))
+    settings = ControllerSettings(horizon=12, separation=SeparationSection(minimum_m=0.4))
     at = situation(setup, settings, seed, size=0.3)
     at = Situation(x=at.x, u=setup.hover.u, U=at.U, y_ref=at.y_ref)
     optimum = step(controller(setup, settings, owned), at)
@@ -67,7 +67,7 @@ def test_inputs_outside_their_limits_come_back(thrust: float) -> None:
 def test_any_team_size_and_horizon(N: int, horizon: int) -> None:
     """Teams of 1, 2 and 8 hold hover exactly and answer a disturbance within limits, at horizons 1 to 40."""
     setup = ring_setup(N)
-    settings = ControllerSettings(horizon=horizon, separation=Separation(minimum_m=0.2))
+    settings = ControllerSettings(horizon=horizon, separation=SeparationSection(minimum_m=0.2))
     all_uavs = tuple(range(N))
     # All eight over 40 steps is a program of 1280 unknowns: seconds, and nothing the others do not
     # show.

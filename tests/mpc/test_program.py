@@ -17,7 +17,13 @@ from transport.mpc.program.feedback_law import FeedbackLaw
 from transport.mpc.program.horizon_cost import CostToGo
 from transport.mpc.program.prediction import Prediction, free_response, predict, stacked
 from transport.mpc.program.qp_solvers import QP, residuals, solve_clarabel, within_bounds
-from transport.mpc.settings import Constraint, ControllerSettings, CostTerm, Separation, Tilt
+from transport.mpc.settings import (
+    ConstraintSection,
+    ControllerSettings,
+    CostTerm,
+    SeparationSection,
+    TiltSection,
+)
 
 needs_kernels = pytest.mark.skipif(
     not native.AVAILABLE, reason="no compiled kernels: no C compiler, or switched off"
@@ -98,11 +104,11 @@ def test_prediction_is_that_of_the_stacked_matrices(
 
 
 ALL_ROWS: dict[str, Any] = {
-    "separation": Separation(minimum_m=0.45),
-    "tilt": Tilt(limit_deg=12.0),
+    "separation": SeparationSection(minimum_m=0.45),
+    "tilt": TiltSection(limit_deg=12.0),
     "constraint": (
-        Constraint(expression="dot(v0, v0) <= 1.0"),
-        Constraint(expression="thrust1 + thrust2 <= 45"),
+        ConstraintSection(expression="dot(v0, v0) <= 1.0"),
+        ConstraintSection(expression="thrust1 + thrust2 <= 45"),
     ),
     "cost": (
         CostTerm(expression="v0[0] * v0[1]", weight=0.3),
@@ -114,9 +120,9 @@ LQ: dict[str, Any] = {"prediction": "closed_loop", "terminal": "riccati"}
 # row.
 CASES: list[tuple[int, tuple[int, ...], dict[str, Any]]] = [
     (1, (0,), {"horizon": 1}),
-    (2, (1,), {"horizon": 3, "separation": Separation(minimum_m=1.5)}),
+    (2, (1,), {"horizon": 3, "separation": SeparationSection(minimum_m=1.5)}),
     (4, (0, 2), {"horizon": 7, **ALL_ROWS}),
-    (4, (2,), {"horizon": 20, "tilt": Tilt(limit_deg=20.0), **LQ}),
+    (4, (2,), {"horizon": 20, "tilt": TiltSection(limit_deg=20.0), **LQ}),
     (4, (0, 1, 2, 3), {"horizon": 5, **ALL_ROWS, **LQ}),
     (4, (1, 3), {"horizon": 9, "motor_lag_s": 0.03, **ALL_ROWS, **LQ}),
     (3, (0,), {"horizon": 6, "prediction": "closed_loop", "motor_lag_s": 0.03}),

@@ -13,7 +13,7 @@ from transport.mpc.program.constraints.user_constraints import OwnInputs
 from transport.mpc.program.decision import Decision
 from transport.mpc.program.prediction import Linear, Prediction
 from transport.mpc.program.trajectory import Announced, TimeInvariant
-from transport.mpc.settings import Constraint, ControllerSettings, Weights
+from transport.mpc.settings import ConstraintSection, ControllerSettings, Weights
 
 # Rows of four UAVs: the sum of all thrusts, thrusts of UAVs 1 and 3, the moments of UAV 2 alone.
 ROWS = np.zeros((3, 16), dtype=bool)
@@ -57,7 +57,9 @@ EXCESS_N = 8.0
 SUM_N = float(SETUP.hover.u[::4].sum()) - EXCESS_N
 SETTINGS = ControllerSettings(
     horizon=1,
-    constraint=(Constraint(expression=f"thrust1 + thrust2 + thrust3 + thrust4 <= {SUM_N!r}"),),
+    constraint=(
+        ConstraintSection(expression=f"thrust1 + thrust2 + thrust3 + thrust4 <= {SUM_N!r}"),
+    ),
 )
 # Of a corrected newton: rounding.
 CLOSE = 1e-9

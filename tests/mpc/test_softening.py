@@ -12,14 +12,14 @@ from tests.support.systems import controller, paper_setup, situation, step
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
 from transport.model.arrays import Array
-from transport.mpc.settings import Constraint, ControllerSettings
+from transport.mpc.settings import ConstraintSection, ControllerSettings
 
 OWNED, SEED = (0,), 5
 # Newtons beyond the solver's tolerance.
 HELD = 1e-4
 
 
-def _plan(*constraints: Constraint) -> tuple[Mapping[str, float], Array]:
+def _plan(*constraints: ConstraintSection) -> tuple[Mapping[str, float], Array]:
     """Return violations and planned thrusts of one step of UAV 1."""
     setup = paper_setup()
     settings = ControllerSettings(horizon=5, relaxation=1.0, constraint=constraints)
@@ -42,7 +42,7 @@ def test_a_constraint_that_a_plan_meets_stays_hard() -> None:
     """A bound just below the present thrust holds, and there is nothing to report."""
     _, free_N = _plan()
     bound_N = float(free_N.max()) - 0.5
-    violations, thrust_N = _plan(Constraint(expression=f"thrust1 <= {bound_N!r}"))
+    violations, thrust_N = _plan(ConstraintSection(expression=f"thrust1 <= {bound_N!r}"))
     assert violations == {}
     assert thrust_N.max() <= bound_N + HELD
 
@@ -54,7 +54,7 @@ def test_a_constraint_that_no_plan_meets_is_violated_least(relation: str) -> Non
     settings = ControllerSettings(horizon=5)
     before_N = situation(setup, settings, SEED).u[0]
     text = f"thrust1 {relation} 1.0"
-    violations, thrust_N = _plan(Constraint(expression=text))
+    violations, thrust_N = _plan(ConstraintSection(expression=text))
     first_N = before_N - settings.largest_step(1)[0]
     assert thrust_N[0] == pytest.approx(first_N, abs=HELD)
     assert violations == {text: pytest.approx(first_N - 1.0, abs=HELD)}
@@ -70,7 +70,7 @@ def test_constraints_that_contradict_each_other_share_the_violation() -> None:
     """Of two bounds a newton apart the plan is between, and both are named."""
     _, free_N = _plan()
     low, high = (f"thrust1 <= {float(free_N[0]) - 0.5!r}", f"thrust1 >= {float(free_N[0]) + 0.5!r}")
-    violations, _ = _plan(Constraint(expression=low), Constraint(expression=high))
+    violations, _ = _plan(ConstraintSection(expression=low), ConstraintSection(expression=high))
     assert sum(violations.values()) == pytest.approx(1.0, abs=HELD)
 
 

@@ -12,7 +12,7 @@ from transport.model.arrays import Array
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.controller import Horizon
 from transport.mpc.law.infinite_horizon_lqr import HoveringTeam
-from transport.mpc.law.steady_state import Target, target
+from transport.mpc.law.steady_state import SteadyState, target
 from transport.mpc.law.tangent import tangent
 from transport.mpc.program.stage_cost import Cost
 from transport.mpc.settings import ControllerSettings, PredictionName, Weights
@@ -31,7 +31,7 @@ def setup_of(name: str) -> Setup:
 
 
 @lru_cache
-def found(name: str) -> Target:
+def found(name: str) -> SteadyState:
     """The target of a system."""
     setup = setup_of(name)
     cost = Cost(WEIGHTS, setup.system, setup.hover)

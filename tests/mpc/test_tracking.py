@@ -29,9 +29,9 @@ from transport.mpc.settings import (
     ControllerSettings,
     CostTerm,
     Limits,
-    Separation,
-    Tension,
-    Tilt,
+    SeparationSection,
+    TensionSection,
+    TiltSection,
     Weights,
 )
 
@@ -284,9 +284,9 @@ def test_lost_uav_has_its_fail_safe_over_the_whole_horizon() -> None:
             },
             None,
         ),
-        ({"separation": Separation(minimum_m=0.44, penalty=1000.0)}, "separation"),
-        ({"tilt": Tilt(limit_deg=12.0, penalty=1000.0)}, "tilt"),
-        ({"tension": Tension(minimum_N=3.0, penalty=1000.0)}, "tension"),
+        ({"separation": SeparationSection(minimum_m=0.44, penalty=1000.0)}, "separation"),
+        ({"tilt": TiltSection(limit_deg=12.0, penalty=1000.0)}, "tilt"),
+        ({"tension": TensionSection(minimum_N=3.0, penalty=1000.0)}, "tension"),
     ],
     ids=["inputs", "separation", "tilt", "tension"],
 )

@@ -9,7 +9,7 @@ from transport.model.arrays import Array
 from transport.model.physics.hover import hover
 from transport.model.physics.parameters import table_1
 from transport.model.physics.rotations import rotation
-from transport.mpc.alone.uav_motion import Motion, ahead, motion_of
+from transport.mpc.alone.uav_motion import UavMotion, ahead, motion_of
 
 SYSTEM = table_1()
 AT_REST = hover(SYSTEM)
@@ -37,10 +37,10 @@ def test_motion_is_that_of_the_model() -> None:
     )
 
 
-def at(time_s: float, x0: Array, v: Array, Theta0: Array, omega: Array) -> Motion:
+def at(time_s: float, x0: Array, v: Array, Theta0: Array, omega: Array) -> UavMotion:
     """Return the motion at a time of a UAV that moves and turns at constant rates, its rod at rest."""
     rest = motion_of(SYSTEM, UAV, AT_REST.x)
-    return Motion(
+    return UavMotion(
         position_I=x0 + time_s * v,
         velocity_I=v,
         Theta=Theta0 + time_s * omega,
@@ -57,12 +57,12 @@ def test_a_drifting_uav_is_expected_where_it_drifts(later: int) -> None:
     x_ref, v_ref, Theta_ref, omega_ref, x, v, Theta, omega = rng.standard_normal((8, 3))
     k = 10
 
-    def reference(tick: int) -> Motion:
+    def reference(tick: int) -> UavMotion:
         return at(PERIOD_S * tick, x_ref, v_ref, Theta_ref, omega_ref)
 
     expected = at(PERIOD_S * (k + later), x, v, Theta, omega)
     found = ahead(at(PERIOD_S * k, x, v, Theta, omega), k, k + later, reference, PERIOD_S)
-    for name in Motion.__slots__:
+    for name in UavMotion.__slots__:
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=ROUNDING)
 
 
@@ -71,5 +71,5 @@ def test_a_uav_on_its_reference_stays_on_it() -> None:
     rng = np.random.default_rng(6)
     motions = [at(0.0, *rng.standard_normal((4, 3))) for _ in range(4)]
     found = ahead(motions[0], 0, 3, motions.__getitem__, PERIOD_S)
-    for name in Motion.__slots__:
+    for name in UavMotion.__slots__:
         np.testing.assert_allclose(getattr(found, name), getattr(motions[3], name), atol=ROUNDING)

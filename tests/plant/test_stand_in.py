@@ -9,9 +9,9 @@ from transport.plant.autopilot.copter_control import (
     GUIDED,
     LAND,
     CopterControl,
-    Estimate,
+    CopterEstimate,
+    CopterSetpoint,
     Quaternion,
-    Setpoint,
     Vector,
     _normalised,
     _product,
@@ -49,7 +49,7 @@ class Body:
 
     def step(self) -> None:
         """Let the control act once, and the body move."""
-        estimate = Estimate(
+        estimate = CopterEstimate(
             (self.position[0], self.position[1], self.position[2]),
             (self.velocity[0], self.velocity[1], self.velocity[2]),
             self.attitude,
@@ -81,7 +81,7 @@ class Body:
         seen = []
         for k in range(round(seconds / STEP_S)):
             if rates is not None and k % 8 == 0:
-                self.control.take(Setpoint(HOVER, rates, self.time_s))
+                self.control.take(CopterSetpoint(HOVER, rates, self.time_s))
             self.step()
             seen.append(self.rates)
         return seen
@@ -133,13 +133,13 @@ def test_it_holds_its_place_by_itself(mode: int, sinks_mps: float) -> None:
 def test_it_refuses() -> None:
     """It arms only without a problem and in GUIDED, and obeys setpoints only armed and there."""
     control = CopterControl(dict(_DEFAULTS))
-    estimate = Estimate((0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3)
+    estimate = CopterEstimate((0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3)
     assert control.arm("") == "mode not armable"
     assert not control.change_mode(99)
-    assert not control.take(Setpoint(0.5, (0.0, 0.0, 0.0), 0.0))
+    assert not control.take(CopterSetpoint(0.5, (0.0, 0.0, 0.0), 0.0))
     assert control.change_mode(GUIDED)
     assert control.arm("Need Position Estimate") == "Need Position Estimate"
     assert control.outputs(0.0, STEP_S, estimate) == (0.0,) * 4
     assert not control.arm("")
-    assert control.take(Setpoint(0.5, (0.0, 0.0, 0.0), 0.0))
+    assert control.take(CopterSetpoint(0.5, (0.0, 0.0, 0.0), 0.0))
     assert control.outputs(0.0, STEP_S, estimate) == pytest.approx((0.5,) * 4)

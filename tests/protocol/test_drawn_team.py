@@ -11,7 +11,7 @@ from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.teams.drawn_team import DRAWN, drawn, put_drawn_vehicles
 from transport.search.candidate import Base, Candidate
-from transport.search.drawn_events import DrawnTeam, Silence
+from transport.search.drawn_events import DrawnSilence, DrawnTeam
 
 SEEDS = range(20)
 
@@ -57,7 +57,7 @@ def test_all_kinds_are_drawn() -> None:
 def test_vehicles_in_a_scenario_are_as_many_and_all_else_stays() -> None:
     """A search draws teams of the scenario's size: agents of its silences and deaths exist."""
     base = Base(scenario=template("windy"), source="windy")
-    silent = Silence(start_s=2.0, duration_s=1.0, who="mute 4")
+    silent = DrawnSilence(start_s=2.0, duration_s=1.0, who="mute 4")
     scenario = Candidate((DrawnTeam(seed=5), silent)).scenario(base)
     assert len(scenario.system.uav) == len(base.scenario.system.uav)
     assert scenario.system.payload != base.scenario.system.payload

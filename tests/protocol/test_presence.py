@@ -6,7 +6,13 @@ import pytest
 
 from tests.support.runs import setup
 from transport.protocol.admission.gate import Gate
-from transport.protocol.network.presence import STAGES, OtherPresences, OwnPresence, Stage, Step
+from transport.protocol.network.presence import (
+    STAGES,
+    OtherPresences,
+    OwnPresence,
+    PresenceStep,
+    Stage,
+)
 from transport.protocol.network.session import BusError
 from transport.protocol.wire.codec import VERSION
 from transport.protocol.wire.key_expressions import Keys
@@ -108,7 +114,7 @@ def test_a_new_incarnation_is_asked_for_once_and_seldom() -> None:
 def test_each_stage_can_be_left(stage: Stage) -> None:
     """A process may leave at any time, and only once; what is no step of its stage is a defect."""
     if stage is not Stage.LEAVING:
-        assert STAGES[stage][Step.LEAVE] is Stage.LEAVING
+        assert STAGES[stage][PresenceStep.LEAVE] is Stage.LEAVING
     presence, _ = own()
     presence.leave()
     with pytest.raises(RuntimeError, match="agent2 cannot leave while it is leaving"):

@@ -11,7 +11,7 @@ from tests.support import runs
 from tests.support.coordinator_clock import ready
 from tests.support.nodes import CoordinatorNode
 from transport.model.path.curves import ORDERS
-from transport.protocol.scenario.checks.feasibility import exceeded, teams_left
+from transport.protocol.scenario.checks.feasibility import exceeded, remaining_teams
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import (
@@ -163,7 +163,7 @@ def test_the_shortest_ramp_that_keeps_the_limits_is_taken(way_m: float, speed_mp
     way_I = np.array([way_m, 0.0, 0.0])
     given = {"points_m": [(START_M + way_I).tolist()], "speed_mps": speed_mps}
     ramp_s = plan(setup, HOVERS, **given)["approach_ramp_s"]
-    team = next(teams_left(setup.system, setup.hover, setup.faults))
+    team = next(remaining_teams(setup.system, setup.hover, setup.faults))
 
     def keeps_limits(ramp_s: float) -> bool:
         duration_s = max(way_m / speed_mps + ramp_s, 2.0 * ramp_s)

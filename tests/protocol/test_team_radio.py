@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from tests.support.own_classes import Bulky
 from tests.support.runs import ALL, plan, recorded, setup, ticks
-from transport.protocol.radio.frames import Result
+from transport.protocol.radio.frames import FrameResult
 from transport.protocol.radio.slot_length import frame_lengths
 from transport.protocol.radio.standards_80211 import MESSAGE_BYTES, OFDM
 from transport.protocol.scenario.links.impairments import Link
@@ -40,7 +40,7 @@ REPORTED_TICKS = TICKS - 1
 AGENTS = len(ALL)
 PAIRS = AGENTS * (AGENTS - 1)  # of sender and receiver
 
-COLLISION = -float(Result.COLLISION)  # in `Airtime.arrivals`
+COLLISION = -float(FrameResult.COLLISION)  # in `Airtime.arrivals`
 
 CLOSED_LOOP = "controller.prediction=closed_loop", "controller.received_plans=by_age"
 AT_ONE_INSTANT = "radio={offsets='none',computation_deviation_s=0.0}"

@@ -7,7 +7,7 @@ import numpy as np
 from transport.model.arrays import Array
 from transport.model.linear.discretisation import zero_order_hold
 from transport.model.linear.linearisation import Linearisation, Model
-from transport.model.path.hover_reference import Reference
+from transport.model.path.hover_reference import HoverReference
 from transport.model.path.maneuver import Maneuver
 from transport.model.path.phase import Phase, Profile
 from transport.model.physics.hover import Hover
@@ -90,7 +90,7 @@ def reference_states(
     phases = [
         Phase(name=name, duration_s=duration, displacement_I=way) for name, duration, way in legs
     ]
-    reference = Reference(system, at, Maneuver(start_I=start, phases=phases, profile=profile))
+    reference = HoverReference(system, at, Maneuver(start_I=start, phases=phases, profile=profile))
     return reference.states(PERIOD_S * np.arange(instants, dtype=np.float64))
 
 

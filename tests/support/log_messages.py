@@ -10,7 +10,7 @@ from tests.support import runs
 from transport.agent.estimation.filter.belief import NAMES, POSE
 from transport.model import state
 from transport.model.arrays import Array
-from transport.protocol.radio.frames import Result
+from transport.protocol.radio.frames import FrameResult
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import (
     NO_NEWS,
@@ -122,7 +122,7 @@ def radio_report(run: Setup, tick: int) -> Airtime:
     """
     arrivals = np.full((1, len(run.agents)), NO_NEWS)
     arrivals[0, run.agents.index(2)] = ARRIVED_S
-    arrivals[0, run.agents.index(3)] = -float(Result.COLLISION)
+    arrivals[0, run.agents.index(3)] = -float(FrameResult.COLLISION)
     return Airtime(
         sender="coordinator",
         incarnation=0,

@@ -8,7 +8,7 @@ import numpy as np
 from tests.support.systems import paper_setup, situations, team
 from transport.model.arrays import Array
 from transport.mpc.program.qp_solvers import QP
-from transport.mpc.settings import Constraint, ControllerSettings, Separation
+from transport.mpc.settings import ConstraintSection, ControllerSettings, SeparationSection
 
 
 def random_qp(seed: int) -> QP:
@@ -67,11 +67,11 @@ def collected(minimum_m: float) -> list[QP]:
     setup = paper_setup()
     settings = ControllerSettings(
         horizon=8,
-        separation=Separation(minimum_m=minimum_m),
+        separation=SeparationSection(minimum_m=minimum_m),
         constraint=(
-            Constraint(expression="r0[2] >= -10.001"),
-            Constraint(expression="thrust1 + thrust2 <= 45"),
-            Constraint(expression="tau3[2] == 0"),
+            ConstraintSection(expression="r0[2] >= -10.001"),
+            ConstraintSection(expression="thrust1 + thrust2 <= 45"),
+            ConstraintSection(expression="tau3[2] == 0"),
         ),
     )
     centralized = team(setup, settings, [(0, 1, 2, 3)])

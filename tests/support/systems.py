@@ -10,7 +10,7 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.linear.linearisation import Model
-from transport.model.path.hover_reference import Reference
+from transport.model.path.hover_reference import HoverReference
 from transport.model.path.maneuver import Maneuver
 from transport.model.path.phase import Phase
 from transport.model.physics.hover import Hover, hover
@@ -194,7 +194,7 @@ def _loop(
 ) -> Iterator[tuple[Situation, list[StepResult], Array]]:
     settings = controllers[0].settings
     period, horizon = settings.sampling_period_s, settings.horizon
-    reference = Reference(setup.system, setup.hover, _from_start(paper_maneuver()))
+    reference = HoverReference(setup.system, setup.hover, _from_start(paper_maneuver()))
     x, u = setup.x, setup.hover.u
     U = np.tile(u, (horizon, 1))
     for k in range(steps):

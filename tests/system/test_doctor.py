@@ -11,7 +11,7 @@ from tests.support import runs
 from tests.support.commands import free_base
 from transport.cli.main import app
 from transport.doctor import checks as doctor
-from transport.doctor.checks import Finding
+from transport.doctor.checks import DoctorFinding
 from transport.protocol.scenario.setup.run_setup import Setup
 
 HERE = runs.setup()
@@ -32,7 +32,7 @@ def test_ports() -> None:
 
 
 @pytest.mark.parametrize("check", [doctor.ports, doctor.network])
-def test_an_address_of_another_machine(check: Callable[[Setup], Finding]) -> None:
+def test_an_address_of_another_machine(check: Callable[[Setup], DoctorFinding]) -> None:
     """Both checks that listen on it advise another address."""
     away = check(runs.setup("network.host='192.0.2.1'"))  # reserved for documentation
     assert away.status == "fail"
@@ -55,7 +55,7 @@ def test_command() -> None:
 def test_exit_code_of_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
     """A check that raises fails; a failed check is shown and gives exit code 9."""
 
-    def broken(setup: object) -> Finding:
+    def broken(setup: object) -> DoctorFinding:
         raise OSError("no such luck")
 
     monkeypatch.setattr(doctor, "CHECKS", {"cores": doctor.cores, "network": broken})

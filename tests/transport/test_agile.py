@@ -11,8 +11,8 @@ import transport
 from transport.analysis.series import series_of
 from transport.model.path.curves import Curve
 from transport.model.path.flatness import flight
-from transport.mpc.settings import Tension
-from transport.protocol.scenario.checks.feasibility import exceeded, teams_left
+from transport.mpc.settings import TensionSection
+from transport.protocol.scenario.checks.feasibility import exceeded, remaining_teams
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import RequestError, ScenarioError
 from transport.protocol.scenario.targets.target_timing import target_fields
@@ -145,12 +145,12 @@ def test_least_tension_is_that_of_the_uavs_left() -> None:
     given = {**released(4), "controller.tension.minimum_N": 3.2}
     setup = transport.Scenario("eight", given).setup
 
-    _, team = teams_left(setup.system, setup.hover, setup.faults)
+    _, team = remaining_teams(setup.system, setup.hover, setup.faults)
     path = setup.reference.maneuver.jets(setup.reference.times_s)
     assert team.released == {3}
     assert exceeded(path, team, setup.settings) is None
 
-    higher = setup.settings.model_copy(update={"tension": Tension(minimum_N=5.0)})
+    higher = setup.settings.model_copy(update={"tension": TensionSection(minimum_N=5.0)})
     problem = exceeded(path, team, higher)
     assert problem is not None
     least_N = flight(team.system, team.hover, path, released={3}).tensions[:, :3].min()

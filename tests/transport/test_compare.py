@@ -11,7 +11,7 @@ from typer.testing import CliRunner, Result
 from tests.support import logs, runs
 from transport.cli.main import app
 from transport.log.run_log import open_run
-from transport.report.run_comparison import Compared, doubts, rows, settings_apart
+from transport.report.run_comparison import ComparedRun, doubts, rows, settings_apart
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def ask(*arguments: str | Path) -> Result:
 
 def test_numbers_and_differences(folders: dict[str, Path]) -> None:
     """Values are those of the summaries; percentages refer to the first run; text has none."""
-    usual, late = (Compared.of(name, open_run(folders[name])) for name in ("usual", "late"))
+    usual, late = (ComparedRun.of(name, open_run(folders[name])) for name in ("usual", "late"))
     table = {row.name: row for row in rows([usual, late])}
     costs = tuple(one.summary["cost"]["mean"] for one in (usual, late))
     row = table["cost, mean"]
@@ -74,7 +74,7 @@ def test_unequal_runs_are_noted(folders: dict[str, Path], tmp_path: Path) -> Non
 def test_settings_apart(folders: dict[str, Path], tmp_path: Path) -> None:
     """The keys of the scenarios that differ are listed, with the values of all runs."""
     usual, late, other = (
-        Compared.of(name, open_run(folders[name])) for name in ("usual", "late", "other")
+        ComparedRun.of(name, open_run(folders[name])) for name in ("usual", "late", "other")
     )
     assert settings_apart([usual, usual]) == []
     assert [tuple(one) for one in settings_apart([usual, late])] == [

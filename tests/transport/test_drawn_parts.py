@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from transport.model.arrays import Array
 from transport.model.physics.rotations import rotation
 from transport.report.drawn_parts import UP, draw_parts, frame
-from transport.scene.parts import Label, Lines, Mesh, Part, Pose, ball, lines, solid
+from transport.scene.parts import Label, LineSegments, Mesh, Part, Pose, ball, lines, solid
 
 RED, GREEN, BLUE = (255, 0, 0), (0, 255, 0), (0, 0, 255)
 # Coordinates of up to 3 m in double precision.
@@ -87,7 +87,7 @@ def test_a_label_stands_beside_its_frame_and_does_not_turn_with_it() -> None:
     figure = Figure()
     above: Any = figure.add_subplot(1, 2, 1)
     space: Any = figure.add_subplot(1, 2, 2, projection="3d")
-    no_lines = Lines("none", "body", "", 1.0, np.zeros((0, 2, 3)), np.zeros((0, 3)))
+    no_lines = LineSegments("none", "body", "", 1.0, np.zeros((0, 2, 3)), np.zeros((0, 3)))
     for axes in (above, space):
         parts: list[Part] = [label, no_lines, cube("body", 0.0, RED)]
         draw_parts(axes, parts, {"body": turned}, above=axes is above, width=1.0)

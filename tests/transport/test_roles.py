@@ -11,7 +11,7 @@ from transport.agent.node import AgentNode
 from transport.coordinator.node import CoordinatorNode
 from transport.coordinator.team_view import TeamView
 from transport.model.linear.linearisation import Model
-from transport.model.path.hover_reference import Reference as HoverReference
+from transport.model.path.hover_reference import HoverReference as HoverReference
 from transport.model.path.maneuver import Maneuver
 from transport.model.path.phase import Phase
 from transport.model.physics.hover import hover

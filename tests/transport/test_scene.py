@@ -16,7 +16,7 @@ from transport.model.arrays import Array
 from transport.scene.bodies import payload_points
 from transport.scene.drawing import ARROW_M, TEAM, Drawing
 from transport.scene.history import RunHistory
-from transport.scene.parts import Lines, Mesh
+from transport.scene.parts import LineSegments, Mesh
 from transport.scene.scene import SceneBuilder
 
 # Largest difference between the agent's prediction of a sampling period, one step of a method of
@@ -158,12 +158,14 @@ def test_parts_are_where_the_scene_is(distributed: SceneBuilder, tick: int) -> N
     drawing, scene = Drawing(distributed), distributed.at(tick)
     poses = drawing.poses(scene)
 
-    def placed(lines: Lines) -> Array:
+    def placed(lines: LineSegments) -> Array:
         position, R = poses[lines.frame]
         return np.asarray(lines.segments @ R.T + position)
 
     rods = [
-        placed(part)[0] for part in drawing.fixed if isinstance(part, Lines) and part.name == "rod"
+        placed(part)[0]
+        for part in drawing.fixed
+        if isinstance(part, LineSegments) and part.name == "rod"
     ]
     ends = np.stack([scene.attachments_I, scene.uavs_I], axis=1)
     np.testing.assert_allclose(np.array(rods), ends, atol=ROUNDING)

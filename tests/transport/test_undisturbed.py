@@ -7,7 +7,7 @@ from tests.support import runs
 from transport.flight.memory import simulate
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.path.target_and_stop import Target
+from transport.model.path.target_and_stop import PathTarget
 from transport.mpc.alone.undisturbed_motion import UndisturbedMotion
 from transport.mpc.law.present_law import Regulation
 from transport.protocol.scenario.setup.run_setup import Setup
@@ -57,7 +57,7 @@ def test_a_target_continues_it() -> None:
     assert before is not None
     goal: Array = run.X_ref[0, state.R0] + [1.0, -0.5, -0.5]
     since_s = AT * run.settings.sampling_period_s
-    target = Target(since_s=since_s, point_I=goal, approach=straight(4.0, 1.0))
+    target = PathTarget(since_s=since_s, point_I=goal, approach=straight(4.0, 1.0))
     sent = run.with_target(target)
     reference = sent.reference.sampled
     assert reference.change is not None

@@ -36,7 +36,7 @@ from transport.viewer.camera import FIELD_OF_VIEW
 from transport.viewer.link_controls import ALL_LINKS, LinkControls, groups_of
 from transport.viewer.plots import Plots, rounded_range
 from transport.viewer.server import Page
-from transport.viewer.timeline import Event, events_around, events_of
+from transport.viewer.timeline import TimelineEvent, events_around, events_of
 from transport.viewer.viewer import Viewer, may_send
 
 NEAR_M = 1e-6
@@ -376,7 +376,7 @@ def test_events_are_on_the_slider_and_lead_to_their_time(recorded: Path) -> None
     setup = runs.setup(runs.SHORT, "links.change=[{at_s=0.5,delay_s=0.1}]")
     history = RunHistory(setup)
     history.add(LogTail(recorded).read())
-    assert events_of(history) == [Event(10, "links between agents: delay_s 0.1")]
+    assert events_of(history) == [TimelineEvent(10, "links between agents: delay_s 0.1")]
     with Viewer(SceneBuilder(setup, history), port=0) as viewer:
         assert shown(viewer) == 0
         timeline = viewer._panel._timeline
@@ -395,14 +395,14 @@ def test_links_that_change_together_are_one_event(builder: SceneBuilder) -> None
         builder.history.add([change(number, 5, source, target, loss=1.0)])
     builder.history.add([change(3, 6, "agent1", "agent3", loss=0.0)])
     assert events_of(builder.history) == [
-        Event(5, "2 links: loss 1.0"),
-        Event(6, "links from agent1 to agent3: loss 0.0"),
+        TimelineEvent(5, "2 links: loss 1.0"),
+        TimelineEvent(6, "links from agent1 to agent3: loss 0.0"),
     ]
 
 
 def test_events_around_a_tick() -> None:
     """The list holds as many events as it has room for, half of them before the shown instant."""
-    events = [Event(tick, str(tick)) for tick in range(0, 100, 10)]
+    events = [TimelineEvent(tick, str(tick)) for tick in range(0, 100, 10)]
     assert [event.tick for event in events_around(events, 50, 4)] == [40, 50, 60, 70]
     assert [event.tick for event in events_around(events, 0, 4)] == [0, 10, 20, 30]
     assert [event.tick for event in events_around(events, 1000, 4)] == [60, 70, 80, 90]
@@ -646,7 +646,7 @@ def test_a_change_of_all_links_is_one_event(builder: SceneBuilder) -> None:
         builder.history.add([change(number, 5, source, target, **PERFECT_VALUES)])
     builder.history.add([change(4, 6, "plant", "", loss=0.1), change(5, 6, "", "plant", loss=0.1)])
     assert events_of(builder.history) == [
-        Event(5, "all links cleared"),
-        Event(6, "links from plant: loss 0.1"),
-        Event(6, "links to plant: loss 0.1"),
+        TimelineEvent(5, "all links cleared"),
+        TimelineEvent(6, "links from plant: loss 0.1"),
+        TimelineEvent(6, "links to plant: loss 0.1"),
     ]

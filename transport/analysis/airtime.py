@@ -7,7 +7,7 @@ import numpy as np
 
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
-from transport.protocol.radio.frames import Result
+from transport.protocol.radio.frames import FrameResult
 from transport.protocol.scenario.radio.radio_parameters import PlanShape, slot_lengths
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import NO_NEWS, REPLACED, Airtime, Plan
@@ -16,10 +16,10 @@ from transport.protocol.wire.names import agent_name
 _MS_PER_S = 1e3
 # Losses in the summary.
 _LOSSES = {
-    "collisions": Result.COLLISION,
-    "weak": Result.WEAK,
-    "queue_drops": Result.QUEUE,
-    "given_up": Result.RETRIES,
+    "collisions": FrameResult.COLLISION,
+    "weak": FrameResult.WEAK,
+    "queue_drops": FrameResult.QUEUE,
+    "given_up": FrameResult.RETRIES,
 }
 
 
@@ -69,7 +69,7 @@ class _Fates:
         part.table = self.table[is_link]
         return part
 
-    def count(self, result: Result) -> int:
+    def count(self, result: FrameResult) -> int:
         """Return the number of losses of a kind."""
         return int(np.count_nonzero(self.table[:, 2] == -float(result)))
 

@@ -13,7 +13,7 @@ from transport.analysis.series import Series, swing_of
 from transport.analysis.spread import finite, largest
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
-from transport.model.path.target_and_stop import Target
+from transport.model.path.target_and_stop import PathTarget
 from transport.model.state import R0
 from transport.protocol.admission.carried import carried_by
 from transport.protocol.scenario.setup.run_setup import Setup
@@ -198,7 +198,7 @@ def _known_after_s(setup: Setup, log: RunLog) -> dict[int, float]:
     return known_s
 
 
-def _distance_m(series: Series, path: Target, judged_s: float) -> float | None:
+def _distance_m(series: Series, path: PathTarget, judged_s: float) -> float | None:
     """Return the payload's distance from the end of a path at a time, m; None before it ends."""
     if judged_s < path.ends_s - _ROUNDING_S:
         return None

@@ -62,7 +62,7 @@ def find_active(run: str | None, advice: str) -> tuple[Path, live.LiveRun]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ActiveRun:
+class ActiveRunOption:
     """Options that select an active run."""
 
     run: RunOption = None

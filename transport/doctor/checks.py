@@ -36,7 +36,7 @@ _STEPS = 10
 _WARM_UP = 2
 
 
-class Finding(NamedTuple):
+class DoctorFinding(NamedTuple):
     """Result of a check."""
 
     status: Literal["ok", "warn", "fail"]  # warn: a run works, with restrictions; fail: none does
@@ -44,12 +44,12 @@ class Finding(NamedTuple):
     advice: str = ""
 
 
-def judged(state: str, is_bad: bool, advice: str) -> Finding:
+def judged(state: str, is_bad: bool, advice: str) -> DoctorFinding:
     """Return a finding with a warning and advice if the state is bad."""
-    return Finding("warn", state, advice) if is_bad else Finding("ok", state)
+    return DoctorFinding("warn", state, advice) if is_bad else DoctorFinding("ok", state)
 
 
-def checks(setup: Setup) -> Iterator[tuple[str, Finding]]:
+def checks(setup: Setup) -> Iterator[tuple[str, DoctorFinding]]:
     """Yield every check with its name as soon as it is done; all together take some seconds."""
     for name, check in CHECKS.items():
         try:
@@ -57,15 +57,15 @@ def checks(setup: Setup) -> Iterator[tuple[str, Finding]]:
         except Exception as error:  # noqa: BLE001  # named in the finding
             text = " ".join(str(error).split())[:200]
             advice = "pip check; install the package in the message again, or report the error"
-            finding = Finding("fail", f"{type(error).__name__}: {text}", advice)
+            finding = DoctorFinding("fail", f"{type(error).__name__}: {text}", advice)
         yield name, finding
 
 
-def ports(setup: Setup) -> Finding:
+def ports(setup: Setup) -> DoctorFinding:
     """Check that the ports of processes started by hand, or of the scenario's base port, are free."""
     network = setup.scenario.network
     if network.router is not None:
-        return Finding("ok", f"none needed: all processes are clients of {network.router}")
+        return DoctorFinding("ok", f"none needed: all processes are clients of {network.router}")
 
     places = default_mesh(setup.scenario).values()
     listened = [int(place.listen[0].rsplit(":", 1)[1]) for place in places]
@@ -79,23 +79,23 @@ def ports(setup: Setup) -> Finding:
         )
         # Without a base port `transport run` takes any free ports.
         is_needed = network.base_port is not None or "network.host" in str(error)
-        return Finding("fail" if is_needed else "warn", str(error), advice)
-    return Finding("ok", f"{listened[0]} to {listened[-1]} on {network.host} are free")
+        return DoctorFinding("fail" if is_needed else "warn", str(error), advice)
+    return DoctorFinding("ok", f"{listened[0]} to {listened[-1]} on {network.host} are free")
 
 
-def network(setup: Setup) -> Finding:
+def network(setup: Setup) -> DoctorFinding:
     """Check that two Zenoh sessions on the network's host find each other, and measure the round trip."""
     host = setup.scenario.network.host
     try:
         times_ms = _round_trips_ms(host)
     except HarnessError as error:
-        return Finding("fail", str(error), "an address of this machine as network.host")
+        return DoctorFinding("fail", str(error), "an address of this machine as network.host")
     if len(times_ms) < _ROUND_TRIPS:
         advice = (
             "check for a firewall or a network namespace without loopback "
             f"(ping {host}; ip addr show lo)"
         )
-        return Finding("fail", f"Zenoh sessions on {host} do not reach each other", advice)
+        return DoctorFinding("fail", f"Zenoh sessions on {host} do not reach each other", advice)
 
     median_ms = statistics.median(times_ms)
     state = f"Zenoh {metadata.version('eclipse-zenoh')}: a round trip takes {median_ms:.2f} ms"
@@ -124,7 +124,7 @@ def _round_trips_ms(host: str) -> list[float]:
     return times_ms
 
 
-def step(setup: Setup) -> Finding:
+def step(setup: Setup) -> DoctorFinding:
     """Measure the step of the first agent against the sampling period."""
     setup = Setup.of(setup.scenario, setup.scenario.name)  # with the model as compiled by now
     times_ms = []
@@ -145,13 +145,13 @@ def step(setup: Setup) -> Finding:
     return judged(state, median_ms > period_ms / 2.0, advice)
 
 
-def kernels(setup: Setup) -> Finding:
+def kernels(setup: Setup) -> DoctorFinding:
     """Compile the model and the kernels of a step: otherwise a step takes several times as long."""
     folder = compiler.cache_folder()
     models = [compile_functions(*kind) for kind in kinds_of(setup.scenario)]
     if native.AVAILABLE and all(models):
         width = native.KERNELS.vector_width()
-        return Finding(
+        return DoctorFinding(
             "ok", f"compiled for this processor, vectors of {width} doubles, in {folder}"
         )
 
@@ -163,10 +163,10 @@ def kernels(setup: Setup) -> Finding:
         fails = f"{c_compiler} fails, or {folder} cannot be written"
         reason = fails if c_compiler else "no C compiler"
         advice = "install gcc or clang, or set $CC or $PAYLOAD_TRANSPORT_CACHE"
-    return Finding("warn", f"{reason}: a step takes several times as long", advice)
+    return DoctorFinding("warn", f"{reason}: a step takes several times as long", advice)
 
 
-def wake_up(_: Setup) -> Finding:
+def wake_up(_: Setup) -> DoctorFinding:
     """Measure how late this process wakes up, as it does at every deadline."""
     late_ms: list[float] = []
     while len(late_ms) < _NAPS:
@@ -183,7 +183,7 @@ def wake_up(_: Setup) -> Finding:
     return judged(state, max(late_ms) > _LATE_MS, advice)
 
 
-def cores(setup: Setup) -> Finding:
+def cores(setup: Setup) -> DoctorFinding:
     """Compare the cores this process may use with the processes of a run and its recorder.
 
     Quotas of a container count as well.
@@ -201,7 +201,7 @@ def cores(setup: Setup) -> Finding:
     return judged(state, usable < wanted, advice)
 
 
-CHECKS: dict[str, Callable[[Setup], Finding]] = {
+CHECKS: dict[str, Callable[[Setup], DoctorFinding]] = {
     "ports": ports,
     "network": network,
     "kernels": kernels,

@@ -15,7 +15,7 @@ from transport.log.writer import LogWriter
 from transport.protocol.admission.gate import Gate, Sample
 from transport.protocol.admission.participant import check_target
 from transport.protocol.admission.plausibility import check_plausible
-from transport.protocol.network.bus import Arrival, Bus, BusOptions, Interrupted, Left, Place
+from transport.protocol.network.bus import Arrival, Bus, BusOptions, Departed, Interrupted, Place
 from transport.protocol.network.session import BusError
 from transport.protocol.network.steady_clock import SteadyClock
 from transport.protocol.scenario.setup.run_setup import Setup
@@ -189,7 +189,7 @@ class Recorder:
             match event:
                 case Interrupted():
                     return
-                case Left(name=name):
+                case Departed(name=name):
                     left.add(name)
                 case wire.Presence(name=name, alive=True):
                     # Also again, after a standstill of that process or of this one.

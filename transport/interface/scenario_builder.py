@@ -27,7 +27,7 @@ from transport.protocol.scenario.teams.team_of_any_size import Team, given_value
 _LONGEST_RAMP_S = 3.0  # at the ends of a path with a flat reference
 
 
-class Section:
+class ScenarioPart:
     """A section of a scenario.
 
     Reading an attribute reads the value, setting one changes the scenario.
@@ -67,7 +67,7 @@ class Section:
         return [*super().__dir__(), *names_of(type(self._data))]
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Section) and self._data == other._data
+        return isinstance(other, ScenarioPart) and self._data == other._data
 
     __hash__ = None  # type: ignore[assignment]  # it changes
 
@@ -75,7 +75,7 @@ class Section:
         return repr(self._data)
 
 
-class Scenario(Section):
+class Scenario(ScenarioPart):
     """A scenario that can be changed and is valid at any time.
 
     A change that would make an impossible scenario raises `ScenarioError` and leaves the scenario
@@ -251,7 +251,7 @@ equal to 1, got 1.5
         """
         value = self._value(key)
         if isinstance(value, BaseModel):
-            return Section(self, key)
+            return ScenarioPart(self, key)
         if isinstance(value, list | tuple):
             return tuple(self._shown(f"{key}.{number}") for number in range(1, len(value) + 1))
         return value

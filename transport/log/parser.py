@@ -36,7 +36,7 @@ _RECORD = struct.Struct("<BQ")  # opcode, length of the body
 _FOOTER = struct.Struct("<BQQQI8s")
 
 
-class Record(NamedTuple):
+class LogRecord(NamedTuple):
     """One record of a file."""
 
     opcode: int
@@ -83,7 +83,7 @@ class Parser:
         """Return whether the file has its proper end, behind index and summary."""
         return self.ended and self._summary() is not None
 
-    def _messages_of(self, record: Record) -> Iterator[tuple[Channel, Message]]:
+    def _messages_of(self, record: LogRecord) -> Iterator[tuple[Channel, Message]]:
         """Yield the messages of a record with their channels; count what cannot be decoded."""
         try:
             parts = self._parts(record)
@@ -102,7 +102,7 @@ class Parser:
             else:
                 yield channel, part
 
-    def _parts(self, record: Record) -> list[Any]:
+    def _parts(self, record: LogRecord) -> list[Any]:
         """Return the records in a chunk, none for other records; take note of metadata."""
         if record.opcode not in (Opcode.METADATA, Opcode.CHUNK):
             return []
@@ -139,7 +139,7 @@ class Parser:
             return None
 
 
-def records(file: BinaryIO, offset: int) -> Iterator[Record]:
+def records(file: BinaryIO, offset: int) -> Iterator[LogRecord]:
     """Yield the whole records from an offset on, in order."""
     size = file.seek(0, SEEK_END)
     while offset + _RECORD.size <= size:
@@ -153,7 +153,7 @@ def records(file: BinaryIO, offset: int) -> Iterator[Record]:
             return
 
         offset = body_begin + length
-        yield Record(opcode, offset, file.read(length) if length <= MOST_BYTES else None)
+        yield LogRecord(opcode, offset, file.read(length) if length <= MOST_BYTES else None)
 
 
 def _decompressed(chunk: Chunk) -> Chunk:

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection  # type: ignore[import-untyped]
 
 from transport.model.arrays import Array
-from transport.scene.parts import Label, Lines, Mesh, Part, Pose
+from transport.scene.parts import Label, LineSegments, Mesh, Part, Pose
 
 UP = np.array([1.0, 1.0, -1.0])  # z points down in the data and up on paper
 BRIGHTEST = 255.0
@@ -77,7 +77,7 @@ class _Collected:
         self.triangles += list(corners_I[mesh.faces] * UP)
         self.face_colours += [colour] * len(mesh.faces)
 
-    def add_lines(self, lines: Lines, pose: Pose, width: float) -> None:
+    def add_lines(self, lines: LineSegments, pose: Pose, width: float) -> None:
         """Add lines of a width, points."""
         position_I, R = pose
         self.segments += list((lines.segments @ R.T + position_I) * UP)
@@ -107,7 +107,7 @@ def draw_parts(
         match part:
             case Mesh():
                 collected.add_mesh(part, pose, _FLAT_OPACITY if above else part.opacity)
-            case Lines():
+            case LineSegments():
                 collected.add_lines(part, pose, width * part.width)
             case Label() if above:
                 labels.append(_draw_label(axes, part, pose))

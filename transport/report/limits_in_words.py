@@ -9,7 +9,7 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.model.path.curves import ORDERS
-from transport.protocol.scenario.checks.feasibility import Extreme, extremes, teams_left
+from transport.protocol.scenario.checks.feasibility import Extreme, extremes, remaining_teams
 from transport.protocol.scenario.checks.reference_limits import (
     checked_instants,
     instant_in_words,
@@ -45,7 +45,7 @@ def nearest_limit(setup: Setup) -> NearestLimit:
     Source: docs/equations.md (69).
     """
     reference = setup.reference
-    team = next(teams_left(setup.system, setup.hover, setup.faults))
+    team = next(remaining_teams(setup.system, setup.hover, setup.faults))
     if not reference.is_flat:
         at_rest = np.zeros((ORDERS, 1, 3))
         return NearestLimit(extreme=_least_room(extremes(at_rest, team, setup.settings)), at_s=None)

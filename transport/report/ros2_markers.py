@@ -7,7 +7,7 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.scene.bodies import INERTIAL
-from transport.scene.parts import Label, Lines, Mesh, Part, quaternion
+from transport.scene.parts import Label, LineSegments, Mesh, Part, quaternion
 
 # Fields of a message by name.
 Fields = dict[str, Any]
@@ -58,7 +58,7 @@ def marker_fields(part: Part, at_ns: int, frames: Mapping[str, Any]) -> Fields:
     if part.frame not in frames:
         return marker | {"action": _DELETE}
     match part:
-        case Lines():
+        case LineSegments():
             return marker | _lines(part)
         case Label():
             return marker | _text(part)
@@ -66,7 +66,7 @@ def marker_fields(part: Part, at_ns: int, frames: Mapping[str, Any]) -> Fields:
             return marker | _triangles(part)
 
 
-def _lines(part: Lines) -> Fields:
+def _lines(part: LineSegments) -> Fields:
     """Return the fields of lines, each end with the colour of its line."""
     return {
         "type": _LINE_LIST,

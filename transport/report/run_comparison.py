@@ -35,7 +35,7 @@ _WIDEST = 1.8  # curve, points
 _PERCENT = 100.0
 
 
-class Compared(NamedTuple):
+class ComparedRun(NamedTuple):
     """One of the compared runs with its summary and series."""
 
     label: str  # in tables and figures
@@ -44,10 +44,10 @@ class Compared(NamedTuple):
     series: Series
 
     @staticmethod
-    def of(label: str, run: RecordedRun) -> "Compared":
+    def of(label: str, run: RecordedRun) -> "ComparedRun":
         """Return a run with its summary and series."""
         analysed = AnalysedRun.of(run.setup, counted(run.setup, run.log))
-        return Compared(label, run, summarise(analysed), analysed.series)
+        return ComparedRun(label, run, summarise(analysed), analysed.series)
 
 
 class Row(NamedTuple):
@@ -119,7 +119,7 @@ _QUANTITIES: tuple[tuple[str, str, str | Callable[[Summary], Any]], ...] = (
 
 
 # What compared runs should share, and why.
-_SHARED: tuple[tuple[str, Callable[[Compared], Any], str], ...] = (
+_SHARED: tuple[tuple[str, Callable[[ComparedRun], Any], str], ...] = (
     (
         "maneuver",
         lambda one: one.run.setup.scenario.maneuver,
@@ -143,7 +143,7 @@ class Setting(NamedTuple):
 _WITHOUT_EFFECT = ("name", "network.")
 
 
-def settings_apart(runs: Sequence[Compared]) -> list[Setting]:
+def settings_apart(runs: Sequence[ComparedRun]) -> list[Setting]:
     """Return the keys of the scenarios that differ between runs."""
     trees = [one.run.setup.scenario.tree() for one in runs]
     apart = _apart("", trees)
@@ -172,7 +172,7 @@ def _is_tables(value: Any) -> bool:
     return isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value)
 
 
-def rows(runs: Sequence[Compared]) -> list[Row]:
+def rows(runs: Sequence[ComparedRun]) -> list[Row]:
     """Return a row for each quantity that any of the runs has; at least one run."""
     table = []
     for name, unit, source in _QUANTITIES:
@@ -188,7 +188,7 @@ def rows(runs: Sequence[Compared]) -> list[Row]:
     return table
 
 
-def doubts(runs: Sequence[Compared]) -> Iterator[str]:
+def doubts(runs: Sequence[ComparedRun]) -> Iterator[str]:
     """Yield the caveats of a comparison, a sentence each."""
     first = runs[0]
     for other in runs[1:]:
@@ -219,7 +219,7 @@ def _difference_percent(value: Any, first: Any) -> float | None:
     return float(_PERCENT * (value - first) / abs(first))
 
 
-def draw_compared(runs: Sequence[Compared], folder: Path) -> list[Path]:
+def draw_compared(runs: Sequence[ComparedRun], folder: Path) -> list[Path]:
     """Draw compare.png and compare.svg of runs, at least one of them with a tick, in a folder.
 
     Return the files.

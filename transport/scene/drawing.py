@@ -26,7 +26,7 @@ from transport.scene.colours import age_colour, uav_colour
 from transport.scene.parts import (
     Colour,
     Label,
-    Lines,
+    LineSegments,
     Part,
     Pose,
     ball,
@@ -138,7 +138,7 @@ class Drawing:
                 off += [f"uav{uav + 1}" for uav in owned]
         return frozenset(off)
 
-    def moving(self, scene: Scene) -> Iterator[Lines]:
+    def moving(self, scene: Scene) -> Iterator[LineSegments]:
         """Yield the lines of a scene except the actual paths.
 
         The first call after a new target also renews `fixed`, and yields the reference once: a
@@ -154,7 +154,7 @@ class Drawing:
         yield lines("links", TEAM, "links", 5.0, self._links(scene))
         yield from self._predicted(scene)
 
-    def flown(self, scene: Scene) -> Lines:
+    def flown(self, scene: Scene) -> LineSegments:
         """Return the actual paths until a scene."""
         payload_I, uavs_I = self._builder.paths(scene.tick, _POINTS)
         paths = [(_ACTUAL, segments(payload_I))]
@@ -174,7 +174,7 @@ class Drawing:
         uavs_I = setup.reference.outputs(t)[:, : 3 * self._N]
         return payload_I, uavs_I.reshape(-1, self._N, 3)
 
-    def _reference_lines(self) -> Iterator[Lines]:
+    def _reference_lines(self) -> Iterator[LineSegments]:
         """Yield the reference of payload and UAVs as dashed lines."""
         payload_I, uavs_I = self._reference()
         paths = {PAYLOAD: payload_I}
@@ -184,7 +184,7 @@ class Drawing:
             dashes = [(_REFERENCE, segments(path_I)[::2])]
             yield lines(f"reference of {name}", INERTIAL, "reference", width, dashes)
 
-    def _predicted(self, scene: Scene) -> Iterator[Lines]:
+    def _predicted(self, scene: Scene) -> Iterator[LineSegments]:
         """Yield the predicted paths of UAVs and payload, in the colours of the agents' UAVs."""
         team_I = scene.uavs_I.mean(axis=0)
         uavs: list[tuple[Colour, Array]] = []

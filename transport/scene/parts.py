@@ -20,7 +20,7 @@ Pose = tuple[Array, Array]  # position, (3,), and rotation to the inertial frame
 _AROUND = 16
 
 
-class Lines(NamedTuple):
+class LineSegments(NamedTuple):
     """Segments in a frame.
 
     Attributes:
@@ -60,7 +60,7 @@ class Label(NamedTuple):
     colour: Colour
 
 
-Part = Lines | Mesh | Label
+Part = LineSegments | Mesh | Label
 
 
 def quaternion(R: Array) -> Array:
@@ -75,14 +75,14 @@ def segments(path: Array) -> Array:
 
 def lines(
     name: str, frame: str, layer: str, width: float, coloured: Iterable[tuple[Colour, Array]]
-) -> Lines:
+) -> LineSegments:
     """Return segments, (k, 2, 3) each, in their colours."""
     all_segments = [np.zeros((0, 2, 3))]
     all_colours = [np.zeros((0, 3))]
     for colour, piece in coloured:
         all_segments.append(piece)
         all_colours.append(np.tile(colour, (len(piece), 1)))
-    return Lines(
+    return LineSegments(
         name, frame, layer, width, np.concatenate(all_segments), np.concatenate(all_colours)
     )
 

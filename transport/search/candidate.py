@@ -8,7 +8,7 @@ from transport.protocol.scenario.scenario_file import validate
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.teams.team_of_any_size import FEWEST, Team, resized
-from transport.search.drawn_events import Death, Event, Silence
+from transport.search.drawn_events import Death, DrawnSilence, Event
 from transport.search.silent_links import changes_of_links
 
 
@@ -35,10 +35,10 @@ class Candidate:
         """Return the scenario with the events. Raises: ScenarioError: it is impossible."""
         tree = base.scenario.tree()
         source = str(Path(base.source))
-        silences = [event for event in self.events if isinstance(event, Silence)]
+        silences = [event for event in self.events if isinstance(event, DrawnSilence)]
 
         for event in self.events:
-            if not isinstance(event, Silence):
+            if not isinstance(event, DrawnSilence):
                 event.apply(tree)
         tree["faults"]["event"].sort(key=lambda fault: fault["at_s"])
         without_silences = validate(tree, source)
@@ -81,7 +81,7 @@ class Candidate:
         """Return the largest number of an agent in the events; 0 without one."""
         numbers = [0]
         for event in self.events:
-            if isinstance(event, Silence):
+            if isinstance(event, DrawnSilence):
                 numbers += event.agents
             elif isinstance(event, Death):
                 numbers.append(event.agent)

@@ -29,7 +29,7 @@ def _rounder(value: float) -> Iterator[float]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Silence:
+class DrawnSilence:
     """A window in which messages between agents are lost.
 
     `who` names the links: "all"; "mute 3": those from agent 3; "deaf 3": those to it; "cut 1 2":
@@ -80,7 +80,7 @@ class Silence:
 
         return f"from {self.start_s:g} to {self.end_s:g} s {what}{share}"
 
-    def simpler(self) -> Iterator["Silence"]:
+    def simpler(self) -> Iterator["DrawnSilence"]:
         """Yield simpler versions: a shorter window, all messages, round numbers."""
         if self.duration_s / 2.0 >= _SHORTEST_SILENCE_S:
             half_s = round(self.duration_s / 2.0, 6)
@@ -235,7 +235,7 @@ class ModelError:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sensors:
+class SensorsOff:
     """White noise of all sensors, as a multiple of the scenario's, in the draws of a seed.
 
     Biases and delays stay.
@@ -260,7 +260,7 @@ class Sensors:
         seed = "" if self.seed is None else f", seed {self.seed}"
         return f"sensor noise of {self.factor:g} times the scenario's{seed}"
 
-    def simpler(self) -> Iterator["Sensors"]:
+    def simpler(self) -> Iterator["SensorsOff"]:
         """Yield simpler versions: the scenario's noise, small seeds."""
         if self.factor != 1.0:
             yield replace(self, factor=1.0)
@@ -324,4 +324,4 @@ class DrawnTeam:
         yield from ()
 
 
-Event = Silence | Death | Links | Gusts | ModelError | Sensors | TargetEvent | DrawnTeam
+Event = DrawnSilence | Death | Links | Gusts | ModelError | SensorsOff | TargetEvent | DrawnTeam

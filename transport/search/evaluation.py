@@ -22,7 +22,7 @@ from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, PlantState
 from transport.search.candidate import Base, Candidate
-from transport.search.objective import Objective
+from transport.search.objective import SearchObjective
 
 REFUSED = "refused"  # outcome of a candidate that the scenario refuses
 
@@ -67,7 +67,7 @@ class Evaluation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
+class CaseVerdict:
     """Whether a case that fails is beyond physics and the control law, not a fault of the network."""
 
     # The project's centralized controller with perfect information fails as well; None: not known.
@@ -76,11 +76,11 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Problem:
+class FoundProblem:
     """Scenario and objective of a search: what turns a candidate into a number."""
 
     base: Base
-    objective: Objective
+    objective: SearchObjective
 
     def key(self, candidate: Candidate) -> str:
         """Return the fingerprint of a candidate."""
@@ -157,19 +157,19 @@ class Problem:
         except ScenarioError as error:
             return _refusal(self.key(candidate), error)
         base = Base(scenario=scenario, source=self.base.source)
-        problem = Problem(base=base, objective=self.objective)
+        problem = FoundProblem(base=base, objective=self.objective)
         return problem.evaluate(candidate.beyond_network())
 
-    def verdict(self, candidate: Candidate) -> Verdict:
+    def verdict(self, candidate: Candidate) -> CaseVerdict:
         """Return whether a case that fails does so with perfect information as well."""
         with_events = self.with_perfect_information(candidate)
         if with_events.outcome == REFUSED:
-            return Verdict(beyond_physics=None, reason=with_events.reason)
+            return CaseVerdict(beyond_physics=None, reason=with_events.reason)
         if not with_events.failed:
-            return Verdict(beyond_physics=False)
+            return CaseVerdict(beyond_physics=False)
         if self.with_perfect_information(Candidate(())).failed:
-            return Verdict(beyond_physics=None, reason="it fails without any event as well")
-        return Verdict(beyond_physics=True)
+            return CaseVerdict(beyond_physics=None, reason="it fails without any event as well")
+        return CaseVerdict(beyond_physics=True)
 
 
 def _refusal(key: str, error: ScenarioError) -> Evaluation:

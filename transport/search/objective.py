@@ -29,14 +29,14 @@ def _largest_violation(summary: Mapping[str, Any]) -> float | None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Objective:
+class SearchObjective:
     """A number of a run and its limit."""
 
     measure: Measure
     limit: float  # deg, m, m, the constraint's unit, cost
 
     @staticmethod
-    def of(measure: str, limit: float | None, scenario: Scenario) -> "Objective":
+    def of(measure: str, limit: float | None, scenario: Scenario) -> "SearchObjective":
         """Return an objective with its default limit. Raises: ScenarioError: there is no such one."""
         if measure not in MEASURES:
             expected = f"expected one of {', '.join(MEASURES)}"
@@ -48,7 +48,7 @@ class Objective:
             separation = scenario.controller.separation
             limit = _SEPARATION_SHARE * (separation.minimum_m if separation else 0.4)
 
-        return Objective(
+        return SearchObjective(
             measure=measure,  # type: ignore[arg-type]  # checked above
             limit=_LIMITS.get(measure, 1.0) if limit is None else limit,
         )

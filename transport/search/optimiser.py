@@ -42,7 +42,7 @@ _MOST_CHANGES = 2  # events of a child that are changed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Layout:
+class SearchLayout:
     """Coordinates of the unit cube: those of each event, and which ones have a severe end."""
 
     events: tuple[slice, ...]
@@ -66,7 +66,7 @@ def _towards_one(uniform: Array, severe: Array) -> Array:
 class Optimiser:
     """Minimiser of a function over the unit cube, by asking for points and being told its values."""
 
-    def __init__(self, layout: Layout, *, seed: int) -> None:
+    def __init__(self, layout: SearchLayout, *, seed: int) -> None:
         self._layout = layout
         self._random_left = max(_LEAST_RANDOM, layout.dimension)
         self._sampler = qmc.Sobol(layout.dimension, seed=seed)

@@ -14,7 +14,7 @@ from transport.experiments.workers import Workers
 from transport.protocol.scenario.files.atomic_writing import PARTIAL, Lines, write_whole
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.search.candidate import Candidate
-from transport.search.evaluation import REFUSED, Evaluation, Problem, Verdict
+from transport.search.evaluation import REFUSED, CaseVerdict, Evaluation, FoundProblem
 from transport.search.optimiser import BATCH, Optimiser
 from transport.search.shrink import Evaluate, Shrinker
 from transport.search.space import Space
@@ -23,11 +23,11 @@ EVALUATIONS = "evaluations.jsonl"
 _IDENTITY = "search.json"
 
 # Evaluates candidates, in any order.
-Fly = Callable[[Problem, Sequence[Candidate]], Iterable[Evaluation]]
+Fly = Callable[[FoundProblem, Sequence[Candidate]], Iterable[Evaluation]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Case:
+class SearchCase:
     """A candidate with its evaluation; one that the scenario refuses was not simulated."""
 
     number: int  # place in the search, from 1
@@ -44,24 +44,24 @@ class Case:
 class Minimal:
     """The minimal case with its evaluation, and the verdict of perfect information."""
 
-    problem: Problem  # perhaps with a smaller team
+    problem: FoundProblem  # perhaps with a smaller team
     whole_team: int  # UAVs of the scenario that was searched
     candidate: Candidate
     evaluation: Evaluation
-    verdict: Verdict
+    verdict: CaseVerdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchResult:
     """Result of a search."""
 
-    problem: Problem
+    problem: FoundProblem
     without_events: Evaluation
-    cases: Sequence[Case]
+    cases: Sequence[SearchCase]
     minimal: Minimal | None  # None: no case has failed
 
     @property
-    def worst(self) -> Case:
+    def worst(self) -> SearchCase:
         """Return the case of least robustness; of equal ones the first."""
         return min(self.cases, key=lambda case: case.order)
 
@@ -76,7 +76,7 @@ class SearchResult:
         return sum(case.evaluation.failed for case in self.cases)
 
     @property
-    def refused(self) -> Sequence[Case]:
+    def refused(self) -> Sequence[SearchCase]:
         """Return the cases that the scenario refuses."""
         return [case for case in self.cases if case.evaluation.outcome == REFUSED]
 
@@ -114,7 +114,9 @@ class Evaluations:
         if self._file is not None:
             self._file.close()
 
-    def of(self, problem: Problem, candidates: Sequence[Candidate], fly: Fly) -> list[Evaluation]:
+    def of(
+        self, problem: FoundProblem, candidates: Sequence[Candidate], fly: Fly
+    ) -> list[Evaluation]:
         """Return the evaluations of candidates, flying those that are missing."""
         missing = {
             problem.key(candidate): candidate
@@ -146,7 +148,7 @@ class Progress(Protocol):
     def simulated(self) -> None:
         """Count a run, whose evaluation may wait for those of its batch."""
 
-    def show(self, case: Case) -> None:
+    def show(self, case: SearchCase) -> None:
         """Tell a case and its evaluation."""
 
     def shrinking(self, candidate: Candidate, evaluations: int) -> None:
@@ -156,7 +158,7 @@ class Progress(Protocol):
 def _counted(fly: Fly, progress: Progress) -> Fly:
     """Return a function that flies, and tells each run at once."""
 
-    def counted(problem: Problem, candidates: Sequence[Candidate]) -> Iterator[Evaluation]:
+    def counted(problem: FoundProblem, candidates: Sequence[Candidate]) -> Iterator[Evaluation]:
         for evaluation in fly(problem, candidates):
             progress.simulated()
             yield evaluation
@@ -167,7 +169,7 @@ def _counted(fly: Fly, progress: Progress) -> Fly:
 def flying(workers: Workers) -> Fly:
     """Return a function that flies candidates in worker processes."""
 
-    def fly(problem: Problem, candidates: Sequence[Candidate]) -> Iterator[Evaluation]:
+    def fly(problem: FoundProblem, candidates: Sequence[Candidate]) -> Iterator[Evaluation]:
         return workers.map(problem.evaluate, candidates)
 
     return fly
@@ -177,7 +179,7 @@ def flying(workers: Workers) -> Fly:
 class Search:
     """A search over a space for a problem."""
 
-    problem: Problem
+    problem: FoundProblem
     space: Space
     budget: int  # cases to evaluate, at least one
     seed: int = 0
@@ -214,7 +216,9 @@ class Search:
         minimal = None
         if worst.evaluation.failed:
 
-            def evaluate(problem: Problem, candidates: Sequence[Candidate]) -> list[Evaluation]:
+            def evaluate(
+                problem: FoundProblem, candidates: Sequence[Candidate]
+            ) -> list[Evaluation]:
                 return evaluations.of(problem, candidates, fly)
 
             shrinker = Shrinker(
@@ -238,7 +242,9 @@ class Search:
             verdict=shrinker.verdict,
         )
 
-    def _cases(self, evaluations: Evaluations, fly: Fly, progress: Progress) -> Iterator[Case]:
+    def _cases(
+        self, evaluations: Evaluations, fly: Fly, progress: Progress
+    ) -> Iterator[SearchCase]:
         """Yield the cases of the budget, in whole batches.
 
         The optimiser is told all points that it has been asked for, so the last batch is evaluated
@@ -255,7 +261,7 @@ class Search:
             failed = False
             for candidate, evaluation in zip(candidates, results, strict=True):
                 number += 1
-                case = Case(number=number, candidate=candidate, evaluation=evaluation)
+                case = SearchCase(number=number, candidate=candidate, evaluation=evaluation)
                 progress.show(case)
                 yield case
                 failed = failed or evaluation.failed
@@ -263,7 +269,7 @@ class Search:
                 return
 
 
-def _check_simulated(cases: Sequence[Case]) -> None:
+def _check_simulated(cases: Sequence[SearchCase]) -> None:
     """Refuse a space of which the scenario refuses every case."""
     if all(case.evaluation.outcome == REFUSED for case in cases):
         text = f"expected cases that can be flown, got {len(cases)} refused"
@@ -271,7 +277,7 @@ def _check_simulated(cases: Sequence[Case]) -> None:
         raise ScenarioError("bounds", "", f"{text}, the first by {first}")
 
 
-def random_search(search: Search, evaluations: Evaluations, fly: Fly) -> Iterator[Case]:
+def random_search(search: Search, evaluations: Evaluations, fly: Fly) -> Iterator[SearchCase]:
     """Yield the cases of plain random search with the same budget: what a search has to beat."""
     rng = np.random.default_rng(search.seed)
 
@@ -280,4 +286,4 @@ def random_search(search: Search, evaluations: Evaluations, fly: Fly) -> Iterato
         candidates = [search.space.candidate(point) for point in points]
         results = evaluations.of(search.problem, candidates, fly)
         for number, pair in enumerate(zip(candidates, results, strict=True), first + 1):
-            yield Case(number=number, candidate=pair[0], evaluation=pair[1])
+            yield SearchCase(number=number, candidate=pair[0], evaluation=pair[1])

@@ -7,15 +7,15 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 
 from transport.flight.progress import ConsoleProgress
 from transport.search.candidate import Candidate
-from transport.search.evaluation import Problem
+from transport.search.evaluation import FoundProblem
 from transport.search.optimiser import BATCH
-from transport.search.search import Case
+from transport.search.search import SearchCase
 
 
 class SearchProgress(ConsoleProgress):
     """A bar over the budget with the worst case so far."""
 
-    def __init__(self, problem: Problem, budget: int, console: Console) -> None:
+    def __init__(self, problem: FoundProblem, budget: int, console: Console) -> None:
         super().__init__(
             console,
             BarColumn(bar_width=20),
@@ -24,7 +24,7 @@ class SearchProgress(ConsoleProgress):
             TextColumn("{task.description}"),
         )
         self._problem = problem
-        self._worst: Case | None = None
+        self._worst: SearchCase | None = None
         self._cases = math.ceil(budget / BATCH) * BATCH  # the last batch may go beyond the budget
         self._told = 0  # cases
         self._ahead = 0  # runs since: of cases of the next batch, or of shrinking
@@ -39,7 +39,7 @@ class SearchProgress(ConsoleProgress):
         if self._is_line_due():
             self.say(self._where())
 
-    def show(self, case: Case) -> None:
+    def show(self, case: SearchCase) -> None:
         """Count a case; say it where it is the worst so far."""
         self._told = case.number
         self._ahead = 0
@@ -63,7 +63,7 @@ class SearchProgress(ConsoleProgress):
         worst = "" if self._worst is None else f"; worst so far: {self._line(self._worst)}"
         return f"{self._told + self._ahead} of {self._cases} cases{worst}"
 
-    def _line(self, case: Case) -> str:
+    def _line(self, case: SearchCase) -> str:
         evaluation = case.evaluation
         value = self._problem.objective.in_words(evaluation.value)
         end = f" at {evaluation.failed_s:g} s" if evaluation.failed else ""

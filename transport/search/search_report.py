@@ -23,9 +23,9 @@ from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message
 from transport.report.figures.column import column_panels
 from transport.report.figures.style import RC, save
-from transport.search.drawn_events import Death, Event, Silence, TargetEvent
-from transport.search.evaluation import Verdict
-from transport.search.search import Case, Minimal, SearchResult
+from transport.search.drawn_events import Death, DrawnSilence, Event, TargetEvent
+from transport.search.evaluation import CaseVerdict
+from transport.search.search import Minimal, SearchCase, SearchResult
 
 SCENARIO, FIGURE, SUMMARY = "minimal.toml", "minimal.png", "summary.json"
 _NAME_ENDING = "-worst"  # of the scenario
@@ -75,13 +75,13 @@ def summary(result: SearchResult) -> dict[str, Any]:
     }
 
 
-def ranked(result: SearchResult) -> list[Case]:
+def ranked(result: SearchResult) -> list[SearchCase]:
     """Return the worst cases, at most ten, the worst first."""
     order = sorted(result.cases, key=lambda case: case.order)
     return order[:_SHOWN]
 
 
-def _row(case: Case) -> dict[str, Any]:
+def _row(case: SearchCase) -> dict[str, Any]:
     return {
         "case": case.number,
         "robustness": round(case.evaluation.robustness, 3),
@@ -113,7 +113,7 @@ def in_words(minimal: Minimal) -> list[str]:
     return [*team, *events, _failure_in_words(minimal), _verdict_in_words(minimal.verdict)]
 
 
-def _verdict_in_words(verdict: Verdict) -> str:
+def _verdict_in_words(verdict: CaseVerdict) -> str:
     """Return whether the case is one of the network or beyond physics, as a sentence."""
     controller = "The project's controller for all UAVs with perfect information"
     if verdict.beyond_physics is None:
@@ -206,7 +206,7 @@ def window_s(minimal: Minimal, last_s: float) -> tuple[float, float]:
 def _legend(events: Sequence[Event], measure: str) -> list[Line2D]:
     """Return the entries of the kinds of marks that the figure has."""
     kinds = {
-        "silence": (Silence, {"color": _SILENT, "linewidth": 5.0}),
+        "silence": (DrawnSilence, {"color": _SILENT, "linewidth": 5.0}),
         "death": (Death, _DEATH),
         "target": (TargetEvent, _TARGET),
     }
@@ -222,7 +222,7 @@ def _legend(events: Sequence[Event], measure: str) -> list[Line2D]:
 
 def _first_s(events: Sequence[Event]) -> float:
     """Return when the first event begins; 0 where all last for the whole run."""
-    times = [event.start_s for event in events if isinstance(event, Silence)]
+    times = [event.start_s for event in events if isinstance(event, DrawnSilence)]
     times += [event.at_s for event in events if isinstance(event, Death | TargetEvent)]
     return min(times, default=0.0)
 
@@ -239,7 +239,7 @@ def _curves(series: Series) -> dict[str, Array]:
 def _mark(panel: Axes, events: Sequence[Event]) -> None:
     """Shade silences and mark deaths and targets."""
     for event in events:
-        if isinstance(event, Silence):
+        if isinstance(event, DrawnSilence):
             panel.axvspan(event.start_s, event.end_s, color=_SILENT, linewidth=0)
         elif isinstance(event, Death):
             panel.axvline(event.at_s, **_DEATH)

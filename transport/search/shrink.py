@@ -10,10 +10,10 @@ from dataclasses import replace
 from functools import partial
 
 from transport.search.candidate import Candidate
-from transport.search.evaluation import REFUSED, Evaluation, Problem, Verdict
+from transport.search.evaluation import REFUSED, CaseVerdict, Evaluation, FoundProblem
 
 _MOST = 400  # evaluations of one shrinking: each takes about a second
-Evaluate = Callable[[Problem, Sequence[Candidate]], Sequence[Evaluation]]
+Evaluate = Callable[[FoundProblem, Sequence[Candidate]], Sequence[Evaluation]]
 Progress = Callable[[Candidate, int], None]
 
 
@@ -26,7 +26,7 @@ class Shrinker:
 
     def __init__(
         self,
-        problem: Problem,
+        problem: FoundProblem,
         candidate: Candidate,
         evaluate: Evaluate,
         progress: Progress,
@@ -37,7 +37,7 @@ class Shrinker:
         self.problem = problem
         self.candidate = candidate
         self.evaluations = 0
-        self.verdict = Verdict(beyond_physics=None, reason="it was not simulated")
+        self.verdict = CaseVerdict(beyond_physics=None, reason="it was not simulated")
         self._evaluate = evaluate
         self._progress = progress
         self._at_once = at_once

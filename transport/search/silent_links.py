@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from transport.protocol.scenario.links.impairments import Link
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.wire.names import agent_name
-from transport.search.drawn_events import Silence, Tree
+from transport.search.drawn_events import DrawnSilence, Tree
 
 Pair = tuple[int, int]  # sender and receiver, agents
 
@@ -55,7 +55,7 @@ class OwnLosses:
         return {one.at_s for one in self._changes}
 
 
-def changes_of_links(silences: Sequence[Silence], scenario: Scenario) -> list[Tree]:
+def changes_of_links(silences: Sequence[DrawnSilence], scenario: Scenario) -> list[Tree]:
     """Return the changes of `links` that silences make, which may overlap.
 
     At each instant a link has the largest loss of the silences that cover it, and of the scenario

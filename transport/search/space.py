@@ -18,16 +18,16 @@ from transport.protocol.scenario.sections.schema import Scenario
 from transport.search.candidate import Candidate
 from transport.search.drawn_events import (
     Death,
+    DrawnSilence,
     DrawnTeam,
     Event,
     Gusts,
     Links,
     ModelError,
-    Sensors,
-    Silence,
+    SensorsOff,
     TargetEvent,
 )
-from transport.search.optimiser import Layout
+from transport.search.optimiser import SearchLayout
 
 
 def _as_tuple(value: Any) -> Any:
@@ -217,7 +217,7 @@ class Space:
             slots += _SLOTS[kind](getattr(bounds, kind), agents)
         self._slots = tuple(slots)
         ends = np.cumsum([0, *(slot.dimension for slot in slots)]).tolist()
-        self.layout = Layout(
+        self.layout = SearchLayout(
             events=tuple(slice(begin, end) for begin, end in itertools.pairwise(ends)),
             severe=np.array([severe for slot in slots for severe in slot.coordinates.values()]),
         )
@@ -243,7 +243,7 @@ def _with_one_seed(events: Sequence[Event]) -> tuple[Event, ...]:
     """Return events of which the sensors take the seed of the gusts: a run has one."""
     has_gusts = any(isinstance(event, Gusts) for event in events)
     return tuple(
-        replace(event, seed=None) if has_gusts and isinstance(event, Sensors) else event
+        replace(event, seed=None) if has_gusts and isinstance(event, SensorsOff) else event
         for event in events
     )
 
@@ -270,7 +270,7 @@ def _silences(bounds: SilenceBounds, agents: int) -> list[Slot]:
         kind: float,
         agent: float,
         other: float,
-    ) -> Silence | None:
+    ) -> DrawnSilence | None:
         if active < _ACTIVE:
             return None
         who = bounds.who[_choice(len(bounds.who), kind)]
@@ -278,7 +278,7 @@ def _silences(bounds: SilenceBounds, agents: int) -> list[Slot]:
         second = 1 + (first + _choice(agents - 1, other)) % agents
         named = {"mute": f" {first}", "deaf": f" {first}", "cut": f" {first} {second}"}
 
-        return Silence(
+        return DrawnSilence(
             start_s=_between(bounds.start_s, start),
             duration_s=_between(bounds.duration_s, duration),
             who=who + named.get(who, ""),
@@ -352,8 +352,8 @@ def _mass(bounds: MassBounds, _: int) -> list[Slot]:
 
 
 def _sensors(bounds: SensorsBounds, _: int) -> list[Slot]:
-    def event(*, factor: float, seed: float) -> Sensors:
-        return Sensors(factor=_between(bounds.factor, factor), seed=_choice(_SEEDS, seed))
+    def event(*, factor: float, seed: float) -> SensorsOff:
+        return SensorsOff(factor=_between(bounds.factor, factor), seed=_choice(_SEEDS, seed))
 
     return [Slot({"factor": _SEVERE, "seed": _MILD}, event)]
 

@@ -35,7 +35,7 @@ _FAR = 100.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Quantity:
+class PlottedQuantity:
     """A quantity of a run to be plotted."""
 
     title: str
@@ -60,17 +60,19 @@ class Plots:
         uavs = tuple(uav_style(i)["color"] for i in range(setup.system.N))
         hover_N = builder.hover_N
         self._quantities = (
-            Quantity(title="payload error", unit="m", colours=("#000000",), range=(0.0, 0.01)),
-            Quantity(
+            PlottedQuantity(
+                title="payload error", unit="m", colours=("#000000",), range=(0.0, 0.01)
+            ),
+            PlottedQuantity(
                 title="stage cost", unit="power of ten", colours=("#000000",), range=(-6.0, -3.0)
             ),
-            Quantity(
+            PlottedQuantity(
                 title="oldest plan in use, by agent",
                 unit="s",
                 colours=agents,
                 range=(0.0, 2.0 * self._period_s),
             ),
-            Quantity(
+            PlottedQuantity(
                 title="thrust, by UAV",
                 unit="N",
                 colours=uavs,
@@ -202,7 +204,7 @@ def _with_line(
     return (times_s, *map(np.ascontiguousarray, curves), line)
 
 
-def _plot(gui: Any, quantity: Quantity) -> Any:
+def _plot(gui: Any, quantity: PlottedQuantity) -> Any:
     """Return an empty plot of a quantity."""
     curves = [{"stroke": colour, "width": 1.5} for colour in quantity.colours]
     shown = {"stroke": "#999999", "width": 1.0}

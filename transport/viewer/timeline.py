@@ -19,24 +19,24 @@ _DIGITS = 9
 _LONGEST_LABEL = 54
 
 
-class Event(NamedTuple):
+class TimelineEvent(NamedTuple):
     """An event of a run: its tick, and a sentence."""
 
     tick: int
     text: str
 
 
-def events_of(history: RunHistory) -> list[Event]:
+def events_of(history: RunHistory) -> list[TimelineEvent]:
     """Return what has happened so far, in order of time, changes of links by the scenario too."""
     period_s = history.setup.settings.sampling_period_s
     changes = scripted_changes(history.setup.scenario.links)
-    scripted = [Event(first_tick(time_s, period_s), text) for time_s, text in changes]
-    recorded = [Event(tick, text) for tick, text in list(history.events)]
+    scripted = [TimelineEvent(first_tick(time_s, period_s), text) for time_s, text in changes]
+    recorded = [TimelineEvent(tick, text) for tick, text in list(history.events)]
     happened = [event for event in (*scripted, *recorded) if event.tick <= history.last]
-    return [Event(tick, text) for tick, text in merged(happened)]
+    return [TimelineEvent(tick, text) for tick, text in merged(happened)]
 
 
-def events_around(events: list[Event], tick: int, count: int) -> list[Event]:
+def events_around(events: list[TimelineEvent], tick: int, count: int) -> list[TimelineEvent]:
     """Return at most `count` events, half of them after a tick if there are as many."""
     past = int(np.searchsorted([event.tick for event in events], tick, side="right"))
     first = max(0, min(past - count // 2, len(events) - count))
@@ -51,8 +51,8 @@ class Timeline:
         self._history = history
         self._playback = playback
         self._period_s = history.setup.settings.sampling_period_s
-        self._events: list[Event] = []
-        self._shown: list[Event] = []
+        self._events: list[TimelineEvent] = []
+        self._shown: list[TimelineEvent] = []
         self._slider = self._add_slider(order=None)
         self._buttons: list[Any] = []
         self._none: Any = None

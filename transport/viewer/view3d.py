@@ -15,7 +15,7 @@ from transport.model.arrays import Array
 from transport.scene.bodies import INERTIAL
 from transport.scene.colours import OFF_COLOUR
 from transport.scene.drawing import ARROW_M, LAYERS, Drawing
-from transport.scene.parts import Label, Lines, Mesh, Part, Pose, quaternion
+from transport.scene.parts import Label, LineSegments, Mesh, Part, Pose, quaternion
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer.camera import ASPECT, FIELD_OF_VIEW, Camera, camera_that_sees
 
@@ -167,7 +167,7 @@ class View3D:
         scene = self._server.scene
         name = f"{_WORLD}/{part.frame}/{part.name}"
         match part:
-            case Lines():
+            case LineSegments():
                 # A colour per point from the start: viser draws lines white that get them after
                 # their first drawing.
                 none = np.zeros((1, 2, 3))
@@ -238,7 +238,7 @@ class View3D:
         scene.configure_default_lights(enabled=True, cast_shadow=False)
 
 
-def _set_lines(node: Any, lines: Lines) -> None:
+def _set_lines(node: Any, lines: LineSegments) -> None:
     """Set points and colours of a node.
 
     viser needs at least one segment, and colours of lines that are linear, unlike those of meshes.

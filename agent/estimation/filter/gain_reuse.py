@@ -16,7 +16,12 @@ import numpy.typing as npt
 from transport.agent.estimation.filter import kalman
 from transport.agent.estimation.filter.belief import Belief, Covariance, SavedGain
 from transport.agent.estimation.filter.kalman import Correction
-from transport.agent.estimation.filter.team_filter import Innovation, Period, Sensed, TeamFilter
+from transport.agent.estimation.filter.team_filter import (
+    FilterPeriod,
+    Innovation,
+    Sensed,
+    TeamFilter,
+)
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.linear.linearisation import Model
@@ -71,7 +76,7 @@ class GainReuse:
         """Return the belief with some entries of the state certain."""
         return self._team.certain(belief, entries)
 
-    def predict(self, belief: Belief, period: Period) -> Belief:
+    def predict(self, belief: Belief, period: FilterPeriod) -> Belief:
         """Return the belief at the end of a sampling period, its covariance on demand."""
         covariance = Deferred(lambda: self._team.predicted_covariance(belief, period))
         saved = belief.saved

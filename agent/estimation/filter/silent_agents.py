@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from transport.agent.communication.announced_inputs import Silent, Untold
+from transport.agent.communication.announced_inputs import Silent, Unannounced
 from transport.model import state
 from transport.model.arrays import Array, padded
 from transport.mpc.alone.fail_safe import FailSafe
@@ -16,7 +16,7 @@ class Answers(Protocol):
     """How the inputs of a period answer to the state."""
 
     @property
-    def untold(self) -> Untold:
+    def unannounced(self) -> Unannounced:
         """Which of them follow the control law or the fail-safe."""
 
     @property
@@ -59,43 +59,43 @@ class SilentTeam:
         as_white_noise = [math.sqrt(2.0 * alone.law(uav).follows_s / period_s) for uav in range(N)]
         return np.asarray(_HELD * hover_N * as_white_noise)
 
-    def held(self, silent: Silent, untold: Untold) -> Array:
+    def held(self, silent: Silent, unannounced: Unannounced) -> Array:
         """Return the deviation of the forces on all bodies by integrals of UAVs alone, (3 + 3 N, 2).
 
         Columns: x, y, inertial frame. One wind moves all UAVs: their integrals err alike.
         """
         N = len(self._held)
-        share = (silent.alone * untold.by_law).reshape(N, state.INPUTS)[:, 0]
+        share = (silent.alone * unannounced.by_law).reshape(N, state.INPUTS)[:, 0]
         forces = np.zeros((1 + N, 3, 2))  # on the payload and on each UAV
         forces[1:, :2] = (share * self._held)[:, None, None] * np.eye(2)
         return forces.reshape(-1, 2)
 
     def gain(self, silent: Silent, period: Answers) -> Array:
-        """Return the derivative of the untold inputs by the own error, (m, n).
+        """Return the derivative of the unannounced inputs by the own error, (m, n).
 
         With a share a alone: a K_alone + (1 - a) (1 - c) K; a fail-safe answers wholly.
         """
-        untold = period.untold
-        by_law = untold.by_law
+        unannounced = period.unannounced
+        by_law = unannounced.by_law
         answered = np.where(by_law, (1.0 - silent.alone) * (1.0 - silent.correlation), 0.0)
-        answered = np.where(untold.by_fail_safe, 1.0, answered)
+        answered = np.where(unannounced.by_fail_safe, 1.0, answered)
         K = np.zeros_like(self._gain) if period.K is None else period.K
         alone = silent.alone * by_law
         return np.asarray(alone[:, None] * self._gain + answered[:, None] * K)
 
     def noise(self, silent: Silent, period: Answers, B: Array, T: Array, P: Array) -> Array:
-        """Return the covariance of what the untold inputs add in a period, (s, s).
+        """Return the covariance of what the unannounced inputs add in a period, (s, s).
 
         (1 - a)^2 (1 - c^2) B K T P T' K' B' of their estimates, a^2 B V B' of their sensors.
 
         Args:
             silent: Share a and correlation c by input.
-            period: Which inputs are untold, and the gain of the law.
+            period: Which inputs are unannounced, and the gain of the law.
             B: Effect of the inputs in coordinates, (s, m).
             T: Basis of the coordinates, (n, s).
             P: Covariance of the coordinates, (s, s).
         """
-        by_law = period.untold.by_law
+        by_law = period.unannounced.by_law
         alone = silent.alone[by_law]
         of_inputs = np.diag(alone**2 * self._variance[by_law])
         if period.K is not None:

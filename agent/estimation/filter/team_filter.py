@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from transport.agent.communication.announced_inputs import Silent, Untold
+from transport.agent.communication.announced_inputs import Silent, Unannounced
 from transport.agent.estimation.filter import kalman
 from transport.agent.estimation.filter import unknown_forces as forces
 from transport.agent.estimation.filter.assumed_noise import (
@@ -55,7 +55,7 @@ _LARGEST_NIS = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Period:
+class FilterPeriod:
     """A sampling period of the team, as it is understood when its end is predicted."""
 
     model: Model  # equations of motion
@@ -63,7 +63,7 @@ class Period:
     u: Array  # commanded inputs, (m,)
     # Forces estimated at its beginning, as `Model` takes them; None if they are not estimated.
     forces: Array | None
-    untold: Untold  # which of them follow the control law or the fail-safe
+    unannounced: Unannounced  # which of them follow the control law or the fail-safe
     # Derivative of these inputs by the state, (m, n), with motor lag (m, n + m); None if all
     # inputs have been told.
     K: Array | None
@@ -73,15 +73,15 @@ class Period:
 
     @cached_property
     def alone(self) -> float:
-        """Mean share of the law alone in the untold inputs, 0 to 1."""
-        by_law = self.untold.by_law
+        """Mean share of the law alone in the unannounced inputs, 0 to 1."""
+        by_law = self.unannounced.by_law
         if self.silent is None or not by_law.any():
             return 0.0
         return float(self.silent.alone[by_law].mean())
 
     @property
     def is_alone(self) -> bool:
-        """Return whether an untold input is partly that of a UAV alone."""
+        """Return whether an unannounced input is partly that of a UAV alone."""
         return self.alone > 0.0
 
 
@@ -121,7 +121,7 @@ class Filter(Protocol):
     def first(self, x: Array) -> Belief:
         """Return the belief without any measurement, about a state."""
 
-    def predict(self, belief: Belief, period: Period) -> Belief:
+    def predict(self, belief: Belief, period: FilterPeriod) -> Belief:
         """Return the belief at the end of a sampling period."""
 
     def correct(self, belief: Belief, model: Model, sensed: Sequence[Sensed]) -> Belief:
@@ -227,7 +227,7 @@ class TeamFilter:
         """Return the covariance of the model's errors per period at a level of them."""
         return level * self.Q + self._Q_beside
 
-    def predict(self, belief: Belief, period: Period) -> Belief:
+    def predict(self, belief: Belief, period: FilterPeriod) -> Belief:
         """Return the belief at the end of a sampling period.
 
         Source: docs/equations.md (63).
@@ -236,13 +236,13 @@ class TeamFilter:
         unknowns = self.unknowns_ahead(belief, period)
         return replace(belief, x=period.end, unknowns=unknowns, u=period.u, source=covariance)
 
-    def unknowns_ahead(self, belief: Belief, period: Period) -> Array:
+    def unknowns_ahead(self, belief: Belief, period: FilterPeriod) -> Array:
         """Return the unknown forces at the end of a period: as before, or nearer to zero, (63d)."""
         if not period.is_alone:
             return belief.unknowns
         return self.kept_forces(period) * belief.unknowns
 
-    def kept_forces(self, period: Period) -> Array:
+    def kept_forces(self, period: FilterPeriod) -> Array:
         """Return the share of forces that is left after a period without news, (7,) or (0,).
 
         As random walks, forces that own sensors do not tell apart have no bound. With news of all
@@ -267,7 +267,7 @@ class TeamFilter:
         is_denied = source.squared_error > _LARGEST_NIS * source.measurements
         return bool(source.P.diagonal().max() < _LARGEST_VARIANCE) and not is_denied
 
-    def predicted_covariance(self, belief: Belief, period: Period) -> Covariance:
+    def predicted_covariance(self, belief: Belief, period: FilterPeriod) -> Covariance:
         """Return the covariance at the end of a sampling period. Source: docs/equations.md (63)."""
         after = self.manifold.basis(period.end)
         place = self._situation(belief, period.model, period.u, period.forces)
@@ -294,11 +294,11 @@ class TeamFilter:
         return zero_order_hold(linear, self._period_s, remainder=self._noise.remainder)
 
     def _transition(
-        self, belief: Belief, period: Period, place: Situation, discrete: Discrete, L: Array
+        self, belief: Belief, period: FilterPeriod, place: Situation, discrete: Discrete, L: Array
     ) -> Array:
         """Return the transition of all error coordinates over a period, A_xi of (63), (r, r)."""
         T = belief.covariance.basis.T
-        untold = period.untold
+        unannounced = period.unannounced
         by_forces = np.zeros((len(T), 0))
         if self._unknown_forces is not None:
             by_forces = self._unknown_forces.over_a_period(place, discrete.A, self._period_s)
@@ -310,8 +310,8 @@ class TeamFilter:
         if period.silent is not None and period.K is not None:
             ahead = ahead + discrete.B @ (self._silent.gain(period.silent, period) @ T)
         elif period.K is not None:
-            closed = untold.by_law | untold.by_fail_safe
-            answered = np.where(untold.by_law, 1.0 - period.correlation, 1.0)
+            closed = unannounced.by_law | unannounced.by_fail_safe
+            answered = np.where(unannounced.by_law, 1.0 - period.correlation, 1.0)
             ahead = ahead + (discrete.B * answered)[:, closed] @ (period.K[closed] @ T)
 
         s = T.shape[1]
@@ -322,13 +322,15 @@ class TeamFilter:
             A[s:, s:] = np.diag(self.kept_forces(period))
         return A
 
-    def _by_integrals(self, silent: Silent, period: Period, place: Situation, A: Array) -> Array:
+    def _by_integrals(
+        self, silent: Silent, period: FilterPeriod, place: Situation, A: Array
+    ) -> Array:
         """Return the effect of the integrals of UAVs alone on the state over a period, (n, 2).
 
         Source: docs/equations.md (63e).
         """
         model, x, u = place.model, place.x, place.actual
-        along_x, along_y = self._silent.held(silent, period.untold).T
+        along_x, along_y = self._silent.held(silent, period.unannounced).T
         f, *by_axis = model.derivatives(x, u, [np.zeros_like(along_x), along_x, along_y])
         E = np.zeros((len(A), 2))
         E[: len(x)] = (by_axis - f).T
@@ -336,16 +338,16 @@ class TeamFilter:
         return np.asarray(self._period_s / 2.0 * (E + A @ E))
 
     def _period_noise(
-        self, belief: Belief, period: Period, place: Situation, discrete: Discrete, L: Array
+        self, belief: Belief, period: FilterPeriod, place: Situation, discrete: Discrete, L: Array
     ) -> Array:
         """Return the covariance of all that errs in a period, (r, r): the last terms of (63)."""
-        by_law = period.untold.by_law
+        by_law = period.unannounced.by_law
         T = belief.covariance.basis.T
         P = belief.covariance.P
         s = T.shape[1]
 
         # It is not known exactly when the fail-safe of another UAV took over, and at what thrust.
-        is_known_roughly = period.untold.by_fail_safe.any() or period.is_alone
+        is_known_roughly = period.unannounced.by_fail_safe.any() or period.is_alone
         level = 1.0 if is_known_roughly else belief.level.value
         Q = self.process_noise(level)
 

@@ -49,7 +49,7 @@ class Rates:
         )
 
 
-class Bounds:
+class InputBounds:
     """Bounds of the owned inputs as rows, where the decision is corrections and not inputs."""
 
     in_kernel: ClassVar = False

@@ -67,7 +67,7 @@ class Extreme:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TeamLeft:
+class RemainingTeam:
     """The team after scripted releases, from a tick on."""
 
     tick: int
@@ -81,18 +81,20 @@ class TeamLeft:
         return [uav for uav in range(self.system.N) if uav not in self.released]
 
 
-def teams_left(system: System, hover: Hover, faults: Sequence[Fault]) -> Iterator[TeamLeft]:
+def remaining_teams(
+    system: System, hover: Hover, faults: Sequence[Fault]
+) -> Iterator[RemainingTeam]:
     """Yield the whole team, then the team after each scripted release, in the order of time.
 
     Raises: ParameterError: those left cannot hover.
     """
     gone: frozenset[int] = frozenset()
-    yield TeamLeft(tick=0, system=system, hover=hover, released=gone)
+    yield RemainingTeam(tick=0, system=system, hover=hover, released=gone)
     for fault in failures(faults):
         if fault.do != "release":
             continue
         gone |= {fault.uav}
-        yield TeamLeft(
+        yield RemainingTeam(
             tick=fault.tick,
             system=with_released(system, gone),
             hover=hover_after_failures(system, gone, gone),
@@ -102,7 +104,7 @@ def teams_left(system: System, hover: Hover, faults: Sequence[Fault]) -> Iterato
 
 def exceeded(
     path: Array,
-    team: TeamLeft,
+    team: RemainingTeam,
     settings: ControllerSettings,
     when: Callable[[int], str] = lambda _: "",
 ) -> str | None:
@@ -126,7 +128,7 @@ def exceeded(
     return next((extreme.text(when) for extreme in beyond), None)
 
 
-def extremes(path: Array, team: TeamLeft, settings: ControllerSettings) -> list[Extreme]:
+def extremes(path: Array, team: RemainingTeam, settings: ControllerSettings) -> list[Extreme]:
     """Return the extremes of all limited quantities along a path, given as in `exceeded`."""
     furthest: list[Extreme] = []
     for first in range(0, path.shape[1], _AT_ONCE):
@@ -141,7 +143,7 @@ def extremes(path: Array, team: TeamLeft, settings: ControllerSettings) -> list[
     return furthest
 
 
-def least_slowing(path: Array, team: TeamLeft, settings: ControllerSettings) -> float | None:
+def least_slowing(path: Array, team: RemainingTeam, settings: ControllerSettings) -> float | None:
     """Return the least factor on all durations with which the limits are kept; None without one."""
     return least_factor(lambda factor: exceeded(slowed(path, factor), team, settings) is None)
 
@@ -177,7 +179,9 @@ def _aside(path: Array, system: System) -> float:
     return float((aside_m / lengths_m).max())
 
 
-def _extremes(flown: Flight, team: TeamLeft, settings: ControllerSettings) -> Iterator[Extreme]:
+def _extremes(
+    flown: Flight, team: RemainingTeam, settings: ControllerSettings
+) -> Iterator[Extreme]:
     """Yield the extremes of the quantities of the UAVs left, always in the same order."""
     left = team.left
     uavs = [(uav,) for uav in left]
@@ -245,7 +249,7 @@ def _furthest(
     )
 
 
-def _distances(flown: Flight, team: TeamLeft) -> Array:
+def _distances(flown: Flight, team: RemainingTeam) -> Array:
     """Return the distances of all pairs of UAVs left at every instant, (pairs, k), m."""
     rho = np.array([uav.rho for uav in team.system.uavs])
     lengths_m = np.array([uav.rod_length for uav in team.system.uavs])

@@ -21,11 +21,11 @@ from transport.mpc.reference import Reference
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.checks.feasibility import (
     ON_GROUND_M,
-    TeamLeft,
+    RemainingTeam,
     exceeded,
     least_factor,
     least_slowing,
-    teams_left,
+    remaining_teams,
 )
 from transport.protocol.scenario.checks.obstacle_margins import first_blocked
 from transport.protocol.scenario.faults.scripted_faults import Fault
@@ -128,7 +128,7 @@ def off_limits(
         instants_s = checked_instants(reference)
         path = reference.maneuver.jets(instants_s)
         field = "maneuver.phase"
-        for team in teams_left(system, hover, faults):
+        for team in remaining_teams(system, hover, faults):
             after = instants_s >= team.tick * settings.sampling_period_s
             when = partial(_words_of_instant, reference.maneuver, instants_s[after])
             problem = exceeded(path[:, after], team, settings, when)
@@ -161,7 +161,7 @@ def phase_number(maneuver: Maneuver, t_s: float) -> int:
 
 
 def least_longer(
-    reference: Reference, team: TeamLeft, settings: ControllerSettings
+    reference: Reference, team: RemainingTeam, settings: ControllerSettings
 ) -> tuple[int, float] | None:
     """Return the only phase that exceeds limits, from 1, and the factor on its duration with which none does.
 

@@ -19,7 +19,7 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.radio.background_traffic import Background, BackgroundState
-from transport.protocol.radio.frames import Frame, Outcome, Result
+from transport.protocol.radio.frames import Frame, FrameOutcome, FrameResult
 from transport.protocol.radio.medium_access import Channel, ChannelState
 from transport.protocol.radio.propagation import Powers, PowersWhenNeeded, milliwatts
 from transport.protocol.radio.slot_length import frame_lengths
@@ -50,23 +50,25 @@ class _Message:
     lengths: list[int]  # of its frames, bytes
     missing: dict[int, int]  # frames without an outcome, by receiving station that lacks some
     sequences: list[int] = field(default_factory=list)  # numbers of its frames, once on the air
-    losses: dict[int, Result] = field(default_factory=dict)  # the first one, by receiving station
+    losses: dict[int, FrameResult] = field(
+        default_factory=dict
+    )  # the first one, by receiving station
 
     @property
     def station(self) -> int:
         """Station of its sender."""
         return self.plan[0] - 1
 
-    def decide(self, receiver: int, result: Result) -> Result | None:
+    def decide(self, receiver: int, result: FrameResult) -> FrameResult | None:
         """Note the fate of a frame at a receiver; return that of the message if it was the last."""
-        if result is not Result.DELIVERED:
+        if result is not FrameResult.DELIVERED:
             self.losses.setdefault(receiver, result)
         left = self.missing[receiver] - 1
         if left:
             self.missing[receiver] = left
             return None
         del self.missing[receiver]
-        return self.losses.get(receiver, Result.DELIVERED)
+        return self.losses.get(receiver, FrameResult.DELIVERED)
 
 
 class TeamRadio:
@@ -228,7 +230,7 @@ class TeamRadio:
         positions: list[list[float]] = relative.tolist()
         return positions
 
-    def _news(self, outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    def _news(self, outcomes: Sequence[FrameOutcome]) -> dict[str, Any]:
         """Return the arrivals and losses of plans that the outcomes decide, a row for each plan."""
         told: dict[tuple[int, int, int], _Message] = {}
         rows: dict[tuple[int, int, int], list[float]] = {}
@@ -237,7 +239,7 @@ class TeamRadio:
             if plan not in rows:
                 told[plan] = message
                 rows[plan] = [NO_NEWS] * self._agents
-            if result is Result.DELIVERED:
+            if result is FrameResult.DELIVERED:
                 rows[plan][receiver] = (time_ns - message.begin_ns) / NS_PER_S
             else:
                 rows[plan][receiver] = -float(result)  # the codes of `Airtime.arrivals`
@@ -254,10 +256,12 @@ class TeamRadio:
             "arrivals": [rows[plan] for plan in plans] if plans else np.zeros((0, self._agents)),
         }
 
-    def _fates(self, outcomes: Sequence[Outcome]) -> list[tuple[_Message, int, Result, int]]:
+    def _fates(
+        self, outcomes: Sequence[FrameOutcome]
+    ) -> list[tuple[_Message, int, FrameResult, int]]:
         """Return the messages decided at a receiver, with their fate there and its instant, ns."""
         fates = [
-            (message, receiver, Result.REPLACED, message.sent_ns)
+            (message, receiver, FrameResult.REPLACED, message.sent_ns)
             for message in self._replaced
             for receiver in message.missing
         ]

@@ -10,9 +10,9 @@ import numpy as np
 from transport.model.arrays import Array
 from transport.model.linear.linearisation import Model
 from transport.model.path.flat_reference import FlatReference, Track
-from transport.model.path.hover_reference import Reference as HoverReference
+from transport.model.path.hover_reference import HoverReference as HoverReference
 from transport.model.path.maneuver import Maneuver
-from transport.model.path.target_and_stop import Target
+from transport.model.path.target_and_stop import PathTarget
 from transport.model.physics.hover import Hover, hover
 from transport.model.physics.obstacles import Obstacle
 from transport.model.physics.parameters import ParameterError, System
@@ -284,7 +284,7 @@ class Setup:
         """Scripted faults, in the order of time."""
         return self.run.rules.faults
 
-    def with_target(self, target: Target) -> "Setup":
+    def with_target(self, target: PathTarget) -> "Setup":
         """Return the run with a further target; before it, the reference stays as it was."""
         return replace(self, run=self.run.with_target(target))
 

@@ -9,7 +9,7 @@ from transport.model.arrays import Array
 from transport.model.linear.linearisation import Model
 from transport.model.path.flat_reference import Track
 from transport.model.path.maneuver import Maneuver
-from transport.model.path.target_and_stop import Slowing, Target
+from transport.model.path.target_and_stop import PathTarget, Slowing
 from transport.model.physics.hover import Hover
 from transport.model.physics.obstacles import Obstacle
 from transport.model.physics.parameters import System
@@ -146,7 +146,7 @@ class TeamRun:
             return self
         return self._along(self.reference.by_clock(offsets_s[agent - 1]))
 
-    def with_target(self, target: Target) -> "TeamRun":
+    def with_target(self, target: PathTarget) -> "TeamRun":
         """Return the run with a further target; before it, the reference stays as it was."""
         return self._along(self.reference.with_target(target))
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from typing import Protocol, Self
 
 from transport.model.path.maneuver import Maneuver
-from transport.model.path.target_and_stop import Target
+from transport.model.path.target_and_stop import PathTarget
 from transport.model.physics.hover import Hover
 from transport.model.physics.obstacles import Obstacle
 from transport.model.physics.parameters import System
@@ -63,7 +63,7 @@ class PlannedRun(Protocol):
         """Number of sampling instants of the run."""
         ...
 
-    def with_target(self, target: Target) -> Self:
+    def with_target(self, target: PathTarget) -> Self:
         """Return the run with a further target."""
         ...
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from operator import itemgetter
 from typing import Any
 
-from transport.model.path.target_and_stop import Target
+from transport.model.path.target_and_stop import PathTarget
 from transport.protocol.scenario.sections.clock_section import first_tick
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import RequestError, requested
@@ -15,7 +15,7 @@ from transport.protocol.wire.names import COORDINATOR
 from transport.protocol.wire.node_interface import Outbox
 
 
-def target_of(message: messages.Target, period_s: float, *, has_ground: bool) -> Target:
+def target_of(message: messages.Target, period_s: float, *, has_ground: bool) -> PathTarget:
     """Return the target in a message, at a sampling period, s; without a ground none lands."""
     point_I = message.points[0]
     further_I = message.points[1:] - point_I
@@ -25,7 +25,7 @@ def target_of(message: messages.Target, period_s: float, *, has_ground: bool) ->
         times_s = message.times[1:].tolist() if message.times.any() else None
         way = spline(further_I, message.way_s, message.way_ramp_s, times_s)
 
-    return Target(
+    return PathTarget(
         since_s=message.first_tick * period_s,
         point_I=point_I,
         approach=straight(message.approach_s, message.approach_ramp_s),

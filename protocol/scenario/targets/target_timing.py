@@ -7,14 +7,14 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.model.path.curves import ORDERS, Curve
-from transport.model.path.target_and_stop import LOAD_S, Target
+from transport.model.path.target_and_stop import LOAD_S, PathTarget
 from transport.model.physics.parameters import ParameterError, resting_height
 from transport.protocol.scenario.checks.feasibility import (
     ON_GROUND_M,
-    TeamLeft,
+    RemainingTeam,
     exceeded,
     least_slowing,
-    teams_left,
+    remaining_teams,
 )
 from transport.protocol.scenario.checks.obstacle_margins import first_blocked
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
@@ -90,7 +90,7 @@ def target_fields(setup: PlannedRun, section: TargetSection, tick: int) -> dict[
         way_I = points_I[0] + way.path(curve_instants(way), 1)[0]
         _check_above_ground(setup, way_I, window.since_s)
 
-    target = Target(since_s=window.since_s, point_I=points_I[0], approach=approach, way=way)
+    target = PathTarget(since_s=window.since_s, point_I=points_I[0], approach=approach, way=way)
     _check_formation(setup, target, window)
     _check_obstacles(setup, target)
     fields = _message_fields(tick, points_I, approach, way)
@@ -129,7 +129,7 @@ def _with_landing(setup: PlannedRun, section: TargetSection, since_s: float) -> 
     return section.model_copy(update={"points_m": [*points, (x, y, resting_m)]})
 
 
-def _check_formation(setup: PlannedRun, target: Target, window: Window) -> None:
+def _check_formation(setup: PlannedRun, target: PathTarget, window: Window) -> None:
     """Check a way during which the formation changes, as it goes on after a target."""
     if target.way is None or setup.scenario.maneuver.reference == "hover":
         return
@@ -258,7 +258,7 @@ def _approach_path(setup: PlannedRun, approach: Curve, point_I: Array, window: W
         here_I = setup.maneuver.path(np.array([window.since_s]))[0][0]
         return np.asarray(approach.covered(instants_s, ORDERS)[..., None] * (point_I - here_I))
 
-    target = Target(since_s=window.since_s, point_I=point_I, approach=approach)
+    target = PathTarget(since_s=window.since_s, point_I=point_I, approach=approach)
     led = setup.maneuver.with_target(target)
     return led.jets(_between(maneuver_instants(led), window.since_s, approach.duration_s))
 
@@ -283,7 +283,7 @@ def _way(setup: PlannedRun, section: TargetSection, window: Window) -> Curve:
     return replace(way, duration_s=factor * way.duration_s, ramp_s=factor * way.ramp_s)
 
 
-def _teams_flying(setup: PlannedRun, window: Window) -> list[TeamLeft]:
+def _teams_flying(setup: PlannedRun, window: Window) -> list[RemainingTeam]:
     """Return the team that flies when a target is given, and those after later releases.
 
     Whether a release falls within the motion depends on its duration, which is still sought, so the
@@ -292,7 +292,7 @@ def _teams_flying(setup: PlannedRun, window: Window) -> list[TeamLeft]:
     Raises: RequestError: UAVs that are left cannot hover.
     """
     try:
-        teams = list(teams_left(setup.system, setup.hover, setup.faults))
+        teams = list(remaining_teams(setup.system, setup.hover, setup.faults))
     except ParameterError as error:
         raise RequestError(str(error)) from error
     tick = round(window.since_s / setup.settings.sampling_period_s)
@@ -300,7 +300,7 @@ def _teams_flying(setup: PlannedRun, window: Window) -> list[TeamLeft]:
     return teams[first:]
 
 
-def _exceeded(path: Array, teams: list[TeamLeft], setup: PlannedRun) -> str | None:
+def _exceeded(path: Array, teams: list[RemainingTeam], setup: PlannedRun) -> str | None:
     """Return the first limit that one of the teams exceeds along a path, in words."""
     problems = (exceeded(path, team, setup.settings) for team in teams)
     return next((problem for problem in problems if problem is not None), None)
@@ -361,7 +361,7 @@ def _lowest_m(setup: PlannedRun, since_s: float) -> float:
     return max(0.0, float(start_I[2]), float(here_I[2]))
 
 
-def _check_obstacles(setup: PlannedRun, target: Target) -> None:
+def _check_obstacles(setup: PlannedRun, target: PathTarget) -> None:
     """Check that the way to a target and through its points keeps the margins of obstacles."""
     if not setup.obstacles:
         return

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from tests.support.runs import measurement, plan, setup
 from transport.agent.communication.announced_inputs import AnnouncedInputs
 from transport.agent.estimation.disturbance import DisturbanceEstimator, MeasuredTeam
-from transport.agent.estimation.predicted_motion import Motion
+from transport.agent.estimation.predicted_motion import PredictedMotion
 from transport.agent.estimation.state_estimator import StateEstimator
 from transport.model import state
 from transport.model.arrays import Array
@@ -84,7 +84,9 @@ def disturbance_of(run: Setup) -> DisturbanceEstimator:
 
 def estimator_of(run: Setup, disturbance: DisturbanceEstimator) -> StateEstimator:
     """Return agent 1's estimator of states, from the start of the run on."""
-    motion = Motion(model=run.model, reference=lambda _: run.initial_state(), period_s=PERIOD_S)
+    motion = PredictedMotion(
+        model=run.model, reference=lambda _: run.initial_state(), period_s=PERIOD_S
+    )
     return StateEstimator(motion, run.owned[0], disturbance)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from transport.agent.estimation.repeated_ticks import WINDOW, History, Recursion
+from transport.agent.estimation.repeated_ticks import WINDOW, History, TickRecursion
 
 TICKS = 30
 LARGE = 1_000_003  # a prime: two histories hardly agree by chance
@@ -35,9 +35,9 @@ class Sums:
         return self.corrected(moved, tick + 1)
 
     @property
-    def recursion(self) -> Recursion[int]:
+    def recursion(self) -> TickRecursion[int]:
         """The recursion."""
-        return Recursion(
+        return TickRecursion(
             begin=lambda tick: 10 * self.begin(tick),
             corrected=self.corrected,
             following=self.following,

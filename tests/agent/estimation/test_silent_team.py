@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support import runs
-from transport.agent.communication.announced_inputs import Silent, Untold
+from transport.agent.communication.announced_inputs import Silent, Unannounced
 from transport.agent.estimation.filter.silent_agents import SilentTeam
 from transport.model.arrays import Array
 from transport.mpc.alone.fail_safe import FailSafe
@@ -18,7 +18,7 @@ ROUNDING = 1e-12
 class Answering:
     """How the inputs of a period answer to the state."""
 
-    untold: Untold
+    unannounced: Unannounced
     K: Array | None
 
 
@@ -31,7 +31,7 @@ def test_noise_is_that_of_its_equation(*, has_law: bool) -> None:
     silent = Silent(alone=rng.random(m), correlation=rng.random(m))
     by_law = rng.random(m) < 0.7
     K = rng.standard_normal((m, n)) if has_law else None
-    answering = Answering(untold=Untold(by_law=by_law, by_fail_safe=~by_law), K=K)
+    answering = Answering(unannounced=Unannounced(by_law=by_law, by_fail_safe=~by_law), K=K)
     B, T = rng.standard_normal((s, m)), rng.standard_normal((n, s))
     root = rng.standard_normal((s, s))
     P = root @ root.T

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from tests.support.runs import SHORT, measurement, plan, setup
 from transport.agent.communication.announced_inputs import AnnouncedInputs, SharedLaw
 from transport.agent.estimation.disturbance import DisturbanceEstimator, MeasuredTeam
-from transport.agent.estimation.predicted_motion import Failure, Motion
+from transport.agent.estimation.predicted_motion import Failure, PredictedMotion
 from transport.agent.estimation.state_estimator import StateEstimator
 from transport.agent.silence.hand_over_by_age import Silence
 from transport.model import state
@@ -104,7 +104,9 @@ def estimates(
         law: Control law of the other agents after the first step of a plan.
     """
     run = ground_truth.run
-    motion = Motion(model=run.model, reference=lambda k: run.initial_state(), period_s=PERIOD_S)
+    motion = PredictedMotion(
+        model=run.model, reference=lambda k: run.initial_state(), period_s=PERIOD_S
+    )
     estimator = StateEstimator(motion, run.owned[0])
     announced = AnnouncedInputs(run.owned, run.hover.u, own=1, law=SharedLaw(inputs=law))
     by_tick = {}
@@ -149,10 +151,10 @@ def test_perfect_network(ownership: str) -> None:
     assert moved.max() > 0.1  # at rest every estimator would pass
 
 
-def motion_with_lag(run: Setup) -> Motion:
+def motion_with_lag(run: Setup) -> PredictedMotion:
     """Return the motion with motors that lag, whose actual inputs are assumed at hover at first."""
     at_first = np.concatenate([run.initial_state(), run.hover.u])
-    return Motion(
+    return PredictedMotion(
         model=run.model, reference=lambda _: at_first.copy(), period_s=PERIOD_S, lag_s=LAG_S
     )
 
@@ -362,16 +364,20 @@ def test_a_prediction_that_is_no_number_is_the_reference() -> None:
     run = setup(FOUR)
     x = run.initial_state()
     x[state.uav_slice(0)][state.ROD_RATE] = [1e3, 1e3, 1e3]
-    motion = Motion(model=run.model, reference=lambda _: run.initial_state(), period_s=PERIOD_S)
+    motion = PredictedMotion(
+        model=run.model, reference=lambda _: run.initial_state(), period_s=PERIOD_S
+    )
     with np.errstate(all="ignore"):
         end = run.model.advance(x, run.hover.u, PERIOD_S, motion.steps)
     assert np.isnan(end).any()
     np.testing.assert_array_equal(motion.predict(x, 0, run.hover.u, None), run.initial_state())
 
 
-def motion_without_lag(run: Setup) -> Motion:
+def motion_without_lag(run: Setup) -> PredictedMotion:
     """Return the motion from the initial state on."""
-    return Motion(model=run.model, reference=lambda _: run.initial_state(), period_s=PERIOD_S)
+    return PredictedMotion(
+        model=run.model, reference=lambda _: run.initial_state(), period_s=PERIOD_S
+    )
 
 
 def test_a_failure_heard_late_counts_from_its_tick() -> None:

@@ -8,10 +8,10 @@ import pytest
 
 from tests.agent.estimation.swing import PERIOD_S, TICKS, error, filtered, in_time, moving, sensed
 from tests.support.runs import VEHICLE, setup
-from transport.agent.communication.announced_inputs import Untold
+from transport.agent.communication.announced_inputs import Unannounced
 from transport.agent.estimation.filter.assumed_noise import ModelNoise
 from transport.agent.estimation.filter.belief import NAMES, Belief, pose_numbers, poses
-from transport.agent.estimation.filter.team_filter import Period, TeamFilter
+from transport.agent.estimation.filter.team_filter import FilterPeriod, TeamFilter
 from transport.agent.estimation.predicted_motion import STEPS
 from transport.model import state
 from transport.model.arrays import Array
@@ -34,15 +34,15 @@ DIFFERENCE = 1e-6  # of central differences: their error is some 1e-9 of the sec
 HONEST = (0.75, 1.3)
 
 
-def told_period(run: Setup, end: Array, u: Array, forces: Array | None) -> Period:
+def told_period(run: Setup, end: Array, u: Array, forces: Array | None) -> FilterPeriod:
     """Return a period all of whose inputs are told, under forces estimated at its beginning."""
     told = np.zeros(run.system.m, dtype=bool)
-    return Period(
+    return FilterPeriod(
         model=run.model,
         end=end,
         u=u,
         forces=forces,
-        untold=Untold(by_law=told, by_fail_safe=told),
+        unannounced=Unannounced(by_law=told, by_fail_safe=told),
         K=None,
         correlation=0.0,
     )

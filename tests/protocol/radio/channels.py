@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from transport.protocol.radio.frames import Frame, Outcome
+from transport.protocol.radio.frames import Frame, FrameOutcome
 from transport.protocol.radio.medium_access import (
     Channel,
     ChannelCounts,
@@ -49,7 +49,7 @@ def run(
     powers: Sequence[Sequence[float]],
     frames: Iterable[Frame],
     until_ns: int,
-) -> tuple[list[Outcome], ChannelCounts]:
+) -> tuple[list[FrameOutcome], ChannelCounts]:
     """Return outcomes and counts of one window on a channel that was idle."""
     idle = ChannelState.idle(len(powers), given.standard)
     _, outcomes, counts = Channel(given).advance(idle, powers, frames, until_ns)

@@ -6,7 +6,7 @@ import pytest
 
 from tests.protocol.radio.channels import MS, NEAR_MW, broadcast, equal_powers, parameters
 from transport.protocol.radio.background_traffic import Background, BackgroundState
-from transport.protocol.radio.frames import Frame, Result
+from transport.protocol.radio.frames import Frame, FrameResult
 from transport.protocol.radio.medium_access import Channel, ChannelState
 from transport.protocol.radio.standards_80211 import OFDM
 
@@ -34,7 +34,7 @@ def flown(share: float) -> tuple[float, float]:
             state, powers, [*frames, *others], end_ns
         )
         busy_ns += counts.busy_ns
-        delivered += sum(outcome.result is Result.DELIVERED for outcome in outcomes)
+        delivered += sum(outcome.result is FrameResult.DELIVERED for outcome in outcomes)
     return busy_ns / (PERIODS * PERIOD_NS), delivered / (PERIODS * 3 * 2)
 
 

@@ -16,7 +16,7 @@ from tests.protocol.radio.channels import (
     parameters,
     run,
 )
-from transport.protocol.radio.frames import Frame, Outcome, Result
+from transport.protocol.radio.frames import Frame, FrameOutcome, FrameResult
 from transport.protocol.radio.medium_access import Channel, ChannelState
 from transport.protocol.radio.standards_80211 import OFDM
 
@@ -25,7 +25,7 @@ SECOND_NS = 1_000 * MS
 PERIOD_NS = 50 * MS
 
 
-def results(outcomes: list[Outcome]) -> Counter[Result]:
+def results(outcomes: list[FrameOutcome]) -> Counter[FrameResult]:
     """Return the outcomes by result."""
     return Counter(outcome.result for outcome in outcomes)
 
@@ -57,8 +57,8 @@ def test_a_frame_on_an_idle_channel_arrives_after_difs_and_its_airtime() -> None
     outcomes, counts = run(parameters(), equal_powers(3), [broadcast(3, 0, MS)], SECOND_NS)
     arrival_ns = MS + OFDM.difs_ns + AIRTIME_NS
     assert [(outcome.receiver, outcome.result, outcome.time_ns) for outcome in outcomes] == [
-        (1, Result.DELIVERED, arrival_ns),
-        (2, Result.DELIVERED, arrival_ns),
+        (1, FrameResult.DELIVERED, arrival_ns),
+        (2, FrameResult.DELIVERED, arrival_ns),
     ]
     assert counts.busy_ns == AIRTIME_NS
 
@@ -68,7 +68,7 @@ def test_sends_at_one_instant_all_collide(stations: int) -> None:
     """Stations that find the channel idle at one instant transmit at one instant."""
     frames = [broadcast(stations, station, MS) for station in range(stations)]
     outcomes, counts = run(parameters(), equal_powers(stations), frames, SECOND_NS)
-    assert results(outcomes) == {Result.COLLISION: stations * (stations - 1)}
+    assert results(outcomes) == {FrameResult.COLLISION: stations * (stations - 1)}
     assert counts.transmissions == stations
 
 
@@ -78,7 +78,7 @@ def test_a_station_defers_to_a_frame_on_the_air() -> None:
     outcomes, _ = run(parameters(), equal_powers(2), frames, SECOND_NS)
     first, second = outcomes
     waited_ns = second.time_ns - AIRTIME_NS - first.time_ns - OFDM.difs_ns
-    assert results(outcomes) == {Result.DELIVERED: 2}
+    assert results(outcomes) == {FrameResult.DELIVERED: 2}
     assert waited_ns % OFDM.slot_ns == 0
     assert 0 <= waited_ns <= OFDM.cw_min * OFDM.slot_ns
 
@@ -102,7 +102,7 @@ def test_an_interrupted_wait_draws_a_backoff_or_keeps_none(draws: bool) -> None:
     for seed in range(40):
         given = parameters(interrupted_wait_draws=draws, seed=seed)
         outcomes, _ = run(given, equal_powers(3), frames, SECOND_NS)
-        collided += Result.COLLISION in results(outcomes)
+        collided += FrameResult.COLLISION in results(outcomes)
     # Two draws among 16 slots are equal in 2.5 of 40 cases; more than 10 would be 5 sigma.
     assert collided <= 10 if draws else collided == 40
 
@@ -114,9 +114,9 @@ def test_the_near_one_of_two_colliding_frames_is_captured() -> None:
     frames = [broadcast(3, 0, MS), broadcast(3, 1, MS)]
     outcomes, _ = run(parameters(), powers, frames, SECOND_NS)
     fate = {(outcome.frame.sender, outcome.receiver): outcome.result for outcome in outcomes}
-    assert fate[0, 2] is Result.DELIVERED
-    assert fate[1, 2] is Result.COLLISION
-    assert fate[0, 1] is fate[1, 0] is Result.COLLISION  # both transmit
+    assert fate[0, 2] is FrameResult.DELIVERED
+    assert fate[1, 2] is FrameResult.COLLISION
+    assert fate[0, 1] is fate[1, 0] is FrameResult.COLLISION  # both transmit
 
 
 @pytest.mark.parametrize(("excess_db", "captured"), [(3.0, False), (5.0, True)])
@@ -127,7 +127,7 @@ def test_capture_needs_the_threshold_of_preambles(excess_db: float, captured: bo
     frames = [broadcast(3, 0, MS), broadcast(3, 1, MS)]
     outcomes, _ = run(parameters(), powers, frames, SECOND_NS)
     fate = {(outcome.frame.sender, outcome.receiver): outcome.result for outcome in outcomes}
-    assert (fate[0, 2] is Result.DELIVERED) == captured
+    assert (fate[0, 2] is FrameResult.DELIVERED) == captured
 
 
 def test_a_higher_rate_needs_more_signal_over_interference() -> None:
@@ -135,7 +135,7 @@ def test_a_higher_rate_needs_more_signal_over_interference() -> None:
     powers = equal_powers(3)
     powers[0][2] = NEAR_MW * 10.0**0.6
     frames = [broadcast(3, 0, MS), broadcast(3, 1, MS)]
-    for rate_mbps, expected in ((6.0, Result.DELIVERED), (54.0, Result.COLLISION)):
+    for rate_mbps, expected in ((6.0, FrameResult.DELIVERED), (54.0, FrameResult.COLLISION)):
         outcomes, _ = run(parameters(rate_mbps=rate_mbps), powers, frames, SECOND_NS)
         fate = {(outcome.frame.sender, outcome.receiver): outcome.result for outcome in outcomes}
         assert fate[0, 2] is expected
@@ -149,16 +149,16 @@ def test_hidden_nodes_collide_at_the_station_between_them() -> None:
     outcomes, counts = run(parameters(), powers, frames, SECOND_NS)
     fate = {(outcome.frame.sender, outcome.receiver): outcome.result for outcome in outcomes}
     assert fate == {
-        (0, 1): Result.COLLISION,
-        (2, 1): Result.COLLISION,
-        (0, 2): Result.WEAK,
-        (2, 0): Result.WEAK,
+        (0, 1): FrameResult.COLLISION,
+        (2, 1): FrameResult.COLLISION,
+        (0, 2): FrameResult.WEAK,
+        (2, 0): FrameResult.WEAK,
     }
     assert counts.busy_ns < 2 * AIRTIME_NS
 
     powers[0][2] = powers[2][0] = NEAR_MW
     outcomes, _ = run(parameters(), powers, frames, SECOND_NS)
-    assert results(outcomes) == {Result.DELIVERED: 4}
+    assert results(outcomes) == {FrameResult.DELIVERED: 4}
 
 
 def test_power_too_weak_to_decode_keeps_the_channel_busy() -> None:
@@ -176,15 +176,15 @@ def test_a_frame_below_the_sensitivity_is_weak() -> None:
     """A frame that no receiver could hear on an idle channel is lost as weak."""
     powers = equal_powers(2, 9.0 * NOISE_MW)
     outcomes, _ = run(parameters(), powers, [broadcast(2, 0, MS)], SECOND_NS)
-    assert results(outcomes) == {Result.WEAK: 1}
+    assert results(outcomes) == {FrameResult.WEAK: 1}
 
 
 def test_a_queue_holds_its_length_and_drops_the_newest() -> None:
     """Of frames sent at once a queue keeps as many as it holds, the oldest."""
     frames = [broadcast(2, 0, MS, sequence) for sequence in range(10)]
     outcomes, _ = run(parameters(queue_length=4), equal_powers(2), frames, SECOND_NS)
-    delivered = [o.frame.sequence for o in outcomes if o.result is Result.DELIVERED]
-    dropped = [o.frame.sequence for o in outcomes if o.result is Result.QUEUE]
+    delivered = [o.frame.sequence for o in outcomes if o.result is FrameResult.DELIVERED]
+    dropped = [o.frame.sequence for o in outcomes if o.result is FrameResult.QUEUE]
     assert delivered == [0, 1, 2, 3]
     assert dropped == [4, 5, 6, 7, 8, 9]
 
@@ -193,7 +193,7 @@ def test_unicast_frames_at_one_instant_arrive_after_retries() -> None:
     """Acknowledged frames survive the collision that loses broadcasts, by repetitions."""
     frames = [Frame(MS, station, 0, 1500, ((station + 1) % 4,)) for station in range(4)]
     outcomes, counts = run(parameters(unicast=True), equal_powers(4), frames, SECOND_NS)
-    assert results(outcomes) == {Result.DELIVERED: 4}
+    assert results(outcomes) == {FrameResult.DELIVERED: 4}
     assert counts.repetitions >= 4
     assert counts.acknowledgements == 4
 
@@ -203,7 +203,7 @@ def test_unicast_to_a_silent_receiver_exhausts_the_attempts() -> None:
     frame = Frame(MS, 0, 0, 1500, (1,))
     powers = equal_powers(2, SILENT_MW)
     outcomes, counts = run(parameters(unicast=True, attempts=5), powers, [frame], SECOND_NS)
-    assert results(outcomes) == {Result.RETRIES: 1}
+    assert results(outcomes) == {FrameResult.RETRIES: 1}
     assert counts.transmissions == 5
 
 
@@ -212,7 +212,7 @@ def test_a_lost_acknowledgement_delivers_once() -> None:
     powers = [[SILENT_MW, NEAR_MW], [SILENT_MW, SILENT_MW]]
     frame = Frame(MS, 0, 0, 1500, (1,))
     outcomes, counts = run(parameters(unicast=True), powers, [frame], SECOND_NS)
-    assert results(outcomes) == {Result.DELIVERED: 1}
+    assert results(outcomes) == {FrameResult.DELIVERED: 1}
     assert counts.transmissions == 7
 
 
@@ -256,7 +256,7 @@ def test_windows_do_not_change_the_outcomes(unicast: bool) -> None:
     expected, counts = run(given, powers, frames, SECOND_NS)
 
     state = ChannelState.idle(6, OFDM)
-    outcomes: list[Outcome] = []
+    outcomes: list[FrameOutcome] = []
     busy_ns = 0
     # 0.7 ms ends windows within frames, waits and acknowledgements.
     for until_ns in [*range(0, SECOND_NS, 700_000), SECOND_NS]:
@@ -285,7 +285,7 @@ def test_a_near_team_has_the_channel_of_its_powers(unicast: bool, spread_ns: int
     found = channel.advance(ChannelState.idle(stations, OFDM), powers, frames, SECOND_NS, near=True)
 
     state = ChannelState.idle(stations, OFDM)
-    outcomes: list[Outcome] = []
+    outcomes: list[FrameOutcome] = []
     for until_ns in range(500_000, SECOND_NS + 1, 500_000):
         begin_ns = state.time_ns
         sent = [frame for frame in frames if begin_ns <= frame.sent_ns < until_ns]

@@ -9,7 +9,7 @@ import math
 import pytest
 
 from tests.protocol.radio.channels import equal_powers, parameters, run
-from transport.protocol.radio.frames import Frame, Result
+from transport.protocol.radio.frames import Frame, FrameResult
 from transport.protocol.radio.standards_80211 import DSSS, OFDM, Standard
 
 MESSAGE_BYTES = 1500
@@ -72,6 +72,6 @@ def test_saturation_throughput(
         attempts=1000,
     )
     outcomes, _ = run(given, equal_powers(stations), frames, duration_ns)
-    delivered = sum(outcome.result is Result.DELIVERED for outcome in outcomes)
+    delivered = sum(outcome.result is FrameResult.DELIVERED for outcome in outcomes)
     mbps = delivered * 8.0 * MESSAGE_BYTES / seconds / 1e6
     assert mbps == pytest.approx(bianchi_mbps(standard, stations, rate_mbps), rel=AGREEMENT)

@@ -23,7 +23,7 @@ from transport.experiments.paper.comparison import (
     PAPER,
     STEPS,
     Cell,
-    Curve,
+    ComparisonCurve,
     curves_of,
     equal_periods,
 )
@@ -57,7 +57,9 @@ COSTS = {
 }
 
 
-def paper_curve(outcome: Callable[[Case], str] = lambda _: "completed", seeds: int = 3) -> Curve:
+def paper_curve(
+    outcome: Callable[[Case], str] = lambda _: "completed", seeds: int = 3
+) -> ComparisonCurve:
     """The cost curve of the paper's algorithm in gusts, with made-up costs."""
     cells = [
         Cell(controller=controller, period_s=period_s, horizon=20) for controller, period_s in COSTS

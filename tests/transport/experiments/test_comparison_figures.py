@@ -23,7 +23,7 @@ from transport.experiments.paper.comparison import (
     STILL,
     TEAM,
     Cell,
-    Curve,
+    ComparisonCurve,
 )
 from transport.experiments.paper.comparison_figures import draw_costs, draw_maneuver
 from transport.experiments.statistics import PointStatistics
@@ -50,7 +50,7 @@ OF_REFERENCE = {PERIOD_S: (0.2, 0.21, 0.9)}
 REFERENCE_LOAD = 0.21  # the median
 
 
-def curve(weather: str, controller: str, costs: Costs, loads: Loads) -> Curve:
+def curve(weather: str, controller: str, costs: Costs, loads: Loads) -> ComparisonCurve:
     """Return a curve with made-up costs and processor times."""
     cells = [Cell(controller, period_s, HORIZON) for period_s in costs]
     points = comparison.experiment(cells, GUST_MPS).points
@@ -68,7 +68,7 @@ def curve(weather: str, controller: str, costs: Costs, loads: Loads) -> Curve:
         )
         measured.append(one)
     of_agent = np.array(list(loads.values()))
-    return Curve(
+    return ComparisonCurve(
         weather=weather,
         controller=controller,
         kept=STEPS,
@@ -79,7 +79,7 @@ def curve(weather: str, controller: str, costs: Costs, loads: Loads) -> Curve:
     )
 
 
-def compared(by_weather: Mapping[str, Costs], loads: Loads = LOADS) -> list[Curve]:
+def compared(by_weather: Mapping[str, Costs], loads: Loads = LOADS) -> list[ComparisonCurve]:
     """Return the curves of the reference and of the paper's algorithm in each weather."""
     curves = []
     for weather, costs in by_weather.items():
@@ -88,7 +88,7 @@ def compared(by_weather: Mapping[str, Costs], loads: Loads = LOADS) -> list[Curv
     return curves
 
 
-def panels_of(curves: Sequence[Curve], monkeypatch: pytest.MonkeyPatch) -> list[Axes]:
+def panels_of(curves: Sequence[ComparisonCurve], monkeypatch: pytest.MonkeyPatch) -> list[Axes]:
     """Return the panels of the figure of costs, which is drawn and not written."""
     figures: list[Figure] = []
 

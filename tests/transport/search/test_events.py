@@ -16,7 +16,7 @@ from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.search.candidate import Base, Candidate
-from transport.search.drawn_events import Death, Gusts, Links, Silence, TargetEvent
+from transport.search.drawn_events import Death, DrawnSilence, Gusts, Links, TargetEvent
 from transport.search.space import KINDS, Bounds, Space, read_bounds
 
 PERIOD_S = 0.05
@@ -34,7 +34,7 @@ BASE = Base(scenario=scenario(), source=str(FILE))
 
 WHO = st.sampled_from(["all", "mute 3", "deaf 2", "cut 1 4"])
 SILENCES = st.builds(
-    lambda start, ticks, who: Silence(
+    lambda start, ticks, who: DrawnSilence(
         start_s=round(start * PERIOD_S, 6), duration_s=round(ticks * PERIOD_S, 6), who=who
     ),
     st.integers(0, 60),
@@ -46,7 +46,7 @@ SILENCES = st.builds(
 @settings(max_examples=40)
 @given(silences=st.lists(SILENCES, max_size=3))
 def test_overlapping_silences_lose_exactly_the_messages_that_one_covers(
-    silences: list[Silence],
+    silences: list[DrawnSilence],
 ) -> None:
     """A message is lost if and only if a window that covers its link is open when it is sent."""
     changed = Candidate(tuple(silences)).scenario(BASE)
@@ -81,7 +81,7 @@ def test_after_a_silence_a_link_has_the_loss_of_the_scenario() -> None:
         "links.change=[{at_s=2.0,from='agent1',loss=0.25},{at_s=4.0,delay_s=0.1,loss=0.125}]",
     ]
     base = Base(scenario=read_scenario(FILE, own), source=str(FILE))
-    changed = Candidate((Silence(start_s=1.0, duration_s=2.0),)).scenario(base)
+    changed = Candidate((DrawnSilence(start_s=1.0, duration_s=2.0),)).scenario(base)
     assert losses(changed, [0.5, 1.5, 2.5, 3.5, 4.5]) == [
         (0.5, 0.0),
         (1.0, 1.0),
@@ -137,7 +137,7 @@ def test_smaller_teams_have_the_uavs_of_the_scenario() -> None:
 def test_links_that_change_alike_are_one_entry() -> None:
     """The whole network is one change and its end another; an agent that is not heard likewise."""
     for who in ("all", "mute 3", "deaf 2"):
-        silence = Silence(start_s=1.0, duration_s=2.0, who=who)
+        silence = DrawnSilence(start_s=1.0, duration_s=2.0, who=who)
         assert len(Candidate((silence,)).scenario(BASE).links.change) == 2, who
 
 
@@ -178,7 +178,7 @@ def test_simplification_ends(seed: int) -> None:
         candidate = candidate.fewer()[0]
     assert candidate == Candidate(())
 
-    event = Silence(start_s=7.317, duration_s=9.9, who="all", loss=0.95)
+    event = DrawnSilence(start_s=7.317, duration_s=9.9, who="all", loss=0.95)
     visited = {event}
     while (
         simpler := next((one for one in event.simpler() if one not in visited), None)
@@ -191,7 +191,7 @@ def test_simplification_ends(seed: int) -> None:
 def test_words_name_every_event() -> None:
     """The sentence of a candidate has agents, times and weather."""
     events = (
-        Silence(start_s=4.0, duration_s=2.0, who="cut 2 3"),
+        DrawnSilence(start_s=4.0, duration_s=2.0, who="cut 2 3"),
         Death(agent=4, at_s=1.0),
         Gusts(speed_mps=0.5, seed=7),
         TargetEvent(at_s=3.0, offset_m=(1.0, 0.0, -0.5)),

@@ -28,11 +28,11 @@ from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.search.candidate import Base, Candidate
-from transport.search.drawn_events import Death, Gusts, Silence
-from transport.search.evaluation import REFUSED, Evaluation, Problem, Verdict
-from transport.search.objective import Objective
-from transport.search.optimiser import BATCH, Layout, Optimiser
-from transport.search.search import Case, Evaluations, Search, SearchResult, random_search
+from transport.search.drawn_events import Death, DrawnSilence, Gusts
+from transport.search.evaluation import REFUSED, CaseVerdict, Evaluation, FoundProblem
+from transport.search.objective import SearchObjective
+from transport.search.optimiser import BATCH, Optimiser, SearchLayout
+from transport.search.search import Evaluations, Search, SearchCase, SearchResult, random_search
 from transport.search.search_progress import SearchProgress
 from transport.search.search_report import summary
 from transport.search.shrink import Shrinker
@@ -49,19 +49,19 @@ class Quiet:
     def simulated(self) -> None:
         """Tell nothing."""
 
-    def show(self, case: Case) -> None:
+    def show(self, case: SearchCase) -> None:
         """Tell nothing."""
 
     def shrinking(self, candidate: Candidate, evaluations: int) -> None:
         """Tell nothing."""
 
 
-class Planted(Problem):
+class Planted(FoundProblem):
     """A problem whose runs fail by a formula: a coincidence of a death and a silence."""
 
     def evaluate(self, candidate: Candidate) -> Evaluation:
         """Return a robustness that falls towards the coincidence."""
-        silences = [event for event in candidate.events if isinstance(event, Silence)]
+        silences = [event for event in candidate.events if isinstance(event, DrawnSilence)]
         deaths = [event for event in candidate.events if isinstance(event, Death)]
         begins = [abs(one.start_s - np.mean(WINDOW_S)) for one in silences]
         dead = any(death.agent == 3 and death.at_s < WINDOW_S[0] for death in deaths)
@@ -111,15 +111,15 @@ def planted() -> Planted:
     """Return the planted problem on the ready scenario."""
     scenario = read_scenario(FILE)
     base = Base(scenario=scenario, source=str(FILE))
-    return Planted(base=base, objective=Objective.of("attitude", None, scenario))
+    return Planted(base=base, objective=SearchObjective.of("attitude", None, scenario))
 
 
-def fly(problem: Problem, candidates: Sequence[Candidate]) -> Iterable[Evaluation]:
+def fly(problem: FoundProblem, candidates: Sequence[Candidate]) -> Iterable[Evaluation]:
     """Evaluate in this process."""
     return [problem.evaluate(candidate) for candidate in candidates]
 
 
-def backwards(problem: Problem, candidates: Sequence[Candidate]) -> Iterable[Evaluation]:
+def backwards(problem: FoundProblem, candidates: Sequence[Candidate]) -> Iterable[Evaluation]:
     """Evaluate in another order, as workers of different speed do."""
     return [problem.evaluate(candidate) for candidate in reversed(candidates)]
 
@@ -204,7 +204,7 @@ class Refusing(Planted):
     def evaluate(self, candidate: Candidate) -> Evaluation:
         """Return the planted robustness, or a refusal."""
         evaluation = super().evaluate(candidate)
-        silences = [event for event in candidate.events if isinstance(event, Silence)]
+        silences = [event for event in candidate.events if isinstance(event, DrawnSilence)]
         if all(silence.start_s >= self.earliest_s for silence in silences):
             return evaluation
         return replace(evaluation, robustness=1.0, outcome=REFUSED, reason="links: too early")
@@ -247,7 +247,7 @@ def test_the_time_of_a_failure_is_that_of_the_limit(
         payload_reference_I=flown.x[:, state.R0] - away_m[:, None] * [1.0, 0.0, 0.0],
         separation_m=np.where(flown.times_s > 0.1 - 1e-9, 0.4, 0.5),
     )
-    objective = Objective.of(measure, limit, run.scenario)
+    objective = SearchObjective.of(measure, limit, run.scenario)
     assert objective.passed_s(series) == passed_s
 
 
@@ -255,7 +255,7 @@ def counted() -> tuple[list[str], Callable[..., Iterable[Evaluation]]]:
     """Return the keys of what is flown, to be filled, and a function that flies in this process."""
     keys: list[str] = []
 
-    def counting(problem: Problem, candidates: Sequence[Candidate]) -> Iterable[Evaluation]:
+    def counting(problem: FoundProblem, candidates: Sequence[Candidate]) -> Iterable[Evaluation]:
         keys.extend(problem.key(candidate) for candidate in candidates)
         return fly(problem, candidates)
 
@@ -303,7 +303,9 @@ def cases_of(*robustness: float) -> SearchResult:
     nothing = Candidate(())
     without_events = planted().evaluate(nothing)
     cases = [
-        Case(number=n, candidate=nothing, evaluation=replace(without_events, robustness=value))
+        SearchCase(
+            number=n, candidate=nothing, evaluation=replace(without_events, robustness=value)
+        )
         for n, value in enumerate(robustness, start=1)
     ]
     return SearchResult(problem=planted(), without_events=without_events, cases=cases, minimal=None)
@@ -357,7 +359,7 @@ VALLEY = np.full(12, 0.3)
 
 def asked(disturb: Callable[[], object] = lambda: None) -> Array:
     """Return the 160 points that an optimiser asks for on a smooth valley, (160, 12)."""
-    layout = Layout(events=(slice(0, 6), slice(6, 12)), severe=np.zeros(12, dtype=bool))
+    layout = SearchLayout(events=(slice(0, 6), slice(6, 12)), severe=np.zeros(12, dtype=bool))
     optimiser = Optimiser(layout, seed=3)
     whole: list[Array] = []
     for _ in range(20):
@@ -393,10 +395,10 @@ def test_the_optimiser_shares_no_random_numbers() -> None:
 def test_a_scenario_that_fails_without_events_is_refused() -> None:
     """A search needs a run that holds its limit; otherwise every case would be a finding."""
     problem = planted()
-    limit = Objective.of("separation", 10.0, problem.base.scenario)
+    limit = SearchObjective.of("separation", 10.0, problem.base.scenario)
     scenario = read_scenario(FILE, [SHORT])
     base = Base(scenario=scenario, source=str(FILE))
-    failing = Problem(base=base, objective=limit)
+    failing = FoundProblem(base=base, objective=limit)
     space = Space(KINDS, read_bounds(None, 25.0), scenario)
     with pytest.raises(ScenarioError, match="holds its limit without events"):
         Search(problem=failing, space=space, budget=8).run(Evaluations(None, {}), fly, Quiet())
@@ -407,8 +409,8 @@ def test_own_constraints_count_as_violations_as_limits_do() -> None:
     own = 'controller.constraint=[{expression="v0[2] >= -0.05"}]'
     scenario = read_scenario(FILE, [SHORT, own])
     base = Base(scenario=scenario, source=str(FILE))
-    objective = Objective.of("constraint", 0.2, scenario)
-    evaluation = Problem(base=base, objective=objective).evaluate(Candidate(()))
+    objective = SearchObjective.of("constraint", 0.2, scenario)
+    evaluation = FoundProblem(base=base, objective=objective).evaluate(Candidate(()))
 
     setup = Setup.of(scenario, str(FILE))
     summary = summarise(AnalysedRun.of(setup, log_of(recorded(setup))))
@@ -422,7 +424,7 @@ def test_a_run_ends_as_soon_as_it_has_failed() -> None:
     """A run past the limit of attitude is not flown on; the end is the time of the failure."""
     scenario = read_scenario(FILE, [SHORT])
     base = Base(scenario=scenario, source=str(FILE))
-    problem = Problem(base=base, objective=Objective.of("attitude", 0.005, scenario))
+    problem = FoundProblem(base=base, objective=SearchObjective.of("attitude", 0.005, scenario))
     evaluation = problem.evaluate(Candidate((Gusts(speed_mps=1.0, seed=1),)))
     assert evaluation.outcome == "failed"
     assert 0.0 < evaluation.end_s < 1.4
@@ -475,13 +477,13 @@ class One:
 """
 
 
-def own_class_problem(folder: Path, limit_deg: float) -> Problem:
+def own_class_problem(folder: Path, limit_deg: float) -> FoundProblem:
     """Return a hover of four UAVs with the class above."""
     (folder / "only_one.py").write_text(ONE_UAV, encoding="utf-8")
     hover = "maneuver.phase=[{name='hover',duration_s=2.0,displacement_m=[0.0,0.0,0.0]}]"
     scenario = read_scenario(FILE, [hover, "agents.controller=only_one:One"])
     base = Base(scenario=scenario, source=str(FILE))
-    return Problem(base=base, objective=Objective.of("attitude", limit_deg, scenario))
+    return FoundProblem(base=base, objective=SearchObjective.of("attitude", limit_deg, scenario))
 
 
 def test_the_verdict_on_a_class_of_the_user_is_that_of_the_projects_controller(
@@ -492,7 +494,7 @@ def test_the_verdict_on_a_class_of_the_user_is_that_of_the_projects_controller(
     problem = own_class_problem(tmp_path, limit_deg=5.0)
     death = Candidate((Death(agent=2, at_s=0.5),))
     assert problem.evaluate(death).failed
-    assert problem.verdict(death) == Verdict(beyond_physics=False)
+    assert problem.verdict(death) == CaseVerdict(beyond_physics=False)
 
 
 def test_a_verdict_that_cannot_be_told_is_none(

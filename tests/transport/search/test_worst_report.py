@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from tests.support.runs import SCENARIOS
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.search.candidate import Base, Candidate
-from transport.search.drawn_events import Death, Event, Gusts, Silence, TargetEvent
-from transport.search.evaluation import Evaluation, Problem, Verdict
-from transport.search.objective import Objective
+from transport.search.drawn_events import Death, DrawnSilence, Event, Gusts, TargetEvent
+from transport.search.evaluation import CaseVerdict, Evaluation, FoundProblem
+from transport.search.objective import SearchObjective
 from transport.search.search import Minimal
 from transport.search.search_report import draw, in_words, scenario_text, window_s
 
@@ -20,7 +20,7 @@ FILE = SCENARIOS / "resilient.toml"
 HOVER = "maneuver.phase=[{name='hover',duration_s=4.0,displacement_m=[0.0,0.0,0.0]}]"
 LONGEST_NAME = 40  # characters of the name of a scenario
 LONGEST_LINE = 100  # characters of a line of the comment
-SILENCE = Silence(start_s=1.5, duration_s=1.0)
+SILENCE = DrawnSilence(start_s=1.5, duration_s=1.0)
 GUSTS = Gusts(speed_mps=0.5, seed=7)
 
 # What the figure shows before the first event, after the failure, and at most, s.
@@ -42,11 +42,11 @@ def minimal(
         passed_s=failed_s,
     )
     return Minimal(
-        problem=Problem(base=base, objective=Objective.of(measure, None, scenario)),
+        problem=FoundProblem(base=base, objective=SearchObjective.of(measure, None, scenario)),
         whole_team=4,
         candidate=Candidate(events),
         evaluation=evaluation,
-        verdict=Verdict(beyond_physics=False),
+        verdict=CaseVerdict(beyond_physics=False),
     )
 
 
@@ -62,12 +62,12 @@ def test_sentences_tell_events_failure_and_verdict() -> None:
 
 def test_a_case_beyond_physics_is_told_as_one() -> None:
     """The verdict is the last sentence."""
-    beyond = replace(minimal(SILENCE), verdict=Verdict(beyond_physics=True))
+    beyond = replace(minimal(SILENCE), verdict=CaseVerdict(beyond_physics=True))
     assert in_words(beyond)[-1] == (
         "The project's controller for all UAVs with perfect information fails as well: the case is "
         "beyond physics."
     )
-    unknown = Verdict(beyond_physics=None, reason="it fails without any event as well")
+    unknown = CaseVerdict(beyond_physics=None, reason="it fails without any event as well")
     assert in_words(replace(minimal(SILENCE), verdict=unknown))[-1] == (
         "The project's controller for all UAVs with perfect information cannot tell whether the case "
         "is beyond physics: it fails without any event as well."

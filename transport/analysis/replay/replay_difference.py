@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from transport.analysis.replay.replay_of_agent import Answer, Step
+from transport.analysis.replay.replay_of_agent import Answer, ReplayedStep
 from transport.log.tables import INPUT_NAMES
 from transport.model.arrays import Array
 from transport.model.state import INPUTS
@@ -79,7 +79,7 @@ class Comparison:
         """
         return next((apart.tick for apart in self.inputs_apart if apart.largest > size), None)
 
-    def add(self, step: Step, *, ignored: Iterable[str] = ()) -> None:
+    def add(self, step: ReplayedStep, *, ignored: Iterable[str] = ()) -> None:
         """Compare the replayed and recorded messages of one tick.
 
         All or nothing: a tick with an answer that the log lacks is not compared. Ignored fields, such

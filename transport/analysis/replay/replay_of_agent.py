@@ -39,7 +39,7 @@ Answer = Plan | StepReport
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
+class ReplayedStep:
     """One tick of the agent."""
 
     tick: int
@@ -73,7 +73,7 @@ class Replay:
         self.before_measurement = before_measurement
         self.notes: list[str] = []
 
-    def steps(self) -> Iterator[Step]:
+    def steps(self) -> Iterator[ReplayedStep]:
         """Yield the ticks of the agent, in order."""
         processes = processes_of(self.setup, self.log, self.agent)
         if not processes:
@@ -172,14 +172,14 @@ class Replay:
 
 def _steps(
     messages: Iterator[Message], recorded: dict[tuple[str, int, int, int], Answer]
-) -> Iterator[Step]:
+) -> Iterator[ReplayedStep]:
     """Yield the ticks of one process from its messages; a report ends a tick."""
     answers: list[Answer] = []
     for message in messages:
         if isinstance(message, Plan | StepReport):
             answers.append(message)
         if isinstance(message, StepReport):
-            yield Step(
+            yield ReplayedStep(
                 tick=answers[0].tick,
                 answers=tuple(answers),
                 recorded=tuple(recorded.get(_identity(answer)) for answer in answers),

@@ -13,7 +13,7 @@ from transport.flight.run_files import new_folder
 from transport.log.run_log import open_run
 from transport.protocol.scenario.files.atomic_writing import write_csv
 from transport.report.run_comparison import (
-    Compared,
+    ComparedRun,
     Row,
     Setting,
     doubts,
@@ -74,7 +74,7 @@ def compare(
     show(output, content, rows(shown, ""), *settings, *(f" {file}" for file in files))
 
 
-def _chosen(runs: Sequence[str]) -> list[Compared]:
+def _chosen(runs: Sequence[str]) -> list[ComparedRun]:
     """Return the runs that are compared.
 
     End the command if there are not two with labels of their own.
@@ -142,7 +142,7 @@ def _shortly(value: Any) -> str:
     return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
 
 
-def _read(arguments: Sequence[str]) -> Iterator[Compared]:
+def _read(arguments: Sequence[str]) -> Iterator[ComparedRun]:
     """Yield the runs of arguments RUN or LABEL=RUN."""
     for argument in arguments:
         label, equals, path = argument.partition("=")
@@ -151,4 +151,4 @@ def _read(arguments: Sequence[str]) -> Iterator[Compared]:
             label = ""
             path = argument
         folder = run_folder(Path(path))
-        yield Compared.of(label or folder.resolve().name, open_run(folder, horizons=False))
+        yield ComparedRun.of(label or folder.resolve().name, open_run(folder, horizons=False))

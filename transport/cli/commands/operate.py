@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 import typer
 from typer import Argument, Option
 
-from transport.cli.active import ActiveRun
+from transport.cli.active import ActiveRunOption
 from transport.cli.lazy import with_options
 from transport.cli.options import FormatOption, ScenarioOption, SetOption, read_setup
 from transport.cli.output import Format, blame, facts, fail, show
@@ -50,9 +50,9 @@ _AT_ONCE = 16
 _LOOKS_FOR_SIGNALS_S = 0.2
 
 
-@with_options(ActiveRun)
+@with_options(ActiveRunOption)
 def status(
-    run: ActiveRun,
+    run: ActiveRunOption,
     process: str | None = Option(
         None,
         metavar="PROCESS",
@@ -173,9 +173,9 @@ def process_endpoints(
     }
 
 
-@with_options(ActiveRun)
+@with_options(ActiveRunOption)
 def fault(
-    run: ActiveRun,
+    run: ActiveRunOption,
     action: Literal["kill", "stop", "continue", "restart"] = Argument(
         metavar="ACTION", help="kill, stop, continue or restart."
     ),
@@ -243,10 +243,10 @@ _given_link_settings.__signature__ = inspect.Signature(  # type: ignore[attr-def
 )
 
 
-@with_options(_given_link_settings, ActiveRun)
+@with_options(_given_link_settings, ActiveRunOption)
 def set_links(
     settings: dict[str, Any],
-    run: ActiveRun,
+    run: ActiveRunOption,
     sender: str | None = Option(
         None,
         "--from",
@@ -289,8 +289,8 @@ def set_links(
     show(output, answer, f"links change with tick {answer['tick']} (t = {answer['t_s']:.2f} s)")
 
 
-@with_options(ActiveRun)
-def clear_links(run: ActiveRun, output: FormatOption = Format.text) -> None:
+@with_options(ActiveRunOption)
+def clear_links(run: ActiveRunOption, output: FormatOption = Format.text) -> None:
     """Remove all impairments, also from the plant's links.
 
     Example: transport link clear
@@ -317,9 +317,9 @@ def _groups(text: str) -> list[list[str]]:
     return [[_process_name(agent) for agent in group] for group in groups]
 
 
-@with_options(ActiveRun)
+@with_options(ActiveRunOption)
 def target(
-    run: ActiveRun,
+    run: ActiveRunOption,
     x: float | None = Argument(
         None, metavar="X", help="Position in the inertial frame, m: forwards."
     ),
@@ -377,9 +377,9 @@ def target(
     show(output, answer, f"{begin}, {reached}, {end}")
 
 
-@with_options(ActiveRun)
+@with_options(ActiveRunOption)
 def land(
-    run: ActiveRun,
+    run: ActiveRunOption,
     x: float | None = Argument(
         None, metavar="X", help="Place in the inertial frame, m: forwards; else where it is."
     ),

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from transport.experiments.arena import arena_tasks
 from transport.experiments.arena.arena_entries import REFERENCE
-from transport.experiments.arena.arena_runs import NAME, VIOLATION, Arena
+from transport.experiments.arena.arena_runs import NAME, VIOLATION, ArenaRuns
 from transport.experiments.arena.arena_tasks import NETWORK_TEXTS, NETWORKS, TASKS
 from transport.experiments.cases import Case
 from transport.experiments.statistics import COST_RATIO, PointStatistics
@@ -31,7 +31,7 @@ _ENDED = "ended"
 
 
 @dataclass(frozen=True, slots=True)
-class Axis:
+class ArenaAxis:
     """A measure of the arena, with a table of its own."""
 
     title: str
@@ -40,15 +40,15 @@ class Axis:
     digits: int = 2
 
 
-AXES: Sequence[Axis] = (
-    Axis("Completed runs; earliest end of the others", ""),
-    Axis(f"Mean cost over that of `{REFERENCE}` on a perfect network", COST_RATIO),
-    Axis("Payload error, cm rms", "payload_rms_m", 100.0, 1),
-    Axis("Smallest distance of two UAVs, m", "separation_min_m", 1.0, 3),
-    Axis("Largest violation of the shared constraint, N", VIOLATION, 1.0, 2),
-    Axis("Plans of the team to each other, kB/s", "plan_bytes_per_s", 1e-3, 1),
-    Axis("Airtime of the radio, %, 20 % of it traffic of others", "airtime_share", 100.0, 1),
-    Axis("Processor time of an agent's step, ms, median", "cpu_step_p50_ms", 1.0, 2),
+AXES: Sequence[ArenaAxis] = (
+    ArenaAxis("Completed runs; earliest end of the others", ""),
+    ArenaAxis(f"Mean cost over that of `{REFERENCE}` on a perfect network", COST_RATIO),
+    ArenaAxis("Payload error, cm rms", "payload_rms_m", 100.0, 1),
+    ArenaAxis("Smallest distance of two UAVs, m", "separation_min_m", 1.0, 3),
+    ArenaAxis("Largest violation of the shared constraint, N", VIOLATION, 1.0, 2),
+    ArenaAxis("Plans of the team to each other, kB/s", "plan_bytes_per_s", 1e-3, 1),
+    ArenaAxis("Airtime of the radio, %, 20 % of it traffic of others", "airtime_share", 100.0, 1),
+    ArenaAxis("Processor time of an agent's step, ms, median", "cpu_step_p50_ms", 1.0, 2),
 )
 
 
@@ -56,7 +56,7 @@ AXES: Sequence[Axis] = (
 class ArenaResult:
     """The arena with the results of its runs."""
 
-    arena: Arena
+    arena: ArenaRuns
     swept: Swept
 
     @cached_property
@@ -79,7 +79,7 @@ class ArenaResult:
         tables = [self._table(axis) for axis in AXES]
         return [table for table in tables if table is not None]
 
-    def _table(self, axis: Axis) -> Table | None:
+    def _table(self, axis: ArenaAxis) -> Table | None:
         """Return the table of an axis: a row for each algorithm, in each cell a line per network."""
         table = Table(box=None, title=axis.title, padding=(0, 1, 0, 0), min_width=_TITLE_WIDTH)
         table.title_justify = "left"
@@ -99,7 +99,7 @@ class ArenaResult:
             table.add_row(algorithm, "\n".join(networks), *cells)
         return None if is_empty else table
 
-    def _text(self, axis: Axis, place: tuple[str, str, str]) -> str:
+    def _text(self, axis: ArenaAxis, place: tuple[str, str, str]) -> str:
         """Return the cell of a point: mean and half its 95 % interval, if there are several runs."""
         one, refused = self.by_place[place]
         if refused:
@@ -196,7 +196,7 @@ class ArenaResult:
         return "\n".join([*lines, "", f"*{origin}*", ""])
 
 
-def conduct(made: Arena, simulate: Simulate, results: Results, console: Console) -> ArenaResult:
+def conduct(made: ArenaRuns, simulate: Simulate, results: Results, console: Console) -> ArenaResult:
     """Simulate the cases of the arena that have no result yet.
 
     Raises: ExperimentError: a worker was lost. KeyboardInterrupt: the finished runs are kept.

@@ -31,7 +31,7 @@ FAILED = "failed_steps_share"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Arena:
+class ArenaRuns:
     """Cases of the arena, and the combinations that cannot be flown."""
 
     algorithms: Mapping[str, Algorithm]
@@ -48,7 +48,7 @@ def arena(
     networks: Sequence[str] = (),
     algorithms: Sequence[str] = (),
     seeds: int = SEEDS,
-) -> Arena:
+) -> ArenaRuns:
     """Return the arena of some tasks, networks and algorithms, by default of all.
 
     The reference of the costs is always among them.
@@ -85,7 +85,7 @@ def arena(
     if not cases:
         raise refused("arena", "a combination that can be flown", next(iter(impossible.values())))
     experiment = Experiment(name=NAME, points=points, drawn_as="arena", seeds=seeds)
-    return Arena(
+    return ArenaRuns(
         algorithms={name: known[name] for name in chosen},
         experiment=experiment,
         cases=cases,

@@ -42,7 +42,7 @@ _FLAT = 0.01
 _FAR_ABOVE = 5.0
 
 
-class Panel(NamedTuple):
+class FigurePanel(NamedTuple):
     """A panel: its title, the name of its number, and the factor to its unit."""
 
     title: str
@@ -57,31 +57,31 @@ class _Curve(NamedTuple):
     style: dict[str, Any]
 
 
-_ATTITUDE = Panel("largest payload attitude (deg)", "attitude_max_deg")
+_ATTITUDE = FigurePanel("largest payload attitude (deg)", "attitude_max_deg")
 # Panels by how an experiment is drawn.
-_PANELS: Mapping[str, Sequence[Panel]] = {
-    "curves": (Panel("mean cost of completed runs ($10^{-3}$)", "cost_mean", 1e3), _ATTITUDE),
+_PANELS: Mapping[str, Sequence[FigurePanel]] = {
+    "curves": (FigurePanel("mean cost of completed runs ($10^{-3}$)", "cost_mean", 1e3), _ATTITUDE),
     "sharing": (
-        Panel("plans sent (%)", "plans_shared_share", 100.0),
-        Panel("mean cost over that with all plans sent", COST_RATIO),
+        FigurePanel("plans sent (%)", "plans_shared_share", 100.0),
+        FigurePanel("mean cost over that with all plans sent", COST_RATIO),
         _ATTITUDE,
     ),
     "radio": (
-        Panel("plans delivered by the radio (%)", "air_delivered_share", 100.0),
-        Panel("airtime (%)", "airtime_share", 100.0),
-        Panel("payload error, root mean square (cm)", "payload_rms_m", 100.0),
-        Panel("mean cost over that without a radio", COST_RATIO),
+        FigurePanel("plans delivered by the radio (%)", "air_delivered_share", 100.0),
+        FigurePanel("airtime (%)", "airtime_share", 100.0),
+        FigurePanel("payload error, root mean square (cm)", "payload_rms_m", 100.0),
+        FigurePanel("mean cost over that without a radio", COST_RATIO),
     ),
     "tracking": (
-        Panel("payload error, root mean square (cm)", "payload_rms_m", 100.0),
-        Panel("largest payload error (cm)", "payload_max_m", 100.0),
+        FigurePanel("payload error, root mean square (cm)", "payload_rms_m", 100.0),
+        FigurePanel("largest payload error (cm)", "payload_max_m", 100.0),
         _ATTITUDE,
     ),
     "scaling": (
-        Panel("agent's CPU per step (ms)", "cpu_step_p50_ms"),
-        Panel("team's CPU per tick (ms)", "cpu_team_tick_ms"),
-        Panel("plans sent (kB/s)", "plan_bytes_per_s", 1e-3),
-        Panel("mean cost ($10^{-3}$)", "cost_mean", 1e3),
+        FigurePanel("agent's CPU per step (ms)", "cpu_step_p50_ms"),
+        FigurePanel("team's CPU per tick (ms)", "cpu_team_tick_ms"),
+        FigurePanel("plans sent (kB/s)", "plan_bytes_per_s", 1e-3),
+        FigurePanel("mean cost ($10^{-3}$)", "cost_mean", 1e3),
     ),
 }
 
@@ -207,7 +207,7 @@ def draw_curves(figure: Figure, experiment: Experiment, scenarios: Scenarios) ->
         _scale(panel, means or [0.0], is_ratio=is_ratio, is_growth=x.is_growth)
 
 
-def _is_flat(content: Panel, curves: Sequence[_Curve]) -> bool:
+def _is_flat(content: FigurePanel, curves: Sequence[_Curve]) -> bool:
     """Return whether no curve of a panel changes along the axis."""
     for curve in curves:
         values = [one.mean(content.number) for one in curve.points]
@@ -219,7 +219,7 @@ def _is_flat(content: Panel, curves: Sequence[_Curve]) -> bool:
 
 def _draw_means(
     panel: Axes,
-    content: Panel,
+    content: FigurePanel,
     curves: Sequence[_Curve],
     places: Sequence[Sequence[float]],
 ) -> list[float]:

@@ -83,7 +83,7 @@ class Cell(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
+class ComparisonCurve:
     """Cost and processor time of a controller over the sampling period.
 
     Cells are in the order of their periods, the longest first.
@@ -220,7 +220,7 @@ def equal_periods(periods_s: Array, loads: Array) -> tuple[float, float]:
 
 def curves_of(
     cells: Mapping[tuple[str, str], Sequence[Cell]], timed: Swept, swept: Swept, reference: Cell
-) -> list[Curve]:
+) -> list[ComparisonCurve]:
     """Return the curves in each weather, from the measured runs and those that give the costs.
 
     Raises: ExperimentError: a run raised an error, or the reference diverged.
@@ -253,10 +253,12 @@ class _Runs:
     ratios: Mapping[tuple[Any, ...], Array]
     loads: Mapping[str, Mapping[Cell, Array]]
 
-    def curve(self, weather: str, controller: str, kept: str, cells: Sequence[Cell]) -> Curve:
+    def curve(
+        self, weather: str, controller: str, kept: str, cells: Sequence[Cell]
+    ) -> ComparisonCurve:
         """Return the curve of some cells in a weather."""
         keys = [(weather, *cell) for cell in cells]
-        return Curve(
+        return ComparisonCurve(
             weather=weather,
             controller=controller,
             kept=kept,

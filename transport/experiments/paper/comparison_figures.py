@@ -22,7 +22,7 @@ from transport.experiments.paper.comparison import (
     STEPS,
     STILL,
     Cell,
-    Curve,
+    ComparisonCurve,
 )
 from transport.experiments.statistics import COST_RATIO
 from transport.experiments.sweep import Swept
@@ -66,7 +66,7 @@ _NAME_STYLE: Mapping[str, Any] = {
 }
 
 
-def draw_costs(curves: Sequence[Curve], reference: Cell, folder: Path) -> list[Path]:
+def draw_costs(curves: Sequence[ComparisonCurve], reference: Cell, folder: Path) -> list[Path]:
     """Draw the cost over the computation of the team and of one agent, a panel for each budget and weather.
 
     A vertical line marks the computation of the reference, the centralized cell.
@@ -120,7 +120,7 @@ def _style(controller: str, kept: str) -> dict[str, Any]:
     }
 
 
-def _draw_curve(panel: Axes, curve: Curve, budget: str) -> None:
+def _draw_curve(panel: Axes, curve: ComparisonCurve, budget: str) -> None:
     """Draw a curve, with the confidence interval of the cost."""
     style = _style(curve.controller, curve.kept)
     rows = list(curve.rows())
@@ -139,13 +139,15 @@ def _draw_curve(panel: Axes, curve: Curve, budget: str) -> None:
     panel.plot(x[is_diverged], np.full(is_diverged.sum(), _DIVERGED_Y), **style | DIVERGED)
 
 
-def _median_load(curve: Curve, cell: Cell, budget: str) -> float:
+def _median_load(curve: ComparisonCurve, cell: Cell, budget: str) -> float:
     """Return the computation of a cell, the median over repetitions, s/s."""
     place = curve.cells.index(cell)
     return float(np.median(curve.loads[budget][place]))
 
 
-def _mark_reference(panel: Axes, centralized: Curve, reference: Cell, budget: str) -> None:
+def _mark_reference(
+    panel: Axes, centralized: ComparisonCurve, reference: Cell, budget: str
+) -> None:
     """Draw a vertical line at the computation of the reference, with its name."""
     x = _median_load(centralized, reference, budget)
     panel.axvline(x, color=REFERENCE, linewidth=0.8, zorder=0)
@@ -162,7 +164,7 @@ def _scale(panel: Axes) -> None:
 
 
 def draw_maneuver(
-    curves: Sequence[Curve], reference: Cell, swept: Swept, folder: Path
+    curves: Sequence[ComparisonCurve], reference: Cell, swept: Swept, folder: Path
 ) -> list[Path]:
     """Draw the runs of the paper's Fig. 3, 5 and 6 over one another, in still air.
 
@@ -184,7 +186,7 @@ def draw_maneuver(
         return save(figure, folder / "maneuver.png")
 
 
-def _shown_cells(curves: Sequence[Curve], reference: Cell) -> dict[Cell, str]:
+def _shown_cells(curves: Sequence[ComparisonCurve], reference: Cell) -> dict[Cell, str]:
     """Return the cells whose maneuvers are drawn, with their names."""
     still = {(curve.controller, curve.kept): curve for curve in curves if curve.weather == STILL}
     centralized = still[CENTRALIZED, STEPS]

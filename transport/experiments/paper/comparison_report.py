@@ -12,7 +12,7 @@ from transport.experiments.cases import Case, cases_of, resource_use
 from transport.experiments.cases import simulate as simulate_here
 from transport.experiments.declaration import Experiment
 from transport.experiments.paper import comparison
-from transport.experiments.paper.comparison import CENTRALIZED, Cell, Curve
+from transport.experiments.paper.comparison import CENTRALIZED, Cell, ComparisonCurve
 from transport.experiments.paper.comparison_figures import draw_costs, draw_maneuver
 from transport.experiments.paper.equal_terms import ranges, sentence
 from transport.experiments.statistics import COST_RATIO, Column, console_table
@@ -124,7 +124,7 @@ def plan(options: ComparisonOptions, *, simulated_before: bool = False) -> Compa
 class Compared:
     """Results of the comparison: its curves, and the rows of its tables."""
 
-    curves: Sequence[Curve]
+    curves: Sequence[ComparisonCurve]
     curve_rows: Sequence[comparison.Row]
     range_rows: Sequence[comparison.Row]
 

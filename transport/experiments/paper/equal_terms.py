@@ -9,7 +9,7 @@ from transport.experiments.paper.comparison import (
     CENTRALIZED,
     SECONDS,
     Cell,
-    Curve,
+    ComparisonCurve,
     Row,
     equal_periods,
 )
@@ -20,7 +20,7 @@ SAME_RATE = "the same rate"
 Range = tuple[float, float]
 
 
-def ranges(curves: Sequence[Curve], reference: Cell) -> Iterator[Row]:
+def ranges(curves: Sequence[ComparisonCurve], reference: Cell) -> Iterator[Row]:
     """Yield the rows of ranges.csv: each distributed curve at the same rate and computation.
 
     An end of the periods beyond the grid is empty, the ratio of a diverged run infinite.
@@ -52,7 +52,7 @@ def sentence(row: Row) -> str:
     return f"{row['weather']}, {row['controller']}, at {row['at']}: {numbers}"
 
 
-def _row(curve: Curve, equal: str, range_s: Range) -> Row:
+def _row(curve: ComparisonCurve, equal: str, range_s: Range) -> Row:
     """Return the row of a curve over the periods at which rate or computation equals the reference's."""
     ratios = curve.cost_range(*range_s)
     row: Row = {"weather": curve.weather, "controller": curve.controller, "at": equal}
