@@ -62,9 +62,33 @@ def test_kept_runs_are_read_and_not_flown(monkeypatch: pytest.MonkeyPatch, tmp_p
     assert Kept(tmp_path, is_flying=False).fly("precise", ("seed=1",)) is None
 
 
-def test_only_a_whole_table_is_written(capsys: pytest.CaptureFixture[str]) -> None:
-    """A selection of cases would leave the page without the others: it is refused."""
+def test_only_whole_rows_are_written(capsys: pytest.CaptureFixture[str]) -> None:
+    """Kept runs alone may be a part of a row: they are not written."""
     with pytest.raises(SystemExit) as caught:
-        silence.main(["--case", "eight", "--write"])
+        silence.main(["--no-fly", "--write"])
     assert caught.value.code == 2
-    assert "--write: expected neither --case nor --no-fly" in capsys.readouterr().err
+    assert "--write: expected no --no-fly" in capsys.readouterr().err
+
+
+def test_rows_of_some_cases_are_renewed_and_the_others_stay(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A page of two cases, of which one is flown anew: its row changes, and the page says whence each is."""
+    stays, renewed = list(silence.cases())[-2:]
+    (tmp_path / "docs").mkdir()
+    page = tmp_path / "docs" / "guarantees.md"
+    rows = [[case.name, *(["-"] * (len(silence.HEADINGS) - 1))] for case in (stays, renewed)]
+    before = silence.table(silence.HEADINGS, rows)
+    page.write_text(
+        f"<!-- bench: silence -->\n{before}\n\n*Earlier.*\n<!-- end of bench: silence -->\n"
+    )
+    monkeypatch.setattr(silence, "ROOT", tmp_path)
+    monkeypatch.setattr(silence, "origin", lambda: "Today")
+
+    result = silence.Result(runs=1, completed=1, attitude_deg=2.0, separation_m=0.5)
+    for _ in range(2):
+        silence.write([(renewed, result)], only=renewed.name)
+        lines = page.read_text().splitlines()
+        assert lines[1:4] == before.splitlines()[:3]
+        assert lines[4].startswith(f"| {renewed.name} | 1 of 1 | 2.0 deg | 0.500 m |")
+        assert lines[5:7] == ["", f"*Earlier; rows with {renewed.name!r}: Today.*"]
