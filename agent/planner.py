@@ -30,7 +30,7 @@ class AgentPlanner(Protocol[S]):
 
     @property
     def share_alone(self) -> float:
-        """Share, 0 to 1, with which the agent acts alone as its news are old."""
+        """Share, 0 to 1, with which the agent acts alone as its information is old."""
 
     def warm_up(self) -> None:
         """Prepare for the first step."""
@@ -42,7 +42,7 @@ class AgentPlanner(Protocol[S]):
         """Follow the reference of the run with a further target, from that target's tick on."""
 
     def announce(self) -> None:
-        """Send the next plan to the others, whatever it is: it carries news of a target."""
+        """Send the next plan to the others, whatever it is: it carries a target."""
 
     def begin(self, received: Received) -> S:
         """Take in what has been received for a tick."""

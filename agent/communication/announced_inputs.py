@@ -35,7 +35,7 @@ class SharedLaw:
     # from the law holds for later ones. None where the state is not known, or where that difference
     # is mostly the error of the sender's estimate, which changes from tick to tick.
     start_state: Callable[[int], Array | None] = _none
-    # Rules by which the others act alone as their news are overdue or late, and that after failures of
+    # Rules by which the others act alone as their information is overdue or late, and that after failures of
     # UAVs; and the inputs of a UAV alone, (4,), from UAV, tick and state. None: they never do.
     silence: Silence | None = None
     silence_after_failures: Silence | None = None
@@ -113,7 +113,7 @@ class AnnouncedInputs:
 
     Attributes:
         plans: Newest plans received of all agents.
-        heard: Plans of all agents, who is off the roster, and how old news are. From
+        heard: Plans of all agents, who is off the roster, and how old information is. From
             `heard.failed_since` on, every agent follows the control law of the UAVs left; plans made
             before that tick hold only for periods before it.
         fail_safe: Control law after the last plan of an agent off the roster.
@@ -298,7 +298,7 @@ class AnnouncedInputs:
         return unannounced
 
     def silent(self, tick: int, before: int) -> Silent | None:
-        """Return what is assumed of the others' inputs; None where all news are as usual."""
+        """Return what is assumed of the others' inputs; None where all information is as usual."""
         silence = self.heard.silence
         if silence is None:
             return None

@@ -21,7 +21,7 @@ class Estimator(Protocol):
     """Estimate of the whole state from messages, in any order of arrival."""
 
     @property
-    def news(self) -> NewStates:
+    def new_states(self) -> NewStates:
         """Newest ticks that were heard of."""
 
     @property

@@ -53,7 +53,7 @@ class SensorEstimator:
         feedback: Feedback,
         ages: Sequence[int],
     ) -> None:
-        self.news = NewStates()
+        self.new_states = NewStates()
         self.resets: set[int] = set()  # ticks at which the filter began anew about the reference
         self.forces: Array | None = None  # of the last estimate, (4 + 3 N,); None if not estimated
         self._motion = motion
@@ -80,7 +80,7 @@ class SensorEstimator:
         """Take in the measurements of another agent at the last ticks before its plan's."""
         if not self._history.keeps(plan.tick):
             return
-        self.news.take(plan)
+        self.new_states.take(plan)
         for uav, rows in zip(plan.uavs, plan.uav_states, strict=True):
             newest_first = rows.reshape(state.REPORTS, state.REPORTED)
             for age, row in enumerate(newest_first):
@@ -95,7 +95,7 @@ class SensorEstimator:
 
     def measure(self, measurement: Measurement) -> None:
         """Take in a measurement of a tick not later than the one to be estimated."""
-        self.news.take(measurement)
+        self.new_states.take(measurement)
         for uav, report in by_uav(measurement):
             if self._is_news(measurement.tick, uav):
                 self._tell(measurement.tick, uav, report)

@@ -37,7 +37,7 @@ class StateEstimator:
         owned: Sequence[int],
         disturbance: DisturbanceEstimator | None = None,
     ) -> None:
-        self.news = NewStates()
+        self.new_states = NewStates()
         self.resets: set[int] = set()  # none: estimates are measured
         self._motion = motion
         self._owned = list(owned)
@@ -60,7 +60,7 @@ class StateEstimator:
         # Reports give the age of the newest state of the sender that an estimate could use.
         if not self._history.keeps(plan.tick):
             return
-        self.news.take(plan)
+        self.new_states.take(plan)
         for uav, values in zip(plan.uavs, plan.uav_states, strict=True):
             self._tell(plan.tick, uav - 1, UavReport(values))
 
@@ -68,7 +68,7 @@ class StateEstimator:
         """Take in a measurement of a tick not later than the one to be estimated."""
         tick = measurement.tick
         # Reports give the age of the newest own measurement, also of one too old to be used.
-        self.news.take(measurement)
+        self.new_states.take(measurement)
         if not self._history.keeps(tick):
             return
         self._reports.tell_payload(tick, measurement.payload)
@@ -165,7 +165,7 @@ class StateEstimator:
     def _learn(self, predicted: Array, joined: Array, tick: int, *, is_informed: bool) -> None:
         """Correct the disturbance estimate, once per tick, if both its ends are measured.
 
-        Not without news of the others: what they do differently would count as a force.
+        Not without information about the others: what they do differently would count as a force.
         """
         if self._disturbance is None or tick <= self._learned:
             return

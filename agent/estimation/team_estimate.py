@@ -113,7 +113,7 @@ class TeamEstimate:
         """Return the share, 0 to 1, with which the agent is to act alone at tick k: (32c).
 
         To be called after `announced.heard.observe` of that tick. It is the larger of two: the share
-        that follows from the oldest news, and the largest that one of the others announces, less
+        that follows from the oldest information, and the largest that one of the others announces, less
         `LESS_THAN_OTHERS`. A UAV alone gives way to the payload's swing; one of the others that acts
         with the team meanwhile would turn the payload.
         """
@@ -121,10 +121,10 @@ class TeamEstimate:
         silence = heard.silence
         if silence is None:
             return 0.0
-        # Its UAVs have been alone before a start in mid-run, and go on until the agent has news.
-        if heard.lacks_first_news(before=k):
+        # Its UAVs have been alone before a start in mid-run, and go on until the agent has information.
+        if heard.lacks_first_information(before=k):
             return 1.0
-        by_age = silence.alone(heard.oldest_news)
+        by_age = silence.alone(heard.oldest_information)
         by_others = heard.most_said(before=k) - LESS_THAN_OTHERS
         return max(by_age, by_others)
 

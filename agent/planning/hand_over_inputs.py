@@ -39,7 +39,7 @@ class HandOver:
         return self._mixture.share
 
     def advance(self, k: int) -> None:
-        """Follow the rule to tick k: news of the others are in."""
+        """Follow the rule to tick k: information about the others is in."""
         wanted = self._team.share_alone(k)
         # Of effect only on the way to the law alone.
         is_rising = wanted > self._mixture.share

@@ -400,7 +400,7 @@ class Planner:
         team = self._team
         solution = result.solution
         worst = solution.residuals.worst
-        measured = team.estimator.news.measured
+        measured = team.estimator.new_states.measured
         newest = [team.announced.plans.newest(agent, before=k) for agent in team.peers]
         force = _NO_FORCE
         if team.forces is not None:
@@ -416,7 +416,7 @@ class Planner:
             residual=worst if math.isfinite(worst) else _NO_NUMBER,
             peers=team.peers,
             plan_ages=tuple(NO_AGE if plan is None else k - plan.solved_tick for plan in newest),
-            state_ages=tuple(team.estimator.news.age(agent, k) for agent in team.peers),
+            state_ages=tuple(team.estimator.new_states.age(agent, k) for agent in team.peers),
             measurement_age=NO_AGE if measured < 0 else k - measured,
             force=force,
             times_ns=self._times.ns,

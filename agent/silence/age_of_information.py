@@ -1,6 +1,6 @@
-"""The others as one agent has heard them: how old their news are, and how much each acts alone.
+"""The others as one agent has heard them: how old their information is, and how much each acts alone.
 
-News count from the last solved step of their sender: an agent that goes on sending without solving is
+Information counts from the last solved step of their sender: an agent that goes on sending without solving is
 silent. Source: docs/equations.md (32c), (63c).
 """
 
@@ -29,14 +29,14 @@ class HeardOthers:
     Args:
         agents: Numbers of the agents, 1-based.
         own: The agent itself; 0 for none.
-        silence: Rule by which agents act alone as their news get old; None: they never do.
+        silence: Rule by which agents act alone as their information gets old; None: they never do.
         after_failures: The rule from a failure of a UAV on.
 
     Attributes:
         off_roster: Agents that make no more plans.
         failed_since: Tick of the newest failure of a UAV, or `NEVER`.
         plans: Plans received.
-        oldest_news: Largest mean and largest overdue age at the tick last observed, not necessarily
+        oldest_information: Largest mean and largest overdue age at the tick last observed, not necessarily
             of one agent.
     """
 
@@ -57,9 +57,9 @@ class HeardOthers:
         self.plans = ReceivedPlans(self._agents)
         self._peers = tuple(agent for agent in self._agents if agent != own)
         self._news = InformationAges(self._peers, silence)
-        self.oldest_news = NO_WAIT
+        self.oldest_information = NO_WAIT
 
-        # The first tick at which news were observed, and that at which an agent returned: from these
+        # The first tick at which information was observed, and that at which an agent returned: from these
         # on its plans are expected.
         self._began: int | None = None
         self._returned: dict[int, int] = {}
@@ -77,7 +77,7 @@ class HeardOthers:
         has_failures = self.failed_since != NEVER
         return self._after_failures if has_failures else self._silence
 
-    # Ages of news.
+    # Ages of information.
 
     def observe(self, k: int) -> None:
         """Take in how old the newest plans of the others are, and their largest ages.
@@ -98,10 +98,10 @@ class HeardOthers:
             age = self.age(agent, plan, k)
             mean = max(mean, age.mean)
             overdue = max(overdue, age.overdue)
-        self.oldest_news = InformationAge(mean=mean, overdue=overdue)
+        self.oldest_information = InformationAge(mean=mean, overdue=overdue)
 
     def age(self, agent: int, plan: Plan | None, tick: int) -> InformationAge:
-        """Return how old an agent's news are at a tick, also for past ticks by those of now."""
+        """Return how old the information about an agent is at a tick, also for past ticks by those of now."""
         if agent == self._own or agent in self.off_roster:
             return NO_WAIT
         # Without any plan, as if one had been made just before the first that can be expected.
@@ -124,7 +124,7 @@ class HeardOthers:
                 return False
         return True
 
-    def lacks_first_news(self, before: int) -> bool:
+    def lacks_first_information(self, before: int) -> bool:
         """Return whether the agent began in mid-run, and has not heard one of the others since."""
         began_in_mid_run = self._began is not None and self._began > 0
         return began_in_mid_run and not self.has_heard_all(before)
@@ -142,7 +142,7 @@ class HeardOthers:
     def share_alone(self, agent: int, plan: Plan | None, tick: int) -> float:
         """Return how much an agent is assumed to act alone at a tick.
 
-        The larger of what its plan says and of what follows from the age of its news.
+        The larger of what its plan says and of what follows from the age of its information.
         """
         silence = self.silence
         if silence is None:

@@ -1,6 +1,6 @@
-"""How much an agent acts alone: as its news of the others get old, the team's law loses its reason.
+"""How much an agent acts alone: as its information about the others gets old, the team's law loses its reason.
 
-Each agent decides by the age of its own news, so that agents without any network decide alike, and
+Each agent decides by the age of its own information, so that agents without any network decide alike, and
 no agent waits for another. Its plan says how much, so that those who hear it predict it.
 Source: docs/equations.md (32c), (32d), (63c).
 """
@@ -14,33 +14,33 @@ import numpy as np
 
 from transport.model.arrays import Array
 
-# Ages of news beyond the usual one at which an agent begins to act alone, and does so wholly, s. The
-# reasons: a filter without news errs by centimetres within a second, and with a measured payload the
+# Ages of information beyond the usual one at which an agent begins to act alone, and does so wholly, s. The
+# reasons: a filter without information errs by centimetres within a second, and with a measured payload the
 # others answer to gusts that the agent has not heard of.
 OVERDUE_S = (0.5, 1.0)
-# The same for the mean age of news, with a filter, s. The reason: the others answer to the errors of
+# The same for the mean age of information, with a filter, s. The reason: the others answer to the errors of
 # their own estimates, and an agent learns of these answers late. A measured payload has no such errors.
 LATE_S = (0.15, 1.0)
-# Age of news beyond the usual one from which on an estimate of forces from measured states does not
+# Age of information beyond the usual one from which on an estimate of forces from measured states does not
 # learn, s: what the others do differently would count as a force.
 _UNINFORMED_S = 0.5
-# Where plans are sent on change, news are that many heartbeats later: one of them may be lost.
+# Where plans are sent on change, information is that many heartbeats later: one of them may be lost.
 _HEARTBEATS = 2.0
-# The usual age of news is the smallest in a window, a multiple of the age at which an agent acts wholly
+# The usual age of information is the smallest in a window, a multiple of the age at which an agent acts wholly
 # alone.
 _USUAL_WINDOW = 3.0
-_MEAN_WINDOW_S = 1.0  # window of the mean age of news
+_MEAN_WINDOW_S = 1.0  # window of the mean age of information
 # Time from the team's law to the law alone, s: others hear of the change meanwhile, and come along.
 _TO_ALONE_S = 1.0
 # The same of an agent that has never heard one of the others, s: it does not know where the UAVs of that
 # one are, and the team's law counts on them.
 _UNHEARD_S = 0.5
-# Time back to the team's law, s: the estimate takes in the news meanwhile.
+# Time back to the team's law, s: the estimate takes in the information meanwhile.
 _TO_TEAM_S = 2.0
 # An agent acts alone at least as much as the largest share that it hears, minus this. Without the
 # difference all would wait for each other to return.
 LESS_THAN_OTHERS = 0.2
-# Correlation of the errors of two agents' estimates, until news are older than usual: they share all
+# Correlation of the errors of two agents' estimates, until information is older than usual: they share all
 # measurements but the newest.
 SHARED = 0.6
 _FORGETS_S = 0.3  # time constant in which own measurements replace what both know
@@ -84,12 +84,12 @@ class Ramp:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Silence:
-    """The rule by which an agent acts alone, by the age of its news."""
+    """The rule by which an agent acts alone, by the age of its information."""
 
     overdue: Ramp  # by the age beyond the usual one
     uninformed: float  # that age from which on what the others do is not known, ticks
-    late: Ramp | None  # by the mean age; None where late news are as good as new ones
-    # Time constant, ticks, with which errors lose their correlation once overdue news begin to count.
+    late: Ramp | None  # by the mean age; None where late information is as good as new
+    # Time constant, ticks, with which errors lose their correlation once overdue information begins to count.
     forgets: float
     window: int  # ticks over which the usual age is the smallest: longer than any ramp
     recent: int  # ticks over which ages are averaged
@@ -100,7 +100,7 @@ class Silence:
         """Return the rule for a sampling period; plans come at the latest after a heartbeat, s."""
         later_s = _HEARTBEATS * heartbeat_s
         overdue = Ramp.of(OVERDUE_S, later_s, period_s)
-        # News of the tick before are on time, however long a period is.
+        # Information of the tick before is on time, however long a period is.
         late = Ramp.of(LATE_S, later_s, period_s).not_before(1.0)
         return Silence(
             overdue=overdue,
@@ -116,17 +116,17 @@ class Silence:
     def after_failures(self) -> "Silence":
         """The rule of a team of which UAVs have failed.
 
-        No news are late: three UAVs that each follow a reference do not balance a load of four.
+        No information is late: three UAVs that each follow a reference do not balance a load of four.
         """
         return replace(self, late=None)
 
     def alone(self, age: InformationAge) -> float:
-        """Return the share of the law alone, 0 to 1, by the age of news. Source: (32c)."""
+        """Return the share of the law alone, 0 to 1, by the age of information. Source: (32c)."""
         late = 0.0 if self.late is None else self.late.share(age.mean)
         return max(late, self.overdue.share(age.overdue))
 
     def correlation(self, age: InformationAge) -> float:
-        """Return the correlation of two agents' errors by the age of news. Source: (63c)."""
+        """Return the correlation of two agents' errors by the age of information. Source: (63c)."""
         since_begin = age.overdue - self.overdue.begins
         if since_begin <= 0.0:
             return SHARED
@@ -173,11 +173,11 @@ class InformationAges:
         self._mean.pop(agent, None)
 
     def usual(self, agent: int) -> int:
-        """Return the smallest age of an agent's news in the window; 1 where there have been none."""
+        """Return the smallest age of an agent's information in the window; 1 where there has been none."""
         return self._usual.get(agent, 1)
 
     def mean(self, agent: int) -> float:
-        """Return the mean age of an agent's news over the last second; 1 where there are none."""
+        """Return the mean age of an agent's information over the last second; 1 where there is none."""
         return self._mean.get(agent, 1.0)
 
 

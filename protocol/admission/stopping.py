@@ -1,4 +1,4 @@
-"""Stop in silence (`controller.silence` stop): an agent without news slows its path to a rest.
+"""Stop in silence (`controller.silence` stop): an agent without information slows its path to a rest.
 
 Another may know what it does not. The states of an agent:
 
@@ -29,7 +29,7 @@ class Stopping:
 
     Args:
         period_s: Sampling period.
-        ticks: Ticks of the run: a stop lasts until its end unless there are news.
+        ticks: Ticks of the run: a stop lasts until its end unless there is information.
 
     Attributes:
         lag: Ticks by which its path is, or will be, behind the given one, without a stop that lasts.
@@ -46,7 +46,7 @@ class Stopping:
         self._is_new = True
 
     def begin_anew(self) -> None:
-        """Take over the progress of the others at the first news, as after an absence."""
+        """Take over the progress of the others at the first information, as after an absence."""
         self._is_new = True
 
     def hear(self, plans: Iterable[Plan]) -> None:

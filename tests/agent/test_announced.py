@@ -124,7 +124,7 @@ def test_news_are_as_old_as_the_last_solved_step() -> None:
         repeating.plans.add(replace(labelled(1, tick), stale=tick))
         repeating.observe(tick + 1)
         silent.observe(tick + 1)
-        assert repeating.oldest_news == silent.oldest_news
+        assert repeating.oldest_information == silent.oldest_information
         plans = [heard.plans.newest(1, before=tick + 1) for heard in (repeating, silent)]
         shares = [
             heard.share_alone(1, plan, tick + 1)
@@ -336,7 +336,7 @@ def test_corrections_outlast_a_change_of_the_law() -> None:
 
 
 def test_after_a_change_of_the_law_silent_agents_act_alone() -> None:
-    """An agent whose news are older than the law acts alone by their age, like any other, (32c)."""
+    """An agent about which information is older than the law acts alone by their age, like any other, (32c)."""
     rule = Silence.of(0.05, is_filtered=False)
     shared = SharedLaw(
         inputs=by_law,
@@ -352,7 +352,9 @@ def test_after_a_change_of_the_law_silent_agents_act_alone() -> None:
 
 
 @given(st.lists(st.sets(st.sampled_from([2, 3, 4])), min_size=1, max_size=80), st.booleans())
-def test_oldest_news_tell_how_much_to_act_alone(heard: list[set[int]], is_filtered: bool) -> None:
+def test_oldest_information_tell_how_much_to_act_alone(
+    heard: list[set[int]], is_filtered: bool
+) -> None:
     """The largest ages give the largest share that the rule has for any other agent on the roster."""
     rule = Silence.of(0.05, is_filtered=is_filtered)
     owned = ((0,), (1,), (2,), (3,))
@@ -366,7 +368,7 @@ def test_oldest_news_tell_how_much_to_act_alone(heard: list[set[int]], is_filter
         newest = {agent: inputs.plans.newest(agent, before=k) for agent in (2, 3)}
         ages = [inputs.heard.age(agent, plan, k) for agent, plan in newest.items()]
         shares = [rule.alone(age) for age in ages]
-        assert rule.alone(inputs.heard.oldest_news) == max(shares)
+        assert rule.alone(inputs.heard.oldest_information) == max(shares)
 
 
 def test_inputs_taken_to_be_in_force_are_within_limits() -> None:

@@ -1,4 +1,4 @@
-"""How much an agent acts alone, by the age of its news (docs/equations.md (32c)-(32e))."""
+"""How much an agent acts alone, by the age of its information (docs/equations.md (32c)-(32e))."""
 
 import numpy as np
 import pytest

@@ -186,7 +186,7 @@ def test_news_after_a_long_silence_at_speed_are_no_end() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("silent_s", [1.0, 3.0])
 def test_a_silence_after_late_plans_in_strong_gusts_is_held(silent_s: float) -> None:
-    """In a case that a search has found, agents followed the team's law for too long without news."""
+    """In a case that a search has found, agents followed the team's law for too long without information."""
     run = runs.ready(
         "windy",
         *("links.delay_s=0.392", "links.loss=0.4"),
@@ -393,7 +393,7 @@ def test_late_news_leave_the_formation_steady() -> None:
 
 
 def test_a_death_on_a_late_network_is_held() -> None:
-    """With a filter, late news make agents act alone in part, also after a death."""
+    """With a filter, late information make agents act alone in part, also after a death."""
     late = ("links.delay_s=0.2", "links.loss=0.3")
     death = "faults.event=[{at_s=2.0,do='kill',target='agent3'}]"
     lost = (death, "clock.on_agent_loss=continue")

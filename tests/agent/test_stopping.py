@@ -101,7 +101,7 @@ def test_in_silence_the_payload_rests_and_goes_on_later() -> None:
 
 
 def test_a_target_told_to_one_in_silence_waits_for_the_others() -> None:
-    """With stop the agent that is told does not run ahead; the team goes there once there are news."""
+    """With stop the agent that is told does not run ahead; the team goes there once there is information."""
     told = "maneuver.target=[{at_s=7,points_m=[[6,2,-10]],to=[1]}]"
     made, attitude_deg = flown(STOP, SILENT, told)
     path = np.array([one.x[R0] for one in made if isinstance(one, PlantState)])
@@ -125,7 +125,7 @@ def test_a_death_in_the_silence_does_not_keep_the_others_from_going_on() -> None
 
 
 def test_without_silence_a_run_keeps_its_bits() -> None:
-    """Stop costs nothing where there are news: not a bit of any message differs."""
+    """Stop costs nothing where there is information: not a bit of any message differs."""
     short = "maneuver.phase=[{name='hover',duration_s=3,displacement_m=[0,0,0]}]"
     one, other = (
         [

@@ -1,4 +1,4 @@
-"""Other agents whose news are old, in the covariance of a filter: docs/equations.md (63c), (63e)."""
+"""Other agents about which information is old, in the covariance of a filter: docs/equations.md (63c), (63e)."""
 
 import math
 from typing import Protocol

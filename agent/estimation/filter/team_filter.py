@@ -68,7 +68,7 @@ class FilterPeriod:
     # inputs have been told.
     K: Array | None
     correlation: float  # c, of the errors of the other agents' estimates with the own ones
-    # Where news of the others are overdue: how much they act alone, and c by input; else None.
+    # Where information about the others is overdue: how much they act alone, and c by input; else None.
     silent: Silent | None = None
 
     @cached_property
@@ -196,7 +196,7 @@ class TeamFilter:
         self.Q[-self._unknowns :, -self._unknowns :] = ForceNoise().change(
             self._system, self._period_s
         )
-        # Share of a variance that is left after a period without any news: (63d).
+        # Share of a variance that is left after a period without any information: (63d).
         #   1 - q / p_0
         change = self.Q.diagonal()[-self._unknowns :]
         first = self._P0.diagonal()[-self._unknowns :]
@@ -243,9 +243,9 @@ class TeamFilter:
         return self.kept_forces(period) * belief.unknowns
 
     def kept_forces(self, period: FilterPeriod) -> Array:
-        """Return the share of forces that is left after a period without news, (7,) or (0,).
+        """Return the share of forces that is left after a period without information, (7,) or (0,).
 
-        As random walks, forces that own sensors do not tell apart have no bound. With news of all
+        As random walks, forces that own sensors do not tell apart have no bound. With information about all
         others they are such walks; without any they return to zero, and their variance to that
         before the first measurement. Source: docs/equations.md (63d).
         """

@@ -20,7 +20,7 @@ def may_act_alone(scenario: Scenario) -> bool:
 
 
 def hands_over(scenario: Scenario) -> bool:
-    """Return whether agents without news act alone."""
+    """Return whether agents without information act alone."""
     controller = scenario.controller
     by_law = controller.prediction == "closed_loop" and "mpc" in scenario.controllers
     return by_law and controller.silence != "law" and len(scenario.owned) > 1

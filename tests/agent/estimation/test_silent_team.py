@@ -1,4 +1,4 @@
-"""Other agents whose news are old, in the covariance of the filter: docs/equations.md (63c)."""
+"""Other agents about which information is old, in the covariance of the filter: docs/equations.md (63c)."""
 
 from dataclasses import dataclass
 
