@@ -138,7 +138,9 @@ class Clock:
         late_ns = max(0, now_ns - self.due_ns(tick)) if tick > 0 else 0
         return late_ns, self._overrun_ns
 
-    def silent(self, members: AbstractSet[int], missing: set[int], now_ns: int) -> set[int]:
+    def silent(
+        self, members: AbstractSet[int], missing: AbstractSet[int], now_ns: int
+    ) -> AbstractSet[int]:
         """Return the agents that have owed an answer for the barrier timeout."""
         if not self.is_realtime:
             return missing if now_ns >= self.expires_ns else set()
@@ -155,7 +157,7 @@ class Clock:
         """
         return self.is_realtime and now_ns >= self._plant_ns + self._barrier_ns
 
-    def may_close(self, tick: int, missing: set[int], now_ns: int, *, last: bool) -> bool:
+    def may_close(self, tick: int, missing: AbstractSet[int], now_ns: int, *, last: bool) -> bool:
         """Return whether the open tick may be closed.
 
         In lockstep the last tick closes with its last answer.
@@ -163,7 +165,7 @@ class Clock:
         is_due = now_ns >= self.due_ns(tick + 1) or (last and not self.is_realtime)
         return is_due and not self.waits_for(missing)
 
-    def judge_overruns(self, tick: int, missing: set[int], now_ns: int) -> str:
+    def judge_overruns(self, tick: int, missing: AbstractSet[int], now_ns: int) -> str:
         """Count the deadlines missed in a tick that closes; return why they end the run, or ""."""
         self._overruns += len(missing)
         settings = self._settings
@@ -186,6 +188,6 @@ class Clock:
             return f"{latest} was {lateness_s[latest]:.3f} s late, {limit_s:g} s allowed"
         return ""
 
-    def waits_for(self, missing: set[int]) -> bool:
+    def waits_for(self, missing: AbstractSet[int]) -> bool:
         """Return whether the open tick waits for answers."""
         return bool(missing) and (not self.is_realtime or self._holds)

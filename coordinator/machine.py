@@ -108,24 +108,23 @@ class MachineError(RuntimeError):
 
 
 class Machine:
-    """State of one run."""
+    """State of one run.
+
+    Attributes:
+        state: State of the run; `move` alone sets it.
+    """
 
     def __init__(self) -> None:
-        self._state = State.WAITING
-
-    @property
-    def state(self) -> State:
-        """State of the run."""
-        return self._state
+        self.state = State.WAITING
 
     def move(self, cause: Cause) -> bool:
         """Go to the state that follows from a cause; return whether it is another one.
 
         Raises: MachineError: the cause cannot be in this state.
         """
-        before = self._state
+        before = self.state
         following = TRANSITIONS[before].get(cause)
         if following is None:
             raise MachineError(f"{cause.name} in {before.name}: {cause.value}, but {before.value}")
-        self._state = following
+        self.state = following
         return following is not before

@@ -8,6 +8,7 @@ says what is sent in each state.
 """
 
 from collections.abc import Collection, Sequence
+from collections.abc import Set as AbstractSet
 
 from transport.coordinator.air import TeamAir
 from transport.coordinator.changes import Changes
@@ -123,7 +124,10 @@ class CoordinatorNode:
     @property
     def wake_ns(self) -> int | None:
         """Time of the next poll, ns: end of a timeout, or opening of the next tick; None without."""
-        match self.state:
+        state = self._machine.state
+        if state is State.OPEN:
+            return self._open.wake_ns(self._roster.members)
+        match state:
             case State.WAITING | State.STOPPED:
                 return None
             case State.PREPARING if self._fleet is not None:
@@ -136,31 +140,30 @@ class CoordinatorNode:
 
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
         """Take in presences, plans, plant states, and requests."""
-        if self.state is State.STOPPED:
+        if self._machine.state is State.STOPPED:
             return ()
-        self._clock.excuse_absence(self.tick, self.wake_ns, now_ns)
-        match event:
-            case Request():
-                return answer_request(event, self._status(), self._changes)
-            case Presence():
-                return self._presence_changed(event, now_ns)
-            case PlantState():
-                self._open.take_plant_state(event, now_ns)
-                time = self._roster.time(event.tick)
-                if self._verdict.add_plant_state(event, time):
-                    self._machine.move(Cause.PLANT_ENDS)
+        self._clock.excuse_absence(self._open.number, self.wake_ns, now_ns)
+        match event:  # what comes most is first
             case Plan():
                 self._take_plan(event, now_ns)
+            case PlantState():
+                self._open.take_plant_state(event, now_ns)
+                if self._verdict.add_plant_state(event, self._roster.time(event.tick)):
+                    self._machine.move(Cause.PLANT_ENDS)
+            case Presence():
+                return self._presence_changed(event, now_ns)
+            case Request():
+                return answer_request(event, self._status(), self._changes)
             case VehicleStatus() if self._fleet is not None:
                 self._fleet.take(event, now_ns)
         return self._advance(now_ns)
 
     def poll(self, now_ns: int) -> Sequence[Message]:
         """Open a tick that is due; take agents that missed the barrier timeout off the roster."""
-        if self.state in (State.WAITING, State.STOPPED):
+        if self._machine.state in (State.WAITING, State.STOPPED):
             return ()
         self._clock.excuse_absence(self.tick, self.wake_ns, now_ns)
-        match self.state:
+        match self._machine.state:
             case State.PREPARING if self._fleet is not None:
                 return self._prepare(self._fleet, now_ns)
             case State.STARTING if self._fleet is not None:
@@ -170,7 +173,7 @@ class CoordinatorNode:
                 return self._give_up_held(now_ns)
 
         expired = now_ns >= self._clock.expires_ns
-        if expired and self.state is State.ENDING:
+        if expired and self._machine.state is State.ENDING:
             return self._end()
         if self._rules.has_plant and self._clock.plant_is_silent(now_ns):
             reason = f"plant has not answered since tick {self._open.plant}"
@@ -209,7 +212,7 @@ class CoordinatorNode:
         """Handle a process that is ready, has returned, or is gone."""
         if not event.alive:
             return self._process_gone(event, now_ns)
-        if self.state is State.WAITING:
+        if self._machine.state is State.WAITING:
             return self._process_ready(event, now_ns)
         if event.name in self._roster.agents:
             return self._agent_returned(event, now_ns)
@@ -236,7 +239,7 @@ class CoordinatorNode:
             return ()
         # It may return before its end was noticed: the old incarnation is gone all the same.
         lost = self._lose_member(event.name, now_ns)
-        if self.state is State.STOPPED:
+        if self._machine.state is State.STOPPED:
             return lost
         return [*lost, *self._advance(now_ns)]
 
@@ -266,7 +269,7 @@ class CoordinatorNode:
             return [self._roster.message(reason, self.tick)]
         return self._lose_member(event.name, now_ns)
 
-    def _drop_silent(self, silent: set[int], now_ns: int) -> Sequence[Message]:
+    def _drop_silent(self, silent: AbstractSet[int], now_ns: int) -> Sequence[Message]:
         """Take agents that have not answered in time off the roster."""
         # An agent that is behind in a negotiation blocks the others: drop it alone and restart
         # their timeout, which is that of lockstep (real time takes no negotiation).
@@ -304,7 +307,7 @@ class CoordinatorNode:
     @property
     def _ends_by_any_loss(self) -> bool:
         """Whether the loss of any agent or vehicle ends the run: by `clock.on_agent_loss`, or early."""
-        return self._ends_by_loss or self.state in BEFORE_TICK_0
+        return self._ends_by_loss or self._machine.state in BEFORE_TICK_0
 
     # -- Ticks: opened, held, closed -------------------------------------------------------------
 
@@ -341,7 +344,7 @@ class CoordinatorNode:
 
     def _advance(self, now_ns: int) -> Sequence[Message]:
         """End an exchange whose proposals are all here, and the open tick if it may be closed."""
-        if self.state in BEFORE_TICK_0:
+        if self._machine.state in BEFORE_TICK_0:
             return ()
         if self._air is None:
             return self._close(now_ns)
@@ -349,7 +352,7 @@ class CoordinatorNode:
 
     def _close(self, now_ns: int) -> Sequence[Message]:
         """Close the open tick if it may be closed: open the next one, or end the run."""
-        is_ending = self.state is State.ENDING
+        is_ending = self._machine.state is State.ENDING
         if is_ending and self.tick > self._open.plant:
             return self._end()
 
@@ -421,7 +424,7 @@ class CoordinatorNode:
         )
 
     @property
-    def _missing(self) -> set[int]:
+    def _missing(self) -> AbstractSet[int]:
         """Agents on the roster that have not answered the open tick."""
         return self._open.missing(self._roster.members)
 
@@ -434,7 +437,7 @@ class CoordinatorNode:
 
     def _stop(self, exit_code: int, reason: str) -> Sequence[Message]:
         """End the run; only the first end counts."""
-        if self.state is State.STOPPED:
+        if self._machine.state is State.STOPPED:
             return ()
         self._machine.move(Cause.ENDED)
         self.finished = self._out.stamp(
@@ -453,6 +456,6 @@ class CoordinatorNode:
             ticks=self._rules.ticks,
             members=sorted(self._roster.members),
             observers=sorted(self._observers),
-            takes_changes=self.state not in BEFORE_TICK_0 and not self._open.is_last,
+            takes_changes=self._machine.state not in BEFORE_TICK_0 and not self._open.is_last,
             period_ns=self._rules.period_ns,
         )

@@ -1,6 +1,7 @@
 """The open tick: what has been answered to it, by the agents and by the plant."""
 
 from collections.abc import Collection
+from collections.abc import Set as AbstractSet
 
 from transport.coordinator.air import TeamAir
 from transport.coordinator.clock import Clock
@@ -24,6 +25,7 @@ class OpenTick:
 
     def __init__(self, rules: RunRules, clock: Clock, air: TeamAir | None) -> None:
         self._rules = rules
+        self._ticks = rules.ticks
         self._clock = clock
         self._air = air
 
@@ -36,7 +38,7 @@ class OpenTick:
     @property
     def is_last(self) -> bool:
         """Whether no tick follows."""
-        return self.number + 1 == self._rules.ticks
+        return self.number + 1 == self._ticks
 
     @property
     def lacks_state(self) -> bool:
@@ -44,21 +46,22 @@ class OpenTick:
 
         The last one completes the record; on a radio, positions one tick old say who hears whom.
         """
-        if self.is_last:
+        if self.number + 1 == self._ticks:
             return self._rules.has_plant and self.plant < self.number
         return self._air is not None and not self._air.may_open(self.number + 1)
 
-    def missing(self, members: Collection[int]) -> set[int]:
+    def missing(self, members: AbstractSet[int]) -> AbstractSet[int]:
         """Return the agents on the roster that have not answered."""
-        return set(members) - self.answered.keys()
+        return members - self.answered.keys()
 
-    def may_close(self, members: Collection[int], now_ns: int) -> bool:
+    def may_close(self, members: AbstractSet[int], now_ns: int) -> bool:
         """Return whether all is here that the tick waits for, and the next one is due."""
         missing = self.missing(members)
-        is_due = self._clock.may_close(self.number, missing, now_ns, last=self.is_last)
+        is_last = self.number + 1 == self._ticks
+        is_due = self._clock.may_close(self.number, missing, now_ns, last=is_last)
         return is_due and not self.lacks_state
 
-    def wake_ns(self, members: Collection[int]) -> int:
+    def wake_ns(self, members: AbstractSet[int]) -> int:
         """Return when a timeout ends, or the next tick may open."""
         if self.lacks_state or self._clock.waits_for(self.missing(members)):
             return self._clock.expires_ns
@@ -78,14 +81,14 @@ class OpenTick:
 
     def resume(self, newest: int, now_ns: int) -> None:
         """Go on from the newest tick that is due, in a run of an earlier coordinator."""
-        self.number = min(newest, self._rules.ticks - 1) - 1
+        self.number = min(newest, self._ticks - 1) - 1
         self.plant = max(self.plant, self.number - 1)
         self._clock.note_plant(now_ns)
 
     def check(self, message: Plan | PlantState) -> None:
         """Raise MessageError for an answer to a tick that it cannot be of."""
         # Agents of vehicles may open a tick before this process does.
-        last = self._rules.ticks - 1 if self._rules.has_vehicles else self.number
+        last = self._ticks - 1 if self._rules.has_vehicles else self.number
         if isinstance(message, PlantState):
             check_tick(message, self.plant + 1, last)
         else:
