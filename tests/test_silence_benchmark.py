@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks import silence
 from benchmarks.silence import Case, Flown, Kept
+from docs.tables import table
 from transport.model.arrays import Array
 
 PERIOD_S = 0.05
@@ -78,7 +79,7 @@ def test_rows_of_some_cases_are_renewed_and_the_others_stay(
     (tmp_path / "docs").mkdir()
     page = tmp_path / "docs" / "guarantees.md"
     rows = [[case.name, *(["-"] * (len(silence.HEADINGS) - 1))] for case in (stays, renewed)]
-    before = silence.table(silence.HEADINGS, rows)
+    before = table(silence.HEADINGS, rows)
     page.write_text(
         f"<!-- bench: silence -->\n{before}\n\n*Earlier.*\n<!-- end of bench: silence -->\n"
     )

@@ -32,7 +32,7 @@ def test_sizes_and_ownerships() -> None:
     }
     every = [2, 3, 4, 6, 8, 9]
     assert sizes == {"distributed": every, "pairs": [4, 6, 8], "centralized": every}
-    for point, case in zip(points, cases_of(points, [], 1, timed=True), strict=True):
+    for point, case in zip(points, cases_of(points, [], 1, more=resource_use), strict=True):
         assert len(case.scenario.system.uav) == point.labels["uavs"]
         assert len(case.scenario.owned) == point.labels["agents"]
         assert case.more is resource_use
