@@ -6,7 +6,8 @@ seed, too. A line for each case, `--runs` for each run; `--case TEXT` selects ca
 keeps runs, and flies only those not kept there, in a drawn order of all cases and teams: those kept by an
 interrupted command are a fair sample. Two commands share a folder if one goes `--backwards`.
 
-`--margins` prints the slowest decay and the margins of the law of UAVs alone of each team instead.
+`--margins` prints the slowest decay and the margins of the law of UAVs alone of each team instead, with
+`--first SEED` of other teams.
 `--write` renews both tables in docs/guarantees.md.
 """
 
@@ -266,13 +267,13 @@ MARGIN_HEADINGS = (
 )  # fmt: skip
 
 
-def count_margins(*, each: bool) -> list[list[str]]:
-    """Compute decay and margins of UAVs alone, with the designed gains and with those of rings."""
+def count_margins(*, first: int, each: bool) -> list[list[str]]:
+    """Compute decay and margins of UAVs alone, with the designed gains and with those of rings, of 60 teams."""
     rows = []
     for name, designed in (("designed for the team", True), ("gains of rings", False)):
         met = []
         refused = 0
-        for seed in range(60):
+        for seed in range(first, first + 60):
             try:
                 setup = Setup.of(drawn(seed, *_template()), f"team {seed}")
             except ScenarioError as error:
@@ -311,10 +312,13 @@ def main(given: Sequence[str] | None = None) -> None:
     parser.add_argument("--kept", type=Path, help="folder of runs")
     parser.add_argument("--no-fly", action="store_true", help="count kept runs alone")
     parser.add_argument("--margins", action="store_true", help="margins in place of flights")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first of these teams")
     parser.add_argument("--write", action="store_true", help="renew the table of the page")
     options = parser.parse_args(given)
+    if options.write and options.first:
+        parser.error("--write: expected no --first, as the page has the teams from seed 0 on")
     if options.margins:
-        mark, rows = "bench: teams alone", count_margins(each=options.runs)
+        mark, rows = "bench: teams alone", count_margins(first=options.first, each=options.runs)
         headings: Sequence[str] = MARGIN_HEADINGS
     else:
         mark, rows, headings = "bench: teams", count(options), HEADINGS

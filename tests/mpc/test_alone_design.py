@@ -159,10 +159,13 @@ def test_a_run_that_no_gains_hold_is_refused() -> None:
 
 
 def test_designing_eight_uavs_takes_less_than_a_second() -> None:
-    """In processor time, for the team of the drawn ones that tries the most of the family."""
-    setup = team(LARGE)
+    """In processor time, the least of three, for a drawn team that tries all members of both families."""
+    setup = team(UNHELD)
     assert setup.system.N == 8
-    begun_s = time.process_time()
     unknown: TeamAlone = setup.team_alone(next_tick=True)
-    unknown._designed()  # anew, not kept
-    assert time.process_time() - begun_s < 1.0
+    durations_s = []
+    for _ in range(3):
+        begun_s = time.process_time()
+        unknown._designed()  # anew, not kept
+        durations_s.append(time.process_time() - begun_s)
+    assert min(durations_s) < 1.0
