@@ -30,7 +30,7 @@ from transport.model.linear.discretisation import Discrete
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller, Horizon, StepResult
 from transport.mpc.program.feedback_law import FeedbackLaw
-from transport.mpc.program.horizon_cost import CostToGo
+from transport.mpc.program.horizon_and_terminal_cost import CostToGo
 from transport.mpc.program.prediction import Linear
 from transport.mpc.program.qp_solvers import unsolved
 from transport.mpc.program.softening import softened_problem

@@ -615,7 +615,7 @@ static void effects(const problem *c, const ptrdiff_t *every, double *L, double 
 
        H_ij = P(N_p - 2 - i, N_p - 2 - j) + S(N_p - 1 - i)' Q_f S(N_p - 1 - j) + R_ij,
        P(a, b) = S(a)' Q S(b) + P(a - 1, b - 1): (26), and 2 root' root of the cost-to-go, (36d); see
-   mpc/program/horizon_cost.py. */
+   mpc/program/horizon_and_terminal_cost.py. */
 static void hessian(const problem *c, const ptrdiff_t *every, const double *flat, const double *reached, double *value,
                     double *work)
 {

@@ -15,7 +15,7 @@ from transport.mpc.law.preview import Preview
 from transport.mpc.law.steady_state import SteadyState
 from transport.mpc.law.tracking_lqr import Tracker
 from transport.mpc.program.feedback_law import FeedbackError, FeedbackLaw, Gains
-from transport.mpc.program.horizon_cost import CostToGo
+from transport.mpc.program.horizon_and_terminal_cost import CostToGo
 from transport.mpc.program.stage_cost import Cost
 
 

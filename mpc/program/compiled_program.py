@@ -1,6 +1,6 @@
 """Prediction and QP of one step by the compiled kernels, in arrays that the next step overwrites.
 
-`kernels.c` computes what `prediction`, `horizon_cost` and `relaxation` and the constraints with
+`kernels.c` computes what `prediction`, `horizon_and_terminal_cost` and `relaxation` and the constraints with
 `in_kernel` do, with fewer operations. Quantities that are those of the step before
 (derivatives at hover, gains, weights) are not computed again.
 """
@@ -19,7 +19,7 @@ from transport.mpc.program.constraints.stack import Stack
 from transport.mpc.program.constraints.tilt import Tilt
 from transport.mpc.program.decision import Decision
 from transport.mpc.program.feedback_law import FeedbackLaw
-from transport.mpc.program.horizon_cost import CostToGo, Objective
+from transport.mpc.program.horizon_and_terminal_cost import CostToGo, Objective
 from transport.mpc.program.prediction import Linear, Prediction
 from transport.mpc.program.qp_solvers import QP
 

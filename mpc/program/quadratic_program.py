@@ -13,7 +13,7 @@ from transport.mpc.program.constraints import constraints_of
 from transport.mpc.program.constraints.stack import Rows, Stack
 from transport.mpc.program.decision import Decision
 from transport.mpc.program.feedback_law import FeedbackLaw
-from transport.mpc.program.horizon_cost import CostToGo, Objective, condense
+from transport.mpc.program.horizon_and_terminal_cost import CostToGo, Objective, condense
 from transport.mpc.program.prediction import Linear, Prediction, follow, own_response, predict
 from transport.mpc.program.qp_solvers import QP
 from transport.mpc.program.relaxation import Relaxation, relaxed

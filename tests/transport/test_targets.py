@@ -11,10 +11,10 @@ from tests.support import logs, runs
 from tests.support.coordinator_clock import CONTINUE, answers, gone, ready, started, tell
 from tests.support.nodes import CoordinatorNode
 from transport.analysis.analysed_run import AnalysedRun
-from transport.analysis.flight_numbers import SETTLED_S
-from transport.analysis.metrics import summarise
+from transport.analysis.flight_metrics import SETTLED_S
 from transport.analysis.replay.replay_difference import Comparison
 from transport.analysis.replay.replay_of_agent import Replay
+from transport.analysis.summary_metrics import summarise
 from transport.log.run_log import RunLog
 from transport.model.state import R0
 from transport.mpc.controller import Controller

@@ -11,9 +11,9 @@ import pytest
 from tests.support import logs, runs
 from tests.support.nodes import AgentNode, refused
 from transport.analysis.analysed_run import AnalysedRun
-from transport.analysis.metrics import summarise
 from transport.analysis.replay.replay_difference import Comparison
 from transport.analysis.replay.replay_of_agent import Replay
+from transport.analysis.summary_metrics import summarise
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.state import R0

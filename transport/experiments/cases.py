@@ -17,7 +17,7 @@ import threadpoolctl
 
 from transport.agent.user_class.user_planner import controller_versions
 from transport.analysis.analysed_run import AnalysedRun
-from transport.analysis.metrics import summarise
+from transport.analysis.summary_metrics import summarise
 from transport.flight import memory
 from transport.flight.run_files import checked
 from transport.log.run_log import Recorded, RunLog

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from transport.protocol.radio.frames import Frame, FrameOutcome
-from transport.protocol.radio.medium_access import (
+from transport.protocol.radio.medium_access_and_retries import (
     Channel,
     ChannelCounts,
     ChannelParameters,

@@ -7,7 +7,7 @@ import pytest
 from tests.protocol.radio.channels import MS, NEAR_MW, broadcast, equal_powers, parameters
 from transport.protocol.radio.background_traffic import Background, BackgroundState
 from transport.protocol.radio.frames import Frame, FrameResult
-from transport.protocol.radio.medium_access import Channel, ChannelState
+from transport.protocol.radio.medium_access_and_retries import Channel, ChannelState
 from transport.protocol.radio.standards_80211 import OFDM
 
 PERIOD_NS = 50 * MS

@@ -17,7 +17,7 @@ from tests.protocol.radio.channels import (
     run,
 )
 from transport.protocol.radio.frames import Frame, FrameOutcome, FrameResult
-from transport.protocol.radio.medium_access import Channel, ChannelState
+from transport.protocol.radio.medium_access_and_retries import Channel, ChannelState
 from transport.protocol.radio.standards_80211 import OFDM
 
 AIRTIME_NS = OFDM.message_airtime_ns(1500, 6.0)

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from transport.analysis.communication import rest_of_tick_ms
+from transport.analysis.communication_metrics import rest_of_tick_ms
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.protocol.scenario.setup.run_setup import Setup

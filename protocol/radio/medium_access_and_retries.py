@@ -23,7 +23,7 @@ from transport.protocol.radio.frames import (
 )
 from transport.protocol.radio.reception import CERTAIN_MARGIN, Interference, Signal, success
 from transport.protocol.radio.standards_80211 import ACK_BYTES, OVERHEAD_BYTES, Standard
-from transport.protocol.radio.station_backoff import BROADCAST, NEVER, Pending, Station
+from transport.protocol.radio.station_queue import BROADCAST, NEVER, Pending, Station
 
 # Kinds of events, in their order within an instant.
 _END, _DETECT, _TIMEOUT, _ACKNOWLEDGE, _SEND, _ATTEMPT = range(6)

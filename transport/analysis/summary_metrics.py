@@ -8,7 +8,7 @@ import numpy as np
 
 from transport.analysis.airtime import radio_of
 from transport.analysis.analysed_run import AnalysedRun
-from transport.analysis.communication import (
+from transport.analysis.communication_metrics import (
     deadline,
     links_of_plant,
     plans_between_agents,
@@ -16,7 +16,7 @@ from transport.analysis.communication import (
     rest_of_tick_ms,
 )
 from transport.analysis.events import TIME_DIGITS, events
-from transport.analysis.flight_numbers import cables, consistency, cost_and_tracking, targets
+from transport.analysis.flight_metrics import cables, consistency, cost_and_tracking, targets
 from transport.analysis.own_constraints import own_constraints
 from transport.analysis.series import Series
 from transport.analysis.spread import percentiles
