@@ -54,6 +54,7 @@ TOLD = (
 STOP = (
     *("controller.silence=stop", "controller.targets=confirmed"),
     "links.change=[{at_s=0.4,loss=1.0},{at_s=2.4,loss=0.1}]",
+    *("clock.on_agent_loss=continue", "faults.event=[{at_s=1.9,do='kill',target='agent4'}]"),
 )
 # Many plans come later than the next tick, and many are lost.
 RADIO = "radio={offsets='random',computation_mean_s=0.02,background=0.3}"
@@ -138,7 +139,9 @@ def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]
             (RADIO, *CLOSED_LOOP, *TOLD), id="radio, a target told to one", marks=pytest.mark.slow
         ),
         pytest.param(
-            (*CLOSED_LOOP, *TOLD, *STOP), id="stop in silence, confirmed", marks=pytest.mark.slow
+            (*CLOSED_LOOP, *TOLD, *STOP),
+            id="stop in silence, confirmed, a death",
+            marks=pytest.mark.slow,
         ),
         pytest.param(
             (RADIO, *CLOSED_LOOP, *DEATHS), id="radio, deaths, links", marks=pytest.mark.slow
