@@ -1,9 +1,10 @@
-"""The README's first table: what becomes of the payload without a good network, or without any."""
+"""The README's first tables: what becomes of the payload without a good network, or without any."""
 
 from collections.abc import Mapping, Sequence
 
 from tables import table
 
+from transport.experiments.information_experiment import ALL, RULES
 from transport.experiments.weather_experiment import NETWORKS, NONE, PERFECT
 
 Row = Mapping[str, str]  # of points.csv
@@ -48,3 +49,39 @@ def _of_paper(rows: Sequence[Row]) -> str:
         "The paper's algorithm with our weights (`paper`), whose agents are told the states, completes "
         f"{perfect} runs on the perfect network and {others} on the others."
     )
+
+
+# Networks of the table on targets that one agent knows, with their headings.
+_TOLD: Mapping[str, str] = {
+    "perfect": "perfect network",
+    "200 ms, 30 % loss": "200 ms, 30 % loss",
+    "500 ms": "500 ms delay",
+    "90 % loss": "90 % loss",
+    "5 s, own sensors": "5 s of silence",
+    "5 s, own sensors, gusts": "and gusts of 1 m/s",
+}
+_WORDS: Mapping[str, str] = {
+    "eager": "followed at once (`eager`)",
+    "confirmed": "once all have it (`confirmed`)",
+    "stop": "at once, with a stop in silence",
+    "confirmed, stop": "once all have it, with a stop",
+}
+
+
+def known(rows: Sequence[Row]) -> str:
+    """Return the table of targets that one agent knows, a row for each rule."""
+    lines = []
+    for rule in (rule for rule in RULES if rule != ALL):
+        lines.append([_WORDS[rule], *(_away(rows, rule, network) for network in _TOLD)])
+    return table(["target told to agent 1", *_TOLD.values()], lines)
+
+
+def _away(rows: Sequence[Row], rule: str, network: str) -> str:
+    """Return the distance from the run in which all are told, or how many runs complete."""
+    found = {"scenario": TEAM, "rule": rule, "network": network}
+    row = next((row for row in rows if row.items() >= found.items()), None)
+    if row is None:
+        return "as without"
+    if row["completed"] != row["flights"]:
+        return f"{row['completed']} of {row['flights']} complete"
+    return f"{100.0 * float(row['away_rms_m']):.0f} cm"

@@ -8,7 +8,7 @@ import numpy as np
 
 from transport.experiments.cases import Point, check_names, key_of, run_in_memory
 from transport.experiments.declaration import Values, declared
-from transport.experiments.weather_experiment import SENSORS, WEATHER
+from transport.experiments.weather_experiment import FORCES, SENSORS, WEATHER
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.state import R0
@@ -46,8 +46,8 @@ NETWORKS: Mapping[str, tuple[str, ...]] = {
     "2 s of silence": (),
     "5 s of silence": (),
     "10 s of silence": (),
-    "5 s, own sensors": SENSORS,
-    "5 s, own sensors, gusts": (*SENSORS, *WEATHER["gusts 1 m/s"]),
+    "5 s, own sensors": (*SENSORS, FORCES),
+    "5 s, own sensors, gusts": (*SENSORS, FORCES, *WEATHER["gusts 1 m/s"]),
 }
 # Lengths of silences, s: from a random instant between two targets on.
 _SILENT_S = {

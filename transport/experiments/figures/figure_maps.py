@@ -23,7 +23,7 @@ _NAMED_ROW_IN = 0.2
 _LEAST_IN = 1.05  # the vertical axis has its title
 _ABOVE_IN = 0.2
 _RIGHT_IN = 0.42
-_NAMES_IN = 1.25
+_NAMES_IN = 1.15
 _BELOW_NAMES_IN = 0.45
 _BAR_GAP_IN = 0.08
 _BAR_IN = 0.09
@@ -71,7 +71,7 @@ def draw_maps(
         panel.imshow(values, norm=scale, aspect="auto", origin="upper" if is_named else "lower")
         head(panel, scenario, legend=False)
         names = [_tick(x, value).replace(" ", "\n") for value in columns]
-        panel.set_xticks(range(len(columns)), names)
+        panel.set_xticks(range(len(columns)), names, fontsize=SMALL)
         panel.set_yticks(range(len(rows)), [_tick(y, value) for value in rows])
         panel.set_ylabel("" if is_named else y.title)
         panel.tick_params(length=0.0)
@@ -116,10 +116,16 @@ def _draw_cell(
         "linespacing": 1.0,
     }
     mean = statistics.mean(axis.label)
-    if mean is None:
+    # Where some runs collide, the distance of the others says little.
+    is_told_by_number = axis.label == "cost_mean" or statistics.completed == statistics.runs
+    if mean is None or not is_told_by_number:
         column, row = place
-        panel.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, **_BEHIND))
-        text = f"diverges\n{statistics.diverged_s[0]:.1f} s" if statistics.diverged_s else "-"
+        panel.add_patch(
+            Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, facecolor="#ffffff", **_BEHIND)
+        )
+        text = f"ends at\n{statistics.diverged_s[0]:.1f} s" if statistics.diverged_s else "-"
+        if mean is not None:
+            text = f"{statistics.completed} of {statistics.runs}"
         panel.text(*place, text, bbox=_ON_HATCH, **style)
         return float("nan")
 
