@@ -17,7 +17,6 @@ from transport.cli.commands.experiment import EXPERIMENTS as DECLARED
 from transport.cli.commands.experiment import ExperimentOptions
 from transport.experiments.cases import Case, Result
 from transport.experiments.declaration import Experiment
-from transport.experiments.information_experiment import NETWORKS as INFORMED
 from transport.experiments.paper import comparison_report
 from transport.experiments.paper.comparison import DECLARED as COMPARISON
 from transport.experiments.paper.comparison_report import ComparisonOptions, ComparisonPlan
@@ -44,7 +43,6 @@ class Asked:
 # Standard deviation of gusts in the comparison, m/s.
 GUST_MPS = 1.0
 PAPER, WEATHER = "paper", "weather"
-_LEFT_OUT = ("5 s of silence", "10 s of silence")
 EXPERIMENTS: Mapping[str, Asked] = {
     **dict.fromkeys(
         ("paper", "latency", "loss", "jitter", "matrix", "kill", "deaths", "sharing"), Asked()
@@ -54,8 +52,7 @@ EXPERIMENTS: Mapping[str, Asked] = {
     "scaling": Asked({"max": 12}, seeds=3),
     "radio": Asked({"sharing": ["always", "on_change"]}, seeds=1),
     WEATHER: Asked(seeds=2),
-    # Silences that are longer without noise are left out: minutes, and by the vehicles' sensors in the table.
-    "information": Asked({"network": [name for name in INFORMED if name not in _LEFT_OUT]}),
+    "information": Asked(),
 }
 # Pages of experiments with a page of their own.
 OWN_PAGES = {"radio": ROOT / "docs" / "radio.md"}
