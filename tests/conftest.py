@@ -75,12 +75,13 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.fixture(autouse=True)
-def _own_modules_forgotten() -> Iterator[None]:
+def _own_modules_forgotten(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Forget modules that a test has imported from its folder, as each user has a process for them."""
+    folder = str(tmp_path_factory.getbasetemp())
     before = set(sys.modules)
     yield
     for name in sys.modules.keys() - before:
-        if (getattr(sys.modules[name], "__file__", None) or "").startswith(tempfile.gettempdir()):
+        if (getattr(sys.modules[name], "__file__", None) or "").startswith(folder):
             del sys.modules[name]
 
 

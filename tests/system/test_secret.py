@@ -60,12 +60,13 @@ def test_only_the_secret_connects(active: Path) -> None:
             with pytest.raises(zenoh.ZError), session([endpoint], given, REFUSED_S):
                 pass
     with session(list(endpoints.values()), credentials(user, password), PATIENCE_S) as opened:
-        found = [
-            str(reply.ok.key_expr)
-            for reply in opened.liveliness().get("transport/*/alive/**")
-            if reply.ok
-        ]
-    assert {key.split("/")[3] for key in found} >= {"coordinator", "plant", "agent1", "agent4"}
+        assert wait_for(lambda: alive(opened) >= {"coordinator", "plant", "agent1", "agent4"})
+
+
+def alive(opened: zenoh.Session) -> set[str]:
+    """Return the processes whose tokens a session sees."""
+    replies = opened.liveliness().get("transport/*/alive/**")
+    return {str(reply.ok.key_expr).split("/")[3] for reply in replies if reply.ok}
 
 
 def test_a_file_system_without_permissions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from operator import attrgetter
 
+from pydantic import BaseModel
+
 from transport.protocol.radio.standards_80211 import STANDARDS
 from transport.protocol.scenario.faults.fault_relations import (
     Problems,
@@ -106,7 +108,12 @@ def _needs(scenario: Scenario) -> Problems:
         if need.is_there(given) and got != need.needed:
             is_value = isinstance(need.needed, str | int | float)
             expected = repr(need.needed) if is_value else "no value"
-            yield need.key, f"{expected} with {need.cause} = {given!r:.60}", f"{got!r:.60}"
+            cause = (
+                f"[{need.cause}]"
+                if isinstance(given, BaseModel)
+                else f"{need.cause} = {given!r:.60}"
+            )
+            yield need.key, f"{expected} with {cause}", f"{got!r:.60}"
 
 
 def _ownership(scenario: Scenario) -> Problems:

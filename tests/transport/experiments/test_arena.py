@@ -95,8 +95,8 @@ def short_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
         "short": Task(text="0.6 s", settings=(SHORT,)),
         "eight UAVs": Task(text="0.6 s of eight", settings=(SHORT,), uavs=8),
     }
-    for module in ("arena", "arena_report", "arena_tasks"):  # each has imported the name
-        monkeypatch.setattr(import_module(f"transport.experiments.{module}"), "TASKS", tasks)
+    for module in ("arena_report", "arena_runs", "arena_tasks"):  # each has imported the name
+        monkeypatch.setattr(import_module(f"transport.experiments.arena.{module}"), "TASKS", tasks)
 
 
 def distributed_case(task: str, network: str) -> Case:

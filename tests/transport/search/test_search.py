@@ -347,7 +347,7 @@ def test_the_minimal_case_has_the_two_events_of_the_coincidence() -> None:
     result = search(400).run(Evaluations(None, {}), fly, Quiet())
     assert result.minimal is not None
     kinds = sorted(type(event).__name__ for event in result.minimal.candidate.events)
-    assert kinds == ["Death", "Silence"]
+    assert kinds == ["Death", "DrawnSilence"]
     death = next(event for event in result.minimal.candidate.events if isinstance(event, Death))
     assert 2.0 * death.at_s == round(2.0 * death.at_s)
     assert death.back_after_s is None
