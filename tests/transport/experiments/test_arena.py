@@ -96,9 +96,7 @@ def short_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
         "eight UAVs": Task(text="0.6 s of eight", settings=(SHORT,), uavs=8),
     }
     for module in ("arena_report", "arena_runs", "arena_tasks"):  # each has imported the name
-        monkeypatch.setattr(
-            import_module(f"transport.experiments.arena.arena_runs.{module}"), "TASKS", tasks
-        )
+        monkeypatch.setattr(import_module(f"transport.experiments.arena.{module}"), "TASKS", tasks)
 
 
 def distributed_case(task: str, network: str) -> Case:
