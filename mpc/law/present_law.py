@@ -79,7 +79,7 @@ class Regulation:
         *,
         since: int | None = None,
     ) -> None:
-        """Change to the law of a `Team` of `gone`, `off` and `released`: equations.md (45), (50), (51).
+        """Change to the law of a `TeamFailures` of `gone`, `off` and `released`: equations.md (45), (50), (51).
 
         `since` is the present instant. With a flat reference a provisional law holds from then on,
         until `advance` returns true: the regulator along it takes several ticks to compute. Without
