@@ -235,8 +235,10 @@ def test_a_new_incarnation_is_announced_after_all_that_came_before(
     assert arrival is not None
     assert arrival.event == Presence("coordinator", 0, alive=False)
     assert bus.incarnation == 0
-    own = bus.next(PATIENCE_S)
-    assert own is not None
-    assert own.event == Presence("plant", 1, alive=True)
+    own = [bus.next(PATIENCE_S)]
+    if own[0] is not None and own[0].event == Presence("plant", 0, alive=False):
+        own.append(bus.next(PATIENCE_S))  # tokens of one process come in any order
+    assert own[-1] is not None
+    assert own[-1].event == Presence("plant", 1, alive=True)
     assert bus.incarnation == 1
     status.undeclare()  # type: ignore[no-untyped-call]
