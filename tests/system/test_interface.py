@@ -154,7 +154,7 @@ def test_a_run_that_cannot_start_is_an_error(tmp_path: Path) -> None:
             folder=tmp_path / "run",
         )
     assert "\n" not in str(caught.value)
-    assert children() == before
+    assert set(children()) <= set(before)  # one of an earlier test may have ended
 
 
 def test_the_viewer_of_a_run() -> None:
