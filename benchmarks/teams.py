@@ -267,38 +267,62 @@ MARGIN_HEADINGS = (
 )  # fmt: skip
 
 
+@dataclass(frozen=True, slots=True)
+class MarginsAlone:
+    """Growth of deviations of the hover of a team of UAVs alone, 1/s, and its margins of delay and lag, ms."""
+
+    growth: float
+    delay_ms: float
+    lag_ms: float
+
+    @property
+    def met(self) -> tuple[bool, bool, bool]:
+        """Which of the criteria hold: decay, delay, lag."""
+        return self.growth < -DECAY_PER_S, self.delay_ms >= _DELAY_MS, self.lag_ms >= _LAG_MS
+
+    def text(self) -> str:
+        """Return the numbers in words."""
+        return f"growth {self.growth:.3f}/s, delay {self.delay_ms:.0f} ms, lag {self.lag_ms:.0f} ms"
+
+
+def margins_alone(setup: Setup, *, designed: bool) -> MarginsAlone:
+    """Compute the margins with the gains designed for a team, or with those of rings."""
+    team = setup.team_alone(next_tick=setup.scenario.clock.next_tick)
+    gains = team.design().gains if designed else FAMILY[0]
+    with threadpoolctl.threadpool_limits(1):
+        loop = team.loop(gains)
+        growth = loop.growth(Mismatch())
+        ranges = margins(loop, ("delay_s", "lag_s"))
+    if not ranges:  # of an unstable loop
+        return MarginsAlone(growth, 0.0, 0.0)
+    uppers_s = [math.inf if one.upper is None else one.upper for one in ranges.values()]
+    return MarginsAlone(growth, *(1e3 * upper_s for upper_s in uppers_s))
+
+
 def count_margins(*, first: int, each: bool) -> list[list[str]]:
     """Compute decay and margins of UAVs alone, with the designed gains and with those of rings, of 60 teams."""
+    setups = []
+    refused = 0
+    for seed in range(first, first + 60):
+        try:
+            setups.append((seed, Setup.of(drawn(seed, *_template()), f"team {seed}")))
+        except ScenarioError as error:
+            sys.stdout.write(f"team {seed}: {error}\n")
+            refused += 1
+
     rows = []
     for name, designed in (("designed for the team", True), ("gains of rings", False)):
         met = []
-        refused = 0
-        for seed in range(first, first + 60):
-            try:
-                setup = Setup.of(drawn(seed, *_template()), f"team {seed}")
-            except ScenarioError as error:
-                sys.stdout.write(f"team {seed}: {error}\n")
-                refused += designed
-                continue
-            team = setup.team_alone(next_tick=setup.scenario.clock.next_tick)
-            gains = team.design().gains if designed else FAMILY[0]
-            with threadpoolctl.threadpool_limits(1):
-                loop = team.loop(gains)
-                growth = loop.growth(Mismatch())
-                found = margins(loop, ("delay_s", "lag_s"))
-            uppers_ms = [
-                math.inf if one.upper is None else 1e3 * one.upper for one in found.values()
-            ] or [0.0, 0.0]
-            met.append([growth < -DECAY_PER_S, uppers_ms[0] >= _DELAY_MS, uppers_ms[1] >= _LAG_MS])
-            if each or (designed and not all(met[-1])):
-                words = (
-                    f"growth {growth:.3f}/s, delay {uppers_ms[0]:.0f} ms, lag {uppers_ms[1]:.0f} ms"
-                )
-                sys.stdout.write(f"team {seed}: {words}\n")
-        counts = np.array(met).sum(axis=0).tolist()
-        whole = sum(all(one) for one in met)
+        for seed, setup in setups:
+            found = margins_alone(setup, designed=designed)
+            met.append(found.met)
+            if each or (designed and not all(found.met)):
+                sys.stdout.write(f"team {seed}: {found.text()}\n")
+        counts = [*np.sum(met, axis=0), sum(map(all, met))]
         of = f"of {len(met)}"
-        rows.append([name, *(f"{number} {of}" for number in (*counts, whole)), f"{refused}"])
+        rows.append(
+            [name, *(f"{number} {of}" for number in counts), f"{refused if designed else 0}"]
+        )
         sys.stdout.write(" | ".join(rows[-1]) + "\n")
     return rows
 

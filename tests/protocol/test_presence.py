@@ -50,7 +50,7 @@ class Token:
 
 
 def own() -> tuple[OwnPresence, Shown]:
-    """Return an agent that nobody knows yet, and what the others see of it."""
+    """Return an agent that no other knows of yet, and what the others see of it."""
     shown = Shown()
     return OwnPresence("agent2", 3, DIGEST, KEYS, shown.declare), shown
 

@@ -3,6 +3,7 @@
 import math
 import shlex
 from collections import Counter
+from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 
@@ -180,12 +181,8 @@ def validate(
     thrusts = hover_thrusts(setup)
     classes = ", ".join(f"{kind} {name}" for kind, name in own_classes.items())
     typer.echo(f"valid: {sizes}, {thrusts}, digest {digest}, {classes}", err=True)
-    shapes = plan_shapes(setup.run) if setup.scenario.radio else {}
-    for label, shape in shapes.items():
-        slots = slot_lengths(setup.run, shape)
-        if slots is not None:
-            kind = "radio" if slots.are_enough else "radio, warning"
-            typer.echo(f"{kind}: {label}{slots.text()}", err=True)
+    for line in _slots_in_words(setup):
+        typer.echo(line, err=True)
     if explain:
         for line in explained_in_words(setup):
             typer.echo(line, err=True)
@@ -195,6 +192,16 @@ def validate(
     for problem in chain(after_the_end(setup.scenario), lacks(setup.alone)):
         typer.echo(f"warning: {problem}", err=True)
     typer.echo(f"size: {size_of(setup.scenario).text()}", err=True)
+
+
+def _slots_in_words(setup: Setup) -> Iterator[str]:
+    """Yield whether the slots of the radio are long enough, by kind of plan."""
+    shapes = plan_shapes(setup.run) if setup.scenario.radio else {}
+    for label, shape in shapes.items():
+        slots = slot_lengths(setup.run, shape)
+        if slots is not None:
+            kind = "radio" if slots.are_enough else "radio, warning"
+            yield f"{kind}: {label}{slots.text()}"
 
 
 def margins(

@@ -13,6 +13,7 @@ from matplotlib.patches import Rectangle
 
 from transport.experiments.declaration import Axis
 from transport.experiments.statistics import PointStatistics
+from transport.model.arrays import Array
 from transport.report.figures.column import Room, column_panels, head
 from transport.report.figures.style import COLUMN_IN, SMALL, TEXT, label_decades
 
@@ -61,13 +62,12 @@ def draw_maps(
         room = replace(room, left_in=_NAMES_IN, bottom_in=_BELOW_NAMES_IN)
     panels = column_panels(figure, heights_in, x_label=x.title, room=room)
     for panel, (scenario, own) in zip(panels, scenarios.items(), strict=True):
-        values = np.full((len(rows), len(columns)), np.nan)
-        panel.patch.set(facecolor="none")
+        cells = {}
         for statistics in own:
-            column = columns.index(statistics.point.labels[x.label])
-            row = rows.index(statistics.point.labels[y.label])
-            values[row, column] = _draw_cell(panel, (column, row), statistics, (shown, scale))
-
+            labels = statistics.point.labels
+            cells[columns.index(labels[x.label]), rows.index(labels[y.label])] = statistics
+        values = _draw_cells(panel, cells, (len(rows), len(columns)), (shown, scale))
+        panel.patch.set(facecolor="none")
         panel.imshow(values, norm=scale, aspect="auto", origin="upper" if is_named else "lower")
         head(panel, scenario, legend=False)
         names = [_tick(x, value).replace(" ", "\n") for value in columns]
@@ -96,6 +96,19 @@ def _scale(measured: Sequence[PointStatistics], shown: Axis) -> LogNorm:
     values = [shown.factor * mean for mean in means if mean] or [1.0]
     most = max(max(values), _LEAST_SPAN * min(values))
     return LogNorm(max(min(values), most / 10.0**_DECADES), most)
+
+
+def _draw_cells(
+    panel: Axes,
+    cells: Mapping[tuple[int, int], PointStatistics],
+    shape: tuple[int, int],
+    shown: tuple[Axis, LogNorm],
+) -> Array:
+    """Write the texts of cells by column and row; return their numbers (rows, columns), nan where none is."""
+    values = np.full(shape, np.nan)
+    for (column, row), statistics in cells.items():
+        values[row, column] = _draw_cell(panel, (column, row), statistics, shown)
+    return values
 
 
 def _draw_cell(
