@@ -24,6 +24,7 @@ _SINKS_MPS = 0.5
 # Loop of place and height: 1/s^2 and 1/s, and the steepest tilt that it asks for.
 _PLACE, _SPEED, _CLIMB = 1.0, 2.0, 4.0
 _STEEPEST = 0.35
+_AXES = ("RLL", "PIT", "YAW")  # in the names of parameters
 _MOST_INTEGRAL = 0.3
 # Signs of roll, pitch and yaw at front right, rear left, front left, rear right.
 _MIX = ((-1, 1, 1), (1, -1, 1), (1, 1, -1), (-1, -1, -1))
@@ -151,20 +152,24 @@ class CopterControl:
         self._desired = desired
         error = _rotation_vector(_product(_conjugate(estimate.attitude), desired))
 
-        moments = []
-        for i, axis in enumerate(("RLL", "PIT", "YAW")):
-            angle = self.parameters[f"ATC_ANG_{axis}_P"]
-            p, integral = (self.parameters[f"ATC_RAT_{axis}_{gain}"] for gain in "PI")
-            off = rates[i] + angle * error[i] - estimate.gyro[i]
-            held = self._integral[i] + integral * off * step_s
-            self._integral[i] = min(max(held, -_MOST_INTEGRAL), _MOST_INTEGRAL)
-            moments.append(p * off + self._integral[i])
-
+        moments = [
+            self._moment(step_s, i, rates[i], error[i], estimate.gyro[i]) for i in range(len(_AXES))
+        ]
         shares = [
             thrust + 0.5 * sum(sign * moment for sign, moment in zip(signs, moments, strict=True))
             for signs in _MIX
         ]
         return tuple(min(max(share, 0.0), 1.0) for share in shares)
+
+    def _moment(self, step_s: float, i: int, rate: float, error: float, gyro: float) -> float:
+        """Return the moment about an axis after a step: proportional to the error of the rate, and its integral."""
+        axis = _AXES[i]
+        angle = self.parameters[f"ATC_ANG_{axis}_P"]
+        p, integral = (self.parameters[f"ATC_RAT_{axis}_{gain}"] for gain in "PI")
+        off = rate + angle * error - gyro
+        held = self._integral[i] + integral * off * step_s
+        self._integral[i] = min(max(held, -_MOST_INTEGRAL), _MOST_INTEGRAL)
+        return float(p * off + self._integral[i])
 
     def _shaped(self, step_s: float, rates: Vector) -> Vector:
         """Return the desired rates after a step towards those of a setpoint."""

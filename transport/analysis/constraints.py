@@ -99,22 +99,11 @@ def limits_reached(
     not count. At a limit is an input within `AT_LIMIT` of its range from it, so that a solver's
     tolerance does not decide; a change across a gap in the record is at none.
     """
-    N = setup.system.N
-    lower = setup.settings.lower(N)
-    upper = setup.settings.upper(N)
-    step = setup.settings.largest_step(N)
-    before = np.vstack([setup.hover.u[None], u[:-1]])[: len(u)]
-    is_followed = np.diff(ticks, prepend=-1) == 1
-
-    at_limit = {
-        "smallest": u <= lower + AT_LIMIT * (upper - lower),
-        "largest": u >= upper - AT_LIMIT * (upper - lower),
-        "change": is_followed[:, None] & (np.abs(u - before) >= (1.0 - 2.0 * AT_LIMIT) * step),
-    }
+    at_limit = _at_limit(setup, ticks, u)
     stopped = {fault.uav: fault.tick for fault in failures(setup.faults)}
 
     shares: dict[tuple[int, str], float] = {}
-    for uav in range(N):
+    for uav in range(setup.system.N):
         is_on = ticks < stopped.get(uav, np.inf)
         entries = range(*state.input_slice(uav).indices(u.shape[1]))
         for name, entry in zip(_INPUTS[setup.system.commands_rates], entries, strict=True):
@@ -125,3 +114,22 @@ def limits_reached(
                         share
                     )
     return dict(sorted(shares.items(), key=lambda entry: -entry[1]))
+
+
+def _at_limit(
+    setup: Setup, ticks: npt.NDArray[np.int64], u: Array
+) -> dict[str, npt.NDArray[np.bool_]]:
+    """Return which inputs are at a limit, (k, 4 N) each: the smallest, the largest, or the largest change."""
+    N = setup.system.N
+    lower = setup.settings.lower(N)
+    upper = setup.settings.upper(N)
+    margin = AT_LIMIT * (upper - lower)
+    before = np.vstack([setup.hover.u[None], u[:-1]])[: len(u)]
+    change = np.abs(u - before)
+    is_followed = np.diff(ticks, prepend=-1) == 1
+    return {
+        "smallest": u <= lower + margin,
+        "largest": u >= upper - margin,
+        "change": is_followed[:, None]
+        & (change >= (1.0 - 2.0 * AT_LIMIT) * setup.settings.largest_step(N)),
+    }
