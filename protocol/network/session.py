@@ -31,6 +31,11 @@ class BusError(TransportError, RuntimeError):
 _first_user = 0  # process id of the process that opened the first session
 
 
+def is_used() -> bool:
+    """Whether a session has been opened in this process, or in one of which it is a fork."""
+    return _first_user != 0
+
+
 def check_usable() -> None:
     """Raise BusError in a process that was forked from one that has opened a session."""
     if _first_user not in (0, os.getpid()):

@@ -287,6 +287,37 @@ def test_a_fork_that_fails_gives_no_process() -> None:
     assert output_of(NONE_LEFT) == (["[]"], "")
 
 
+# A program that calls the command after it did something else: it tells whether it was forked.
+CALLS = """
+import os, sys, threading
+import zenoh
+from transport.flight import fork_server
+from transport.protocol.network.endpoints import Endpoints
+from transport.protocol.network.session import open_session
+from transport.protocol.wire.key_expressions import Keys
+
+before = sys.argv[1]
+if before == "thread":
+    threading.Thread(target=threading.Event().wait, daemon=True).start()
+elif before == "network":
+    endpoints = Endpoints(listen=["tcp/127.0.0.1:0"], connect=[])
+    open_session(endpoints, 1.0, "agent1", Keys("a"), 1.0).close()
+reads, writes = os.pipe()
+fork_server.fork_into_server(lambda _: os.write(writes, b"forked"))
+os.close(writes)
+os.write(1, os.read(reads, 10))
+"""
+
+
+@pytest.mark.parametrize("before", ["nothing", "thread", "network"])
+def test_a_program_with_threads_is_not_forked(before: str) -> None:
+    """A fork of a program that has used the network could not use it."""
+    ran = subprocess.run(
+        [sys.executable, "-c", CALLS, before], capture_output=True, text=True, check=True
+    )
+    assert (ran.stdout, ran.stderr) == ("forked" if before == "nothing" else "", "")
+
+
 def test_threads_share_a_server(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs that threads start at the same time have one server."""
 

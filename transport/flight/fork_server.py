@@ -46,6 +46,7 @@ import psutil
 import setproctitle
 
 from transport.protocol.network.parent import ENVIRONMENT, FORK_SERVER, PARENT_PIPE, python
+from transport.protocol.network.session import is_used
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
 
 # Longest request, most of which is the environment. The server receives a part of a longer one and
@@ -68,12 +69,13 @@ def fork_server() -> "ForkServer":
 
 
 def fork_into_server(serve_requests: Callable[[socket.socket], object]) -> None:
-    """Make a fork of this process its server, if it has none.
+    """Make a fork of this process its server, if it has none and can be forked.
 
-    The fork calls `serve_requests` with the socket for requests, and ends. This process must not have
-    other threads.
+    The fork calls `serve_requests` with the socket for requests, and ends. A process that has other
+    threads, or has used the network, as a program that calls the command may have, is left without:
+    `fork_server` then starts a new process.
     """
-    if not _servers:
+    if not _servers and threading.active_count() == 1 and not is_used():
         _servers.append(ForkServer(partial(_branched, serve_requests)))
 
 
