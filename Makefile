@@ -40,7 +40,7 @@ campaigns: $(VENV)/.installed-test ## search for defects by random runs, by nigh
 	@$(BIN)/python -m tests.campaigns.soak --minutes 30
 	@$(BIN)/python -m benchmarks.worst --runs 1000
 
-bench: $(VENV)/.installed-bench ## measure steps, solvers, messages and runs, and renew docs/performance.md (3 minutes)
+bench: $(VENV)/.installed-bench ## measure steps, solvers, messages and runs, and renew docs/record/performance.md (3 minutes)
 	@$(BIN)/python -m benchmarks
 
 radio: radio-reference ## compare the model of the radio with ns-3, and renew docs/radio.md (10 minutes)
@@ -95,7 +95,7 @@ lock: $(VENV)/.installed-supply ## pin every package that is installed, with has
 audit: $(VENV)/.installed-supply ## known vulnerabilities of the pinned packages (asks PyPI's advisory service)
 	@$(BIN)/pip-audit --disable-pip --require-hashes -r requirements.lock
 
-licences: $(VENV)/.installed-bench ## renew docs/licences.md from what is installed
+licences: $(VENV)/.installed-bench ## renew docs/record/licences.md from what is installed
 	@$(BIN)/python docs/licences_page.py
 
 clean: ## remove the environment and what tools left

@@ -1,6 +1,6 @@
 """Measurements too long for tests; each writes tables of a page.
 
-`make bench` measures computation, codec and whole runs (docs/performance.md), `estimates` the
+`make bench` measures computation, codec and whole runs (docs/record/performance.md), `estimates` the
 estimate against the truth (docs/vehicles.md), `silence` teams without information and `timing` commands and
 clocks at different times (docs/guarantees.md),
 `worst` the search for failures (docs/worst.md), `radio` the channel against ns-3 (docs/radio.md),

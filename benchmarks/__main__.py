@@ -1,6 +1,6 @@
 """The command: `make bench`, or `python -m benchmarks --help`.
 
-A function for each table of docs/performance.md.
+A function for each table of docs/record/performance.md.
 """
 
 import argparse
@@ -41,7 +41,7 @@ from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.codec import decode, encode
 from transport.protocol.wire.messages import STAGES, Plan
 
-DOCUMENT = ROOT / "docs" / "performance.md"
+DOCUMENT = ROOT / "docs" / "record" / "performance.md"
 
 # Scenario, UAVs, N_p.
 CASES = (
@@ -201,7 +201,7 @@ SECTIONS: Mapping[str, Callable[[], str]] = {
 def main() -> int:
     """Measure the sections and write each; return the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks", description="Measure, and write docs/performance.md."
+        prog="python -m benchmarks", description="Measure, and write docs/record/performance.md."
     )
     parser.add_argument(
         "--only", action="append", choices=list(SECTIONS), help="this section; may be repeated"

@@ -1,4 +1,4 @@
-"""Make docs/licences.md, every pinned package with its licence by its own metadata.
+"""Make docs/record/licences.md, every pinned package with its licence by its own metadata.
 
 `make licences`.
 """
@@ -59,7 +59,7 @@ def main() -> None:
         ]
         text += f"\n## Needed {purpose}\n\n{table(['package', 'version', 'licence'], rows)}\n"
         seen |= {name for name, _ in pinned}
-    (ROOT / "docs" / "licences.md").write_text(text, encoding="utf-8")
+    (ROOT / "docs" / "record" / "licences.md").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

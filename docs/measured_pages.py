@@ -229,7 +229,7 @@ ENGINES = (
 )
 
 
-# docs/values.md, docs/scenario.md and docs/time.md
+# docs/reference/values.md, docs/scenario.md and docs/time.md
 
 COMPARED = ("paper", "centralized", "resilient", "centralized_lq", "precise")
 WEIGHTS = (
@@ -353,7 +353,7 @@ TIME = (
 )
 
 
-# docs/results.md
+# docs/record/results.md
 
 DEATH = events((8.0, "kill", "agent3"))
 AGILE: Mapping[str, tuple[str, ...]] = {
@@ -500,9 +500,9 @@ RADIO = (
 PAGES = {
     "guarantees.md": GUARANTEES,
     "engines.md": ENGINES,
-    "values.md": VALUES,
+    "reference/values.md": VALUES,
     "scenario.md": SCENARIO,
     "time.md": TIME,
-    "results.md": RESULTS,
+    "record/results.md": RESULTS,
     "radio.md": RADIO,
 }

@@ -1,4 +1,4 @@
-"""Renew docs/keys.md and docs/commands.md from the sections of a scenario and the commands.
+"""Renew docs/reference/keys.md and docs/reference/commands.md from the sections of a scenario and the commands.
 
 `make reference`.
 
@@ -27,7 +27,10 @@ from transport.protocol.scenario.sections.scenario_keys import (
 )
 from transport.protocol.scenario.sections.schema import Scenario
 
-KEYS, COMMANDS = ROOT / "docs" / "keys.md", ROOT / "docs" / "commands.md"
+KEYS, COMMANDS = (
+    ROOT / "docs" / "reference" / "keys.md",
+    ROOT / "docs" / "reference" / "commands.md",
+)
 _TABLE = re.compile(r"(<!-- keys of (\S+) -->\n).*?(\n<!-- end of keys -->)", re.DOTALL)
 _NOUNS = {int: "integer", float: "number", str: "text", bool: "true, false"}
 _SIGNS = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}

@@ -1,4 +1,4 @@
-"""Experiments of docs/results.md and the tables and figures of README made from them."""
+"""Experiments of docs/record/results.md and the tables and figures of README made from them."""
 
 import shutil
 import subprocess
@@ -24,7 +24,7 @@ from transport.experiments.statistics import conclusions, table_of
 from transport.experiments.sweep import Swept, markdown
 
 IMAGES = ROOT / "docs" / "images"
-PAGE, README = ROOT / "docs" / "results.md", ROOT / "README.md"
+PAGE, README = ROOT / "docs" / "record" / "results.md", ROOT / "README.md"
 
 # Network of the README's animation.
 NETWORK = ("--set", "links.delay_s=0.2", "--set", "links.loss=0.3")

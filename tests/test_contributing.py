@@ -14,7 +14,7 @@ from transport.protocol.wire.messages import KINDS, Message
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "contributing.md"
-PROTOCOL = ROOT / "docs" / "protocol.md"
+PROTOCOL = ROOT / "docs" / "reference" / "protocol.md"
 
 # Everything the examples import: a package may not hide another copy of itself.
 PACKAGES = (
@@ -201,10 +201,10 @@ def test_files_of_a_recipe_exist(heading: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS.values(), ids=list(KINDS))
 def test_messages_are_described(kind: type[Message]) -> None:
-    """docs/protocol.md has each message's fields, in the order in which they are sent."""
+    """docs/reference/protocol.md has each message's fields, in the order in which they are sent."""
     row = re.search(
         rf"^\| `{kind.kind}` \| (.*) \|$", PROTOCOL.read_text(encoding="utf-8"), re.MULTILINE
     )
-    assert row is not None, f"docs/protocol.md has no row for {kind.kind}"
+    assert row is not None, f"docs/reference/protocol.md has no row for {kind.kind}"
     names = kind.__struct_fields__[len(Message.__struct_fields__) :]
     assert [name for name in SEEN.findall(row[1]) if name in names] == list(names)

@@ -29,11 +29,12 @@ FOLDERS = (
     *("benchmarks", "tests", "docs", "examples", "scenarios", "vehicles"),
 )
 ENDINGS = {".py", ".c", ".toml", ".ipynb", ".json"}
-DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
+GUIDE = sorted((ROOT / "docs").glob("*.md"))
+DOCUMENTS = [*sorted(ROOT.glob("*.md")), *GUIDE, *sorted((ROOT / "docs").glob("re*/*.md"))]
 HISTORY = ROOT / "CHANGELOG.md"  # also names options that are gone
 EQUATIONS = ROOT / "docs" / "equations.md"
 SCENARIO = ROOT / "docs" / "scenario.md"
-KEYS = ROOT / "docs" / "keys.md"
+KEYS = ROOT / "docs" / "reference" / "keys.md"
 
 # Sources cite equations by numbers in brackets alone: so any such number is one, but for arguments
 # of calls (a name before the bracket), numbers beside another one in a cell, (2p)^m, and years.
@@ -49,11 +50,11 @@ OTHER_PARTS: list[tuple[str, str, tuple[str, ...]]] = [
     ("docs/flight.md", "benchmarks/autopilots.py", ("bench: autopilots",)),
     ("docs/guarantees.md", "benchmarks/worst.py", ("together", "ready")),
     (
-        "docs/performance.md",
+        "docs/record/performance.md",
         "benchmarks/__main__.py",
         ("step", "widths", "shares", "start", "solvers", "parts", "loop"),
     ),
-    ("docs/performance.md", "benchmarks/peers/__main__.py", ("bench: peers",)),
+    ("docs/record/performance.md", "benchmarks/peers/__main__.py", ("bench: peers",)),
     ("docs/python.md", "tests/test_getting_started.py", ("series",)),
     ("docs/radio.md", "benchmarks/radio/__main__.py", ("deferral", "validation")),
     ("docs/radio.md", "benchmarks/radio/computation.py", ("computation",)),
@@ -134,7 +135,7 @@ def test_equations_are_numbered_without_gaps() -> None:
 
 
 def test_scenario_examples_are_valid() -> None:
-    """TOML in docs/scenario.md and docs/keys.md, put after the paper's scenario, makes one that can be flown."""
+    """TOML in docs/scenario.md and the page of keys, put after the paper's scenario, makes one that can be flown."""
     for document in (SCENARIO, KEYS):
         examples = [text for language, text in blocks(document) if language == "toml"]
         assert examples
@@ -296,9 +297,9 @@ def test_help_shows_whole_sentences() -> None:
 
 
 def test_reasons_of_refusals_are_described() -> None:
-    """The table in docs/protocol.md has a row for each reason a message is refused for, and for no other."""
+    """The table in docs/reference/protocol.md has a row for each reason a message is refused for, and for no other."""
     _, _, section = (
-        (ROOT / "docs" / "protocol.md")
+        (ROOT / "docs" / "reference" / "protocol.md")
         .read_text(encoding="utf-8")
         .partition("## Refused messages\n")
     )

@@ -30,11 +30,11 @@ def test_made_files_are_up_to_date(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_every_key_is_on_the_page() -> None:
-    """docs/keys.md has a row with a meaning for each key of the scenario.
+    """docs/reference/keys.md has a row with a meaning for each key of the scenario.
 
     Default, type and unit are the schema's.
     """
-    text = (ROOT / "docs" / "keys.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "keys.md").read_text(encoding="utf-8")
     rows = {}
     for path, table in re.findall(
         r"<!-- keys of (\S+) -->\n(.*?)\n<!-- end of keys -->", text, re.DOTALL

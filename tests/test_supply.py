@@ -56,8 +56,8 @@ def test_every_pin_has_hashes() -> None:
 
 
 def test_licences_are_listed() -> None:
-    """docs/licences.md has a row for each pinned package; else run `make licences`."""
-    rows = (ROOT / "docs" / "licences.md").read_text(encoding="utf-8")
+    """docs/record/licences.md has a row for each pinned package; else run `make licences`."""
+    rows = (ROOT / "docs" / "record" / "licences.md").read_text(encoding="utf-8")
     for lock in ("requirements.lock", "requirements-dev.lock"):
         missing = [package for package, _ in pinned(lock) if f"\n| {package} |" not in rows]
         assert missing == [], "make licences"

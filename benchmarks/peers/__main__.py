@@ -25,7 +25,7 @@ from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import STAGES, PlantState, StepReport
 
 HERE = Path(__file__).resolve().parent
-DOCUMENT = HERE.parents[1] / "docs" / "performance.md"
+DOCUMENT = HERE.parents[1] / "docs" / "record" / "performance.md"
 MANEUVER = (
     "maneuver.phase=[{name='climb',duration_s=1.0,displacement_m=[0.3,0,-0.3]},"
     "{name='hold',duration_s=1.0,displacement_m=[0,0,0]}]"

@@ -1,4 +1,4 @@
-"""An agent that shares no code with the others, made from Zenoh, msgpack, numpy and docs/protocol.md.
+"""An agent that shares no code with the others, made from Zenoh, msgpack, numpy and docs/reference/protocol.md.
 
 It does not know the maneuver. It keeps its rod parallel to the others', whose states are in their
 plans, and its corner of the payload as high as the middle, and carries its share. It shares the
@@ -27,7 +27,7 @@ AGENTS, VERSION, STEPS = 4, 7, 20
 MASS, INERTIA, THRUST, RHO = 1.5, np.array([0.029, 0.029, 0.055]), 22.0725, (-0.25, -0.25)
 RHO_Z, LENGTH = -0.125, 3.2
 
-# Fields of messages behind the header, in the order of docs/protocol.md.
+# Fields of messages behind the header, in the order of docs/reference/protocol.md.
 MEASUREMENT = ("agent", "answered", "shared", "roster", "payload", "uavs", "uav_states", "inputs")
 PLAN = (
     *("agent", "start_tick", "negotiation", "shared", "uavs", "uav_states", "inputs"),

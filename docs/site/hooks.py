@@ -6,9 +6,10 @@ converted ends the build.
 """
 
 import html
+import posixpath
 import re
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import ziamath
@@ -29,6 +30,7 @@ OUTSIDE = {
     "security.md": "SECURITY.md",
     "python-reference.md": "docs/site/python-reference.md",
 }
+FILES = "files/"  # copies of files outside docs/ that pages link to
 LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 # Formulas as the Markdown extension arithmatex leaves them.
@@ -53,12 +55,14 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     files.append(File.generated(config, f"assets/{MATH_FONT.name}", abs_src_path=str(MATH_FONT)))
     linked = set()
     for file in files.documentation_pages():
+        folder = PurePosixPath(file.src_uri).parent
         linked |= {
-            _target(file, found[2]) for found in LINK.finditer(FENCE.sub("", file.content_string))
+            posixpath.normpath(folder / _target(file, found[2]))
+            for found in LINK.finditer(FENCE.sub("", file.content_string))
         }
-    for target in sorted(target for target in linked if target.startswith("files/")):
+    for target in sorted(target for target in linked if target.startswith(FILES)):
         files.append(
-            File.generated(config, target, abs_src_path=str(ROOT / target.removeprefix("files/")))
+            File.generated(config, target, abs_src_path=str(ROOT / target.removeprefix(FILES)))
         )
     return files
 
@@ -69,11 +73,9 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
 
 
 def _target(file: File, target: str) -> str:
-    """Return a link as the site needs it.
-
-    All its pages are in one folder, copies of other files in files/.
-    """
-    path = (ROOT / ("." if file.src_uri in OUTSIDE else "docs") / target).resolve()
+    """Return a link as the site needs it, relative to its page; copies of other files are in files/."""
+    folder = PurePosixPath(file.src_uri).parent
+    path = (ROOT / ("." if file.src_uri in OUTSIDE else "docs" / folder) / target).resolve()
     if (
         "://" in target
         or target.startswith("mailto:")
@@ -84,9 +86,14 @@ def _target(file: File, target: str) -> str:
     own = path.relative_to(ROOT).as_posix()
     for name, source in OUTSIDE.items():
         if own == source:
-            return name
+            return _relative(name, folder)
     is_inside = own.startswith("docs/images/") or (own.startswith("docs/") and path.suffix == ".md")
-    return own.removeprefix("docs/") if is_inside else f"files/{own}"
+    return _relative(own.removeprefix("docs/") if is_inside else f"{FILES}{own}", folder)
+
+
+def _relative(name: str, folder: PurePosixPath) -> str:
+    """Return a file of the site as seen from a folder of it."""
+    return posixpath.relpath(name, folder)
 
 
 def on_page_content(page_html: str, page: Page, **_: object) -> str:

@@ -1,6 +1,6 @@
 """The gate of a process or of a reader of a log: all checks of a received message.
 
-The checks, in their order; the first that fails gives the reason (docs/protocol.md):
+The checks, in their order; the first that fails gives the reason (docs/reference/protocol.md):
 
     form           size, version, kind, fields, and the range of their values
     sender         the owner of the key, a process of the run, not this process

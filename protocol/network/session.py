@@ -143,7 +143,7 @@ class Reach:
 def ask(
     run: str, reach: Reach, name: str, what: str, given: Mapping[str, Any]
 ) -> Mapping[str, Any]:
-    """Send a request to a process from outside its run (docs/protocol.md), and return the answer.
+    """Send a request to a process from outside its run (docs/reference/protocol.md), and return the answer.
 
     The client is an operator or, for requests that change nothing, a watcher.
 

@@ -1,4 +1,4 @@
-"""Messages as bytes (docs/protocol.md): one version byte, then MessagePack [kind, field, ...].
+"""Messages as bytes (docs/reference/protocol.md): one version byte, then MessagePack [kind, field, ...].
 
 An array is extension type 1: number of axes and three lengths as little-endian uint32, then
 float64, row by row.

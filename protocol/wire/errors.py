@@ -4,7 +4,7 @@ from typing import Literal
 
 from transport.protocol.wire.exit_codes import EXIT_USAGE
 
-# Why a message is refused: docs/protocol.md says what each means.
+# Why a message is refused: docs/reference/protocol.md says what each means.
 Reason = Literal[
     "oversized",
     "wrong_version",

@@ -1,4 +1,4 @@
-"""Key expressions (docs/protocol.md) of messages, tokens and requests.
+"""Key expressions (docs/reference/protocol.md) of messages, tokens and requests.
 
 Those of messages follow from the `Route` of their class.
 """

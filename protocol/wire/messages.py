@@ -1,4 +1,4 @@
-"""All messages of a run (docs/protocol.md), and the other events that nodes receive."""
+"""All messages of a run (docs/reference/protocol.md), and the other events that nodes receive."""
 
 import math
 import sys
@@ -112,7 +112,7 @@ class Message(
 ):
     """Fields of every message; subclasses give their kind as `tag`.
 
-    Fields travel by position, in the order of definition (docs/protocol.md lists them). A new field
+    Fields travel by position, in the order of definition (docs/reference/protocol.md lists them). A new field
     of a kind comes last and has a default, or `VERSION` in codec.py grows and older logs cannot be
     read. Its last fields, `optional`, do not travel where they and those after them are empty or zero.
     """
@@ -160,7 +160,7 @@ class Message(
     def place(self) -> tuple[int, int]:
         """Value that grows from each message of its kind and sender to the next.
 
-        Source: docs/protocol.md.
+        Source: docs/reference/protocol.md.
         """
         route = self.route
         falling = getattr(self, route.falls) if route.falls else 0
@@ -261,7 +261,9 @@ class LinkChange(Message, tag="link", frozen=True, kw_only=True):
     number: Annotated[int, Meta(ge=1)]
     source: str  # name of an end; empty for any agent
     target: str  # the same
-    settings: Text  # keys of a link and their new values, a JSON object (docs/keys.md, `links`)
+    settings: (
+        Text  # keys of a link and their new values, a JSON object (docs/reference/keys.md, `links`)
+    )
 
 
 class Target(Message, tag="target", frozen=True, kw_only=True):

@@ -5,7 +5,7 @@
 By each way (command, Python, a page of the viewer in a browser, another implementation of ROS 2),
 on a perfect network and with 200 ms delay, 30 % packet loss and an agent that is killed and
 restarted. Exit code 0 only if the payload has reached every target within 5 cm, and the replays of
-all agents have the same bits. It prints a table of docs/results.md.
+all agents have the same bits. It prints a table of docs/record/results.md.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Bodies of the plant that differ from those the controllers assume (docs/keys.md, `[[plant.uav]]`, `load`)."""
+"""Bodies of the plant other than those that controllers assume (`[[plant.uav]]`, `load` in docs/reference/keys.md)."""
 
 import numpy as np
 import pytest

@@ -99,11 +99,15 @@ def pages(site: Path) -> dict[Path, Page]:
 
 def test_every_document_is_a_page(site: Path, pages: dict[Path, Page]) -> None:
     """Each document of docs/ has a page, in the navigation; formulas are converted."""
-    names = {path.name for path in pages}
-    documents = {path.stem for path in (ROOT / "docs").glob("*.md")}
-    assert {f"{name}.html" for name in (*documents, "index", "changelog")} <= names
+    documents = {
+        path.relative_to(ROOT / "docs").with_suffix(".html").as_posix()
+        for path in (ROOT / "docs").rglob("*.md")
+        if "site" not in path.parts
+    }
+    names = {path.relative_to(site).as_posix() for path in pages}
+    assert {*documents, "index.html", "changelog.html"} <= names
     index = {urlparse(link).path for link in pages[site / "index.html"].links}
-    assert {f"{name}.html" for name in documents} <= index
+    assert documents <= index
     equations = (site / "equations.html").read_text(encoding="utf-8")
     assert equations.count("<math") > 300
     assert "\\(" not in equations

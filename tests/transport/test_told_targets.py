@@ -1,4 +1,4 @@
-"""Targets told to some agents travel with plans (docs/protocol.md, "Targets told to some")."""
+"""Targets told to some agents travel with plans (docs/reference/protocol.md, "Targets told to some")."""
 
 from collections.abc import Sequence
 from functools import lru_cache

@@ -1,4 +1,4 @@
-"""Numbers of a run as in summary.json: docs/summary.md and summary.schema.json describe them."""
+"""Numbers of a run as in summary.json: docs/reference/summary.md and summary.schema.json describe them."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence

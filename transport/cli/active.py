@@ -70,7 +70,7 @@ class ActiveRunOption:
     keys: KeysOption = None
 
     def ask(self, name: str, what: str, arguments: dict[str, Any]) -> dict[str, Any]:
-        """Return the answer of a process to a request (docs/protocol.md), or end the command."""
+        """Return the answer of a process to a request (docs/reference/protocol.md), or end the command."""
         if self.connect:
             if not (self.run and Keys.allows(self.run)):
                 fail(f"--run: expected the name of a run with --connect, got {self.run!r}")

@@ -11,7 +11,7 @@ from transport.protocol.scenario.sections.schema import Scenario
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Jitter:
-    """A distribution of random delays (docs/keys.md).
+    """A distribution of random delays (docs/reference/keys.md).
 
     Attributes:
         deviation: Standard deviation of one unit of `links.jitter_s`.

@@ -114,7 +114,7 @@ def request(
     given: Mapping[str, Any],
     keys: Path | None = None,
 ) -> dict[str, Any]:
-    """Send a request (docs/protocol.md) to a process of a run and return the answer.
+    """Send a request (docs/reference/protocol.md) to a process of a run and return the answer.
 
     `keys` is the folder of the run's keys.
 

@@ -62,7 +62,7 @@ class Run:
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """The content of summary.json: outcome, cost, tracking, faults, ... (docs/summary.md)."""
+        """The content of summary.json: outcome, cost, tracking, faults, ... (docs/reference/summary.md)."""
         return summarise(self._analysed)
 
     @cached_property
@@ -101,7 +101,7 @@ class Run:
     def to_pandas(self, table: TableName = "series") -> "pd.DataFrame":
         """Return a table of the run.
 
-        "series" has a row per tick, "steps" one per agent and tick, as steps.csv (docs/summary.md).
+        "series" has a row per tick, "steps" one per agent and tick, as steps.csv (docs/reference/summary.md).
         Columns of "series" are those of `RunSeries.columns`, with time as index. Needs the extra
         `pandas`.
 

@@ -60,7 +60,7 @@ class LogWriter:
         try:
             self._file = path.open("wb")
             # Without an index of messages, which would grow in memory; LZ4 is the cheapest, see
-            # docs/decisions.md.
+            # docs/record/decisions.md.
             self._writer = Writer(
                 self._file,
                 chunk_size=2 * CHUNK_BYTES,

@@ -40,7 +40,7 @@ class ComparedRun(NamedTuple):
 
     label: str  # in tables and figures
     run: RecordedRun
-    summary: Summary  # docs/summary.md
+    summary: Summary  # docs/reference/summary.md
     series: Series
 
     @staticmethod
@@ -84,7 +84,7 @@ def _at(summary: Summary, key: str) -> Any:
     return value
 
 
-# Compared quantities: name, unit, dotted key or function of a summary (docs/summary.md);
+# Compared quantities: name, unit, dotted key or function of a summary (docs/reference/summary.md);
 # percentages of shares.
 _QUANTITIES: tuple[tuple[str, str, str | Callable[[Summary], Any]], ...] = (
     ("scenario", "", "scenario"),

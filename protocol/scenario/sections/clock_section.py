@@ -29,7 +29,7 @@ class ClockSection(Section):
     prefers immediate"""
     offsets_s: Annotated[list[float], Field(max_length=MAX_UAVS)] | None = None
     """by how much the clock of each agent is ahead, in lockstep: it follows the maneuver at the time that it
-    believes, and stamps measurements and plans with it ([time.md](time.md#clocks-that-differ)). They differ
+    believes, and stamps measurements and plans with it ([time.md](../time.md#clocks-that-differ)). They differ
     by less than a sampling period; none: all clocks agree"""
     barrier_timeout_s: Annotated[Positive, Key(within=_WAIT_S)] = 5.0
     """wall time after which a silent agent counts as lost, in real time also the plant"""
@@ -41,7 +41,7 @@ class ClockSection(Section):
     on_coordinator_loss: Literal["end", "continue"] = "end"
     """end the run when the coordinator is gone, or with vehicles go on with the roster in force: each
     knows the instants of the ticks, and a coordinator that is started again takes over
-    ([flight.md](flight.md))"""
+    ([flight.md](../flight.md))"""
     on_overrun: Literal["continue", "hold", "abort"] = "continue"
     """in real time, when plans are missing at a deadline: open the next tick, hold it for them, or
     end the run"""

@@ -134,7 +134,7 @@ class LinkSection(Section):
     ] = None
     """recorded delays in the place of `delay_s` and `distribution`: rows of a time and the delay of a message sent from
     then on, negative if it was lost, or a CSV file of them, `t_s,delay_s`, with `lost` for a lost one
-    ([radio.md](radio.md#a-recorded-link)); it begins with the run and is repeated"""
+    ([radio.md](../radio.md#a-recorded-link)); it begins with the run and is repeated"""
     loss: Annotated[
         Probability, Key(label="loss of plans", shown="%", option="--loss", short="loss")
     ] = 0.0

@@ -29,7 +29,7 @@ class PhaseSection(Section):
     kind: PhaseKind = "move"
     """take_off and land are vertical, from and to the ground, where the payload stands for a
     quarter of the phase; circle, eight and spline are curves from rest to rest
-    ([bring-your-own.md](bring-your-own.md#your-own-maneuver))"""
+    ([bring-your-own.md](../bring-your-own.md#your-own-maneuver))"""
     way: Annotated[
         list[list[float]] | None, Key(type="rows of 4 numbers", unit="s and m", within=(0.0, 1e9))
     ] = None
@@ -39,7 +39,7 @@ class PhaseSection(Section):
     file: str | None = None
     """path of the phase as a table, instead of duration and displacement: CSV with the columns
     `t_s,x_m,y_m,z_m`, relative to the scenario's folder
-    ([bring-your-own.md](bring-your-own.md#your-own-maneuver))"""
+    ([bring-your-own.md](../bring-your-own.md#your-own-maneuver))"""
     size_m: Annotated[Vector, Key(within=(0.0, 1e5))] = (0.0, 0.0, 0.0)
     """a, b, c of a circle, (a sin A, b (1 - cos A), c sin A), or an eight, (a sin A, b sin 2 A, c
     sin A), with the angle A from 0 to 2 pi `laps`"""
@@ -60,7 +60,7 @@ class PhaseSection(Section):
     formation: Annotated[list[Vector] | None, Key(type="rows of 3 numbers", unit="shares")] = None
     """rods lean out or in, with `reference` flat: rows of a share of the phase's duration, and
     length and width of a team from then on over those at hover
-    ([equations.md](equations.md#references-that-a-team-can-fly), (66a))"""
+    ([equations.md](../equations.md#references-that-a-team-can-fly), (66a))"""
 
     @model_validator(mode="before")
     @classmethod
@@ -151,7 +151,7 @@ class TargetSection(Section):
     """times of the points instead of a speed; they count from that of the first one"""
     to: Annotated[list[Annotated[int, Field(ge=1)]], Key(type="list of agents")] = []
     """agents that are told, such as [2]; the others learn the target from plans
-    ([command-line.md](command-line.md#targets)). If omitted, all are told at the same tick"""
+    ([command-line.md](../command-line.md#targets)). If omitted, all are told at the same tick"""
 
     @model_validator(mode="after")
     def _points_differ_and_times_rise(self) -> Self:
@@ -192,7 +192,7 @@ class ManeuverSection(Section):
     """payload position at t = 0, inertial frame; the run starts there at rest in hover"""
     reference: Literal["hover", "flat"] = "hover"
     """hover moved along the path, or the motion of the whole team that carries the payload along a
-    smooth one ([equations.md](equations.md#references-that-a-team-can-fly)); needs closed_loop,
+    smooth one ([equations.md](../equations.md#references-that-a-team-can-fly)); needs closed_loop,
     along, riccati, preview"""
     profile: Profile = "ramp"
     """speed along a straight segment: constant, minimum jerk, a step, or smooth to the seventh
@@ -200,7 +200,7 @@ class ManeuverSection(Section):
     some 0.5 s"""
     press_m: NotNegative = 0.2
     """distance of the controllers' reference below the payload that stands on the ground
-    ([equations.md](equations.md#on-the-ground)): the larger, the less of its weight the team
+    ([equations.md](../equations.md#on-the-ground)): the larger, the less of its weight the team
     holds"""
     phase: Annotated[list[PhaseSection], Field(min_length=1), Key(short="phases")]
     target: list[ScriptedTargetSection] = []

@@ -158,7 +158,7 @@ class PlantSection(Section):
 
     kind: Literal["simulated", "vehicles"] = "simulated"
     """simulated: one process is the team; vehicles: there is none, each UAV has a process between its
-    agent and its autopilot ([flight.md](flight.md))"""
+    agent and its autopilot ([flight.md](../flight.md))"""
     autopilot: Literal["ardupilot", "stand_in"] | None = None
     """autopilots fly the simulated UAVs, a program for each, with the same processes of vehicles as
     outside: ArduCopter, named by the environment variable ARDUCOPTER, or a stand-in of this project
@@ -166,8 +166,8 @@ class PlantSection(Section):
     engine: Annotated[
         str, or_class("rods", "mujoco"), Key(type="rods, mujoco, package.module:Class")
     ] = "rods"
-    """the controllers' own equations, MuJoCo ([engines.md](engines.md) compares them), or [your own
-    class](bring-your-own.md#your-own-engine)"""
+    """the controllers' own equations, MuJoCo ([engines.md](../engines.md) compares them), or [your own
+    class](../bring-your-own.md#your-own-engine)"""
     ground_m: float | None = None
     """z of a level ground, inertial frame (z down), for engines with contacts, so not rods. The
     payload is a box that reaches to its attachment points, a UAV a sphere of 0.1 m"""
@@ -175,7 +175,7 @@ class PlantSection(Section):
     step_s: Annotated[Positive, Key(label="integration step", shown="ms")] = 0.01
     """longest integration step of rods; a period is divided into equal steps"""
     tolerance: Annotated[float, Interval(ge=1e-12, le=10.0), Key(unit="SI")] = 1e-9
-    """local error above which an integration step of rods is halved, [equations.md](equations.md)
+    """local error above which an integration step of rods is halved, [equations.md](../equations.md)
     (13c)"""
     max_attitude_deg: Annotated[float, Interval(gt=0.0, lt=90.0)] = 80.0
     """roll or pitch of the payload or a UAV beyond which the run counts as diverged"""
@@ -210,10 +210,10 @@ class PlantSection(Section):
     inner_loop: Literal["model", "betaflight"] = "model"
     """moments from commanded body rates, with `controller.inputs=rates`: by the loop that
     controllers predict with, or the flight firmware Betaflight, a process for each UAV
-    ([engines.md](engines.md#flight-firmware))"""
+    ([engines.md](../engines.md#flight-firmware))"""
     motors: MotorsSection = MotorsSection()
     wind: WindSection = WindSection()
     sensors: Literal["state", "vehicle"] = "state"
     """measurements of an agent: the states of payload, own UAVs and rods; or what an autopilot has
-    of each own UAV ([equations.md](equations.md#estimation-without-a-payload-sensor))"""
+    of each own UAV ([equations.md](../equations.md#estimation-without-a-payload-sensor))"""
     noise: NoiseSection = NoiseSection()

@@ -21,7 +21,7 @@ class RadioSection(Section):
     queue_length: Annotated[int, Interval(ge=1, le=10_000)] = 64
     """frames that wait at a UAV, with the one on the air; a further one is lost"""
     inputs: Annotated[Literal["all", "first"], Key(label="inputs on the air")] = "all"
-    """inputs of a plan on the air: those of the whole horizon, or the first ([radio.md](radio.md#half-the-bytes))"""
+    """inputs of a plan on the air: those of the whole horizon, or the first ([radio.md](../radio.md#half-the-bytes))"""
     offsets: Annotated[Literal["none", "slots", "random"], Key(label="offsets of sends")] = "slots"
     """when an agent sends: as soon as its plan is computed, in its own slot of the period, or at a random instant"""
     cycle_ticks: Annotated[int, Interval(ge=1, le=1000)] | None = None

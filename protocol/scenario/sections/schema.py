@@ -1,6 +1,6 @@
 """The scenario, one validated tree that describes a run.
 
-The docstring of a field is its meaning in docs/keys.md.
+The docstring of a field is its meaning in docs/reference/keys.md.
 """
 
 import hashlib
@@ -57,7 +57,7 @@ class PayloadSection(Section):
     symmetric matrix"""
     drag_kgps: Annotated[NotNegative, Key(label="payload drag")] = 0.0
     """drag d_0: force against its velocity relative to the air per m/s,
-    [equations.md](equations.md) (42)"""
+    [equations.md](../equations.md) (42)"""
 
 
 class UavSection(Section):
@@ -71,14 +71,14 @@ class UavSection(Section):
     """inertia J_i of the UAV, given as that of the payload"""
     drag_kgps: Annotated[Pair, Key(type="2 numbers >= 0", label="UAV drag")] = NO_DRAG
     """drag d_i in the plane of the rotors, and along their axis: force against its velocity relative
-    to the air per m/s, [equations.md](equations.md) (42)"""
+    to the air per m/s, [equations.md](../equations.md) (42)"""
     rho_m: Annotated[Vector, Key(within=(1e-12, 1e4))]
     """attachment point on the payload, payload frame: x forward, y right, z down"""
     rod_length_m: Annotated[Positive, Key(within=(1e-3, 1e4))]
     """rod length l_i"""
     radius_m: Annotated[Positive, Key(within=(1e-3, 1e2))] | None = None
     """radius of the sphere that the UAV fills: two that touch have collided
-    ([guarantees.md](guarantees.md#collisions)); without it no contact is told"""
+    ([guarantees.md](../guarantees.md#collisions)); without it no contact is told"""
 
 
 class SystemSection(Section):
@@ -121,15 +121,15 @@ class ControllerSection(ControllerSettings):
     estimator: Literal["measured", "kalman"] = "measured"
     """measured states and a prediction of the others', or a Kalman filter over the whole team,
     which `plant.sensors` vehicle needs
-    ([equations.md](equations.md#estimation-without-a-payload-sensor))"""
+    ([equations.md](../equations.md#estimation-without-a-payload-sensor))"""
     negotiation_iterations: Annotated[
         int, Interval(ge=1, le=MAX_NEGOTIATION_ITERATIONS), Key(label="negotiation iterations")
     ] = 1
     """solves of each agent within a tick, with an exchange of plans after each
-    ([time.md](time.md#negotiation))"""
+    ([time.md](../time.md#negotiation))"""
     share: Annotated[Literal["always", "on_change"], Key(short="share")] = "always"
     """plans that an agent sends to the other agents: all, or only those that change what the others
-    assume ([equations.md](equations.md) (49)). The plant receives every plan"""
+    assume ([equations.md](../equations.md) (49)). The plant receives every plan"""
     share_threshold: Annotated[
         NotNegative,
         Key(
@@ -145,14 +145,14 @@ class ControllerSection(ControllerSettings):
     silence: Literal["alone", "law", "stop"] = "alone"
     """with closed_loop, what an agent does when its information about the others is overdue, or late on average
     with a filter. alone: each of its UAVs gradually follows its part of the motion of the team alone,
-    by its own sensors ([equations.md](equations.md#silence)); law: they follow the shared control law
+    by its own sensors ([equations.md](../equations.md#silence)); law: they follow the shared control law
     by the agent's estimate; stop: as alone, and the agent's path comes to a rest within 1 s, or its
     speed over 1 m/s^2, and goes on with the others once there is information
-    ([equations.md](equations.md#stop-in-silence))"""
+    ([equations.md](../equations.md#stop-in-silence))"""
     targets: Literal["eager", "confirmed"] = "eager"
     """when an agent follows a target that it has heard of in a plan, or that only some are told: eager: at
     once; confirmed: once all agents on the roster are known to have it, and the path before goes on
-    until then ([equations.md](equations.md#targets-told-to-some))"""
+    until then ([equations.md](../equations.md#targets-told-to-some))"""
     disturbance: DisturbanceSection = DisturbanceSection()
 
 
@@ -180,8 +180,8 @@ class AgentsSection(Section):
         ),
     ] = "mpc"
     """controller of every agent, or of each: that of this project; alone, by which each UAV keeps to its part of the
-    reference by its own sensors, whatever messages say ([equations.md](equations.md#a-uav-alone)); or [your own
-    class](bring-your-own.md#your-own-controller)"""
+    reference by its own sensors, whatever messages say ([equations.md](../equations.md#a-uav-alone)); or [your own
+    class](../bring-your-own.md#your-own-controller)"""
     failed_share: Annotated[
         float, Interval(ge=0.0, le=1.0), Key(label="allowed share of failed steps")
     ] = 0.05
@@ -248,10 +248,10 @@ class NetworkSection(Section):
     started by hand"""
     router: Annotated[str, Field(pattern=r"^(tcp|tls)/\S+:\d+$")] | None = None
     """address of a router, `tls/192.0.2.1:7447`: all processes are its clients
-    ([deploy.md](deploy.md#topologies))"""
+    ([deploy.md](../deploy.md#topologies))"""
     keys: Annotated[str, Field(pattern=r"^[^\x00]*$")] | None = None
     """folder of certificates, relative to the current folder: TLS and access control on every link
-    ([deploy.md](deploy.md#access-control))"""
+    ([deploy.md](../deploy.md#access-control))"""
     insecure: bool = False
     """true: listen unencrypted on an address that other hosts can reach"""
     vehicle_port: Annotated[int, Interval(ge=1024, le=65_000)] | None = None
@@ -259,7 +259,7 @@ class NetworkSection(Section):
     free ports, or 14550 with processes started by hand"""
     secret: bool = True
     """false: any local process can connect to a run without `keys` and `router`, also without its
-    random secret ([deploy.md](deploy.md#a-run-on-one-host))"""
+    random secret ([deploy.md](../deploy.md#a-run-on-one-host))"""
 
 
 class Scenario(Section):

@@ -14,7 +14,7 @@ class VehiclesSection(Section):
     """Processes of the UAVs, with `plant.kind` vehicles or `plant.autopilot`."""
 
     autopilot: Literal["ardupilot", "px4"] = "ardupilot"
-    """autopilot of each UAV, which decides modes, parameters and throttle ([flight.md](flight.md))"""
+    """autopilot of each UAV, which decides modes, parameters and throttle ([flight.md](../flight.md))"""
     thrust_N: Positive | None = None
     """thrust of a UAV at full throttle; default: the upper limit of `controller.limits.thrust_N`"""
     parameters: Annotated[dict[str, float], Key(type="table of numbers by name")] = {}

@@ -77,7 +77,7 @@ class Setup:
         equilibrium = building(source, "system.uav", lambda: hover(system), HoverError)
         maneuver = building(source, "maneuver", lambda: maneuver_of(scenario))
 
-        # 1/M of M agents: the descent guarantee of cooperative distributed MPC (docs/decisions.md).
+        # 1/M of M agents: the descent guarantee of cooperative distributed MPC (docs/record/decisions.md).
         share = scenario.controller.relaxation
         if share == "auto":
             share = 1.0 / len(scenario.owned)

@@ -29,7 +29,7 @@ from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.names import COORDINATOR, RECORDER
 
-# Numbers in the answer of a process to `health` (docs/protocol.md): name in Prometheus and
+# Numbers in the answer of a process to `health` (docs/reference/protocol.md): name in Prometheus and
 # description.
 METRICS = {
     "tick": ("tick", "Newest tick of the process"),
