@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from msgspec.structs import replace
 
-from transport.agent.communication.air import AirNews
 from transport.agent.communication.clock_offsets import Clocks
+from transport.agent.communication.radio import AirNews
 from transport.agent.communication.target_confirmation import Unconfirmed
 from transport.agent.estimation.filter.belief import Belief
 from transport.agent.planner import AgentPlanner, OpenStep
@@ -24,13 +24,13 @@ from transport.agent.planning.mpc_planner import Planner
 from transport.agent.planning.step_report import numbers_note
 from transport.agent.received import Received
 from transport.agent.user_class.user_planner import PROJECT, OwnPlanner
-from transport.protocol.admission.arrivals import Arrivals
-from transport.protocol.admission.carried import Place, carried_by, place_of
+from transport.protocol.admission.delayed_messages import Arrivals
 from transport.protocol.admission.known_targets import KnownTargets
 from transport.protocol.admission.participant import Participant
-from transport.protocol.admission.stopping import MOSTLY, Stopping
+from transport.protocol.admission.stop_in_silence import MOSTLY, Stopping
+from transport.protocol.admission.targets_in_plans import Place, carried_by, place_of
 from transport.protocol.scenario.setup.team_run import TeamRun
-from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import (
     Airtime,
     Measurement,

@@ -16,7 +16,7 @@ from typing import Any
 from benchmarks.runs import origin
 from docs.tables import ROOT, put, table
 from transport.analysis.analysed_run import AnalysedRun
-from transport.analysis.summary_metrics import summarise
+from transport.analysis.summary_assembly import summarise
 from transport.experiments.cases import run_in_memory
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError

@@ -1,6 +1,6 @@
 """The vehicles of a run before and during the flight, as the coordinator knows them.
 
-In PREPARING (`coordinator.machine`) vehicles tell their phase and problem, five times a second, and
+In PREPARING (`coordinator.state_machine`) vehicles tell their phase and problem, five times a second, and
 each answer to a word of the coordinator measures the offset of its clock. Once all are ready, in
 their places and with one time, the instant of tick 0 is told, a second ahead: STARTING.
 """

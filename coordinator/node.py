@@ -2,7 +2,7 @@
 
 It opens tick k + 1 when all agents have answered tick k, or at its deadline.
 
-`coordinator.machine` has its states and what moves it from one to another, `coordinator.clock` the
+`coordinator.state_machine` has its states and what moves it from one to another, `coordinator.clock` the
 difference between lockstep and real time, `coordinator.roster` how agents leave and join. This file
 says what is sent in each state.
 """
@@ -10,25 +10,25 @@ says what is sent in each state.
 from collections.abc import Collection, Sequence
 from collections.abc import Set as AbstractSet
 
-from transport.coordinator.air import TeamAir
-from transport.coordinator.changes import Changes
 from transport.coordinator.clock import Clock
 from transport.coordinator.fleet import Fleet
-from transport.coordinator.machine import BEFORE_TICK_0, Cause, Machine, State
+from transport.coordinator.link_and_target_changes import Changes
 from transport.coordinator.open_tick import OpenTick
 from transport.coordinator.operator_requests import RunStatus, answer_request
+from transport.coordinator.outcome import Verdict
+from transport.coordinator.radio import TeamAir
 from transport.coordinator.roster import TeamRoster
+from transport.coordinator.state_machine import BEFORE_TICK_0, Cause, Machine, State
 from transport.coordinator.team_view import TeamView
-from transport.coordinator.verdict import Verdict
 from transport.protocol.scenario.setup.run_rules import RunRules
-from transport.protocol.wire.errors import MessageError
-from transport.protocol.wire.exit_codes import (
+from transport.protocol.wire.errors_and_exit_codes import (
     EXIT_COLLIDED,
     EXIT_DIVERGED,
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OVERRUN,
     EXIT_UNREACHABLE,
+    MessageError,
 )
 from transport.protocol.wire.messages import (
     Control,

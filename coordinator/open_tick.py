@@ -3,8 +3,8 @@
 from collections.abc import Collection
 from collections.abc import Set as AbstractSet
 
-from transport.coordinator.air import TeamAir
 from transport.coordinator.clock import Clock
+from transport.coordinator.radio import TeamAir
 from transport.protocol.admission.plausibility import check_tick
 from transport.protocol.scenario.setup.run_rules import RunRules
 from transport.protocol.wire.messages import Plan, PlantState

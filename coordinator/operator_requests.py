@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from transport.coordinator.changes import Changes
+from transport.coordinator.link_and_target_changes import Changes
 from transport.protocol.scenario.sections.scenario_errors import RequestError
 from transport.protocol.wire.messages import Message, Request, Target
 

@@ -11,7 +11,7 @@ from transport.model.section import Section
 from transport.protocol.network.mesh import DEFAULT_BASE_PORT
 from transport.protocol.scenario.scenario_file import read_tree
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError, validated
-from transport.protocol.wire.errors import TransportError
+from transport.protocol.wire.errors_and_exit_codes import TransportError
 from transport.protocol.wire.key_expressions import RECORDER, ROUTER
 
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,40}$")]

@@ -25,7 +25,7 @@ from tables import ROOT, commit, put, table
 from transport.agent.user_class.run_for_user import run_of
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.series import Series
-from transport.analysis.summary_metrics import summarise
+from transport.analysis.summary_assembly import summarise
 from transport.experiments.arena.arena_entries import entered
 from transport.experiments.arena.arena_tasks import NETWORKS, PERFECT
 from transport.experiments.cases import run_in_memory

@@ -20,7 +20,7 @@ from transport.model.physics.rotations import rotation
 from transport.model.state import OMEGA0, R0, SENSED, SENSORS, THETA0, V0, StateView, is_measured
 from transport.plant.plant_run import PlantRun
 from transport.protocol.scenario.faults.scripted_faults import Load
-from transport.protocol.scenario.links.draws import Streams, draw_key
+from transport.protocol.scenario.links.random_streams import Streams, draw_key
 from transport.protocol.scenario.sections.plant_sections import UavFactorsSection
 from transport.protocol.wire.names import PLANT
 

@@ -20,10 +20,10 @@ from transport.plant.actuators import INNER_STEP_S, MOTOR_OFF, ActuatorSchedule,
 from transport.plant.engines import UNKNOWN_ERROR, Engine
 from transport.plant.environment import Environment, Sensors, payload_during
 from transport.plant.plant_run import PlantRun
-from transport.protocol.admission.carried import Place, carried_by, place_of
 from transport.protocol.admission.known_targets import KnownTargets
 from transport.protocol.admission.participant import Participant
-from transport.protocol.admission.stopping import Stopping
+from transport.protocol.admission.stop_in_silence import Stopping
+from transport.protocol.admission.targets_in_plans import Place, carried_by, place_of
 from transport.protocol.scenario.faults.scripted_faults import OF_PLANT, Fault
 from transport.protocol.wire.messages import (
     ActualInputs,

@@ -62,7 +62,7 @@ MOST_FILES_AT_ROOT = 4  # besides __init__.py and __main__.py
 WITHOUT_PHYSICS = {f"model/{file}.py" for file in ("__init__", "arrays", "section", "state")}
 
 # Base names of files for the same role in different processes.
-SAME_ROLE = {"node.py", "air.py"}
+SAME_ROLE = {"node.py", "radio.py"}
 # Classes of the Python interface that wrap one of the same name: people write both the same way.
 WRAPPED = {"Run", "Scenario"}
 
@@ -113,7 +113,7 @@ EXCEPTIONS = {
     "model/kernels/native.py": {"pathlib"},
     # Generators keyed by seed, sender, receiver and tick.
     "protocol/radio/counter_draws.py": {"numpy.random"},
-    "protocol/scenario/links/draws.py": {"numpy.random"},
+    "protocol/scenario/links/random_streams.py": {"numpy.random"},
     # Files that a scenario names are read with it, before the run.
     "protocol/scenario/files/bounded_reading.py": {"pathlib"},
     "protocol/scenario/sections/scenario_errors.py": {"pathlib"},
@@ -301,7 +301,7 @@ def test_messages_and_bus_know_no_physics() -> None:
     assert [named(path) for path in files if "mpc" in top(imports(path))] == []
     messages_and_bus = [
         *(ROOT / "protocol" / "wire").rglob("*.py"),
-        ROOT / "protocol" / "admission" / "gate.py",
+        ROOT / "protocol" / "admission" / "acceptance_and_refusals.py",
         ROOT / "protocol" / "network" / "bus.py",
     ]
     found = {named(other) for path in messages_and_bus for other in reached(path)} - WITHOUT_PHYSICS

@@ -20,7 +20,7 @@ from tests.support.command_tree import Command, below, command_of, every_command
 from tests.support.runs import PAPER
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario, validate
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.errors import Reason
+from transport.protocol.wire.errors_and_exit_codes import Reason
 
 ROOT = Path(__file__).resolve().parent.parent
 # Folders with sources that cite equations, and the endings of such files.

@@ -10,7 +10,7 @@ TYPE_CHECKING = False  # as `typing` has it, whose import the command does witho
 if TYPE_CHECKING:
     from transport.agent.user_class.returned_values import Step as Step
     from transport.experiments.cases import ExperimentError as ExperimentError
-    from transport.flight.harness import HarnessError as HarnessError
+    from transport.flight.local_processes import HarnessError as HarnessError
     from transport.flight.run_files import RunError as RunError
     from transport.interface.arena_result import Arena as Arena
     from transport.interface.arena_result import arena as arena
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from transport.interface.worst_case import worst as worst
     from transport.log.run_log import LogError as LogError
     from transport.protocol.scenario.sections.scenario_errors import ScenarioError as ScenarioError
-    from transport.protocol.wire.errors import TransportError as TransportError
+    from transport.protocol.wire.errors_and_exit_codes import TransportError as TransportError
     from transport.viewer.server import ViewerError as ViewerError
 
 # Names of the Python interface by module.
@@ -44,11 +44,11 @@ _NAMES = {
     "transport.interface.scenario_builder": ("team", "Scenario"),
     "transport.interface.recorded_run": ("Run",),
     "transport.interface.run_series": ("RunSeries",),
-    "transport.protocol.wire.errors": ("TransportError",),
+    "transport.protocol.wire.errors_and_exit_codes": ("TransportError",),
     "transport.interface.setting_arguments": ("ArgumentError",),
     "transport.protocol.scenario.sections.scenario_errors": ("ScenarioError",),
     "transport.flight.run_files": ("RunError",),
-    "transport.flight.harness": ("HarnessError",),
+    "transport.flight.local_processes": ("HarnessError",),
     "transport.experiments.cases": ("ExperimentError",),
     "transport.log.run_log": ("LogError",),
     "transport.viewer.server": ("ViewerError",),

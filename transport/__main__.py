@@ -12,7 +12,7 @@ signal does.
 import _signal  # type: ignore[import-not-found]  # built in: it takes no time, unlike `signal`
 import os
 
-EXIT_INTERRUPTED = 130  # as in protocol.wire.exit_codes, which is imported later
+EXIT_INTERRUPTED = 130  # as in protocol.wire.errors_and_exit_codes, which is imported later
 
 
 def _leave(*_: object) -> None:

@@ -14,8 +14,8 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.protocol.network.mavlink import MavlinkLink, messages
+from transport.vehicle.ardupilot_and_px4 import Dialect, Parameter
 from transport.vehicle.autopilot import AutopilotState, Finding
-from transport.vehicle.dialects import Dialect, Parameter
 
 _AUTOPILOT = 1  # component of every autopilot
 # Component of this process: an onboard computer.

@@ -22,8 +22,7 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.protocol.admission.participant import Participant
-from transport.protocol.admission.ticking import Ticking
+from transport.protocol.admission.participant import Participant, Ticking
 from transport.protocol.scenario.sections.vehicles_section import VehiclesSection
 from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import (

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from transport.protocol.network.mavlink import Endpoint, LinkError, MavlinkLink, read_key
 from transport.protocol.scenario.sections.vehicles_section import VehiclesSection
-from transport.protocol.wire.exit_codes import EXIT_CHECK_FAILED
-from transport.vehicle.dialects import DIALECTS
+from transport.protocol.wire.errors_and_exit_codes import EXIT_CHECK_FAILED
+from transport.vehicle.ardupilot_and_px4 import DIALECTS
 from transport.vehicle.mavlink_driver import MavlinkAutopilot, MavlinkSettings
 
 # Time that an autopilot has to answer all questions, and between two looks at it, s.

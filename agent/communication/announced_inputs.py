@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from transport.agent.silence.age_of_information import HeardOthers, alone_by
-from transport.agent.silence.hand_over_by_age import SHARED, Silence
+from transport.agent.silence.heard_others import HeardOthers, alone_by
+from transport.agent.silence.silence_thresholds import SHARED, Silence
 from transport.model.arrays import Array, Rows
 from transport.model.state import input_places, input_slice
 from transport.mpc.alone.fail_safe import FailSafe

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from transport.agent.silence.hand_over_by_age import LESS_THAN_OTHERS
+from transport.agent.silence.silence_thresholds import LESS_THAN_OTHERS
 from transport.model.arrays import Array
 from transport.protocol.scenario.sections.schema import ControllerSection
 

@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping
 
 from msgspec.structs import replace
 
-from transport.protocol.admission.carried import Place, place_of
+from transport.protocol.admission.targets_in_plans import Place, place_of
 from transport.protocol.wire.messages import Target
 
 

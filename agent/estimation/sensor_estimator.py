@@ -16,7 +16,7 @@ from transport.agent.estimation.filter.team_filter import Filter, FilterPeriod, 
 from transport.agent.estimation.predicted_motion import Failure, PredictedMotion
 from transport.agent.estimation.received_states import NewStates, Reports, UavReport, by_uav
 from transport.agent.estimation.repeated_ticks import History, TickRecursion
-from transport.agent.silence.hand_over_by_age import SHARED
+from transport.agent.silence.silence_thresholds import SHARED
 from transport.model import state
 from transport.model.arrays import Array, ShapeError
 from transport.protocol.wire.messages import Measurement, Plan

@@ -10,8 +10,8 @@ from transport.agent.estimation.estimator import estimator_of
 from transport.agent.estimation.law_inputs import LawInputs
 from transport.agent.estimation.predicted_motion import Failure
 from transport.agent.received import Received
-from transport.agent.silence.hand_over_by_age import LESS_THAN_OTHERS, Silence
 from transport.agent.silence.integrator_states import IntegratorForces
+from transport.agent.silence.silence_thresholds import LESS_THAN_OTHERS, Silence
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.physics.hover import motor_off_state, released_state

@@ -6,7 +6,7 @@ import numpy as np
 
 from transport.agent.estimation.sensor_estimator import SensorEstimator
 from transport.agent.estimation.team_estimate import TeamEstimate
-from transport.agent.silence.hand_over_by_age import Mixture, mixed
+from transport.agent.silence.silence_thresholds import TO_TEAM_S
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.physics.rotations import rotation
@@ -16,10 +16,38 @@ from transport.mpc.alone.uav_motion import UavMotion, ahead, motion_of
 from transport.mpc.program.prediction import Linear
 from transport.protocol.scenario.setup.team_run import TeamRun
 
+# Time from the team's law to the law alone, s: others hear of the change meanwhile, and come along.
+_TO_ALONE_S = 1.0
+# The same of an agent that has never heard one of the others, s: it does not know where the UAVs of that
+# one are, and the team's law counts on them.
+_UNHEARD_S = 0.5
 # Time over which the thrust of the team, that the integral begins with, is averaged, s.
 _PRELOAD_S = 1.0
 # Time constant with which a deviation alone fades in the later steps of a plan, s.
 _FADES_S = 0.2
+
+
+class Mixture:
+    """Share of the law alone in an agent's inputs.
+
+    It begins with the share that the rule wants first, and follows the rule at a limited rate.
+    Source: (32d).
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._has_begun = False
+        self.share = 0.0
+
+    def advance(self, wanted: float, *, has_heard_all: bool = True) -> float:
+        """Return the share one tick later, where the rule wants another one."""
+        if not self._has_begun:
+            self._has_begun = True
+            self.share = wanted
+        up = self._period_s / (_TO_ALONE_S if has_heard_all else _UNHEARD_S)
+        down = self._period_s / TO_TEAM_S
+        self.share += min(max(wanted - self.share, -down), up)
+        return self.share
 
 
 class HandOver:
@@ -152,3 +180,15 @@ class HandOver:
             differences.append(applied_I - law.force(motion, setpoint))
         law, _ = self._team.alone(uav, k)
         return law.within(np.mean(differences, axis=0)) if differences else np.zeros(3)
+
+
+def mixed(team: Array, alone: Array, share: float, before: Array, step: Array) -> Array:
+    """Return inputs between those of the team and alone, (steps, 4 owned).
+
+    They change by a step per period at most.
+    """
+    inputs = (1.0 - share) * team + share * alone
+    for k in range(len(inputs)):
+        previous = before if k == 0 else inputs[k - 1]
+        inputs[k] = np.clip(inputs[k], previous - step, previous + step)
+    return inputs

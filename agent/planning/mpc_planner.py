@@ -23,7 +23,7 @@ from transport.agent.planning.step_report import (
     step_report,
 )
 from transport.agent.received import Received
-from transport.agent.silence.freshness import Freshness
+from transport.agent.silence.failed_or_repeated_steps import Freshness
 from transport.model.arrays import Array, ShapeError, frozen
 from transport.model.linear import motor_lag as motors
 from transport.model.linear.discretisation import Discrete
@@ -33,7 +33,7 @@ from transport.mpc.program.feedback_law import FeedbackLaw
 from transport.mpc.program.horizon_and_terminal_cost import CostToGo
 from transport.mpc.program.prediction import Linear
 from transport.mpc.program.qp_solvers import unsolved
-from transport.mpc.program.softening import softened_problem
+from transport.mpc.program.softened_user_constraints import softened_problem
 from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import Message, Plan, StepReport
 from transport.protocol.wire.node_interface import Outbox

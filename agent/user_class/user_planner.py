@@ -3,7 +3,8 @@
 The class takes the place of estimator, prediction and program; docs/bring-your-own.md has its
 methods. A step that raises, or that returns anything but inputs, is data: the shifted previous plan
 is applied, as after a solve without solution, and a `Note` says why. So it does where the class returns
-the same for long although its measurements change. Plans say how old such inputs are (`agent.silence.freshness`).
+the same for long although its measurements change. Plans say how old such inputs are
+(`agent.silence.failed_or_repeated_steps`).
 """
 
 import dataclasses
@@ -17,7 +18,7 @@ from msgspec.structs import replace
 from transport.agent.estimation.received_states import Reports, by_uav
 from transport.agent.planning.step_report import numbers_note, step_plan, step_report
 from transport.agent.received import Received
-from transport.agent.silence.freshness import Freshness, Repetition
+from transport.agent.silence.failed_or_repeated_steps import Freshness, Repetition
 from transport.agent.user_class.returned_values import Outcome
 from transport.agent.user_class.run_for_user import run_of
 from transport.agent.user_class.user_object import OwnObject

@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.radio.__main__ import DOCUMENT
 from benchmarks.runs import digits, origin, quiet, setup
 from docs.tables import put, table
-from transport.coordinator.air import TeamAir
+from transport.coordinator.radio import TeamAir
 from transport.flight import memory
 from transport.protocol.scenario.setup.run_setup import Setup
 

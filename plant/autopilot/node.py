@@ -11,7 +11,7 @@ from typing import Protocol
 from transport.model.arrays import Array
 from transport.plant.node import Integrated, PlantNode, PlantPeriod
 from transport.plant.plant_run import PlantRun
-from transport.protocol.admission.ticking import Ticking
+from transport.protocol.admission.participant import Ticking
 from transport.protocol.wire.messages import Message, Schedule
 
 # Most steps in one turn, so that messages are read between them.

@@ -6,10 +6,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from transport.model.path.target_and_stop import Slowing
-from transport.protocol.admission.carried import Place, place_of
+from transport.protocol.admission.targets_in_plans import Place, place_of
 from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.codec import encode
-from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import MAX_CARRIED, MAX_TARGETS, Target
 
 # No team flies faster: a target that takes the payload there at more is an error, not a motion, m/s.

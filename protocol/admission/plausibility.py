@@ -6,8 +6,8 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.protocol.admission.carried import check_carried
-from transport.protocol.wire.errors import MessageError
+from transport.protocol.admission.targets_in_plans import check_carried
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import (
     ActualInputs,
     Airtime,

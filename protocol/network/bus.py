@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import zenoh
 
-from transport.protocol.admission.gate import Accepted, Gate, Sample
+from transport.protocol.admission.acceptance_and_refusals import Accepted, Gate, Sample
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.joining import ASK_EVERY_S, Joining
 from transport.protocol.network.presence import ANSWER_S, OtherPresences, OwnPresence

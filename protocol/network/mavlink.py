@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from transport.protocol.wire.errors import TransportError
-from transport.protocol.wire.exit_codes import EXIT_USAGE
+from transport.protocol.wire.errors_and_exit_codes import EXIT_USAGE, TransportError
 
 os.environ.setdefault("MAVLINK20", "1")
 

@@ -14,7 +14,7 @@ from types import FrameType
 
 import threadpoolctl
 
-from transport.protocol.admission.gate import Gate, Sample
+from transport.protocol.admission.acceptance_and_refusals import Gate, Sample
 from transport.protocol.network.bus import Bus, BusOptions, Departed, Interrupted, Place
 from transport.protocol.network.endpoints import first_exposed
 from transport.protocol.network.exchange import Exchange, exchange_of
@@ -22,7 +22,7 @@ from transport.protocol.network.parent import PARENT_PIPE, ending_signals
 from transport.protocol.scenario.faults.scripted_faults import Fault, due
 from transport.protocol.scenario.setup.run_rules import RunRules
 from transport.protocol.wire import messages as wire
-from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE
+from transport.protocol.wire.errors_and_exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE
 from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.names import COORDINATOR, VEHICLE, role_of
 from transport.protocol.wire.node_interface import Node

@@ -23,10 +23,10 @@ from collections.abc import Callable, Collection, Mapping
 from enum import Enum
 from typing import Any
 
-from transport.protocol.admission.gate import Gate
+from transport.protocol.admission.acceptance_and_refusals import Gate
 from transport.protocol.network.session import BusError
 from transport.protocol.wire.codec import VERSION
-from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.key_expressions import Keys, Token
 from transport.protocol.wire.messages import Presence
 

@@ -9,9 +9,9 @@ from typing import Any
 import psutil
 import zenoh
 
-from transport.protocol.admission.gate import Gate
+from transport.protocol.admission.acceptance_and_refusals import Gate
 from transport.protocol.wire.codec import VERSION
-from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.messages import Request
 

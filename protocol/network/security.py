@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from transport.protocol.wire.errors import TransportError
-from transport.protocol.wire.exit_codes import EXIT_SCENARIO
+from transport.protocol.wire.errors_and_exit_codes import EXIT_SCENARIO, TransportError
 from transport.protocol.wire.key_expressions import ACTING, OPERATOR, READING, ROUTER, WATCHER, Keys
 
 AUTHORITY = "ca.pem"  # of a folder of keys; besides it NAME.pem and NAME.key for each name

@@ -14,8 +14,7 @@ import zenoh
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.security import Security
 from transport.protocol.wire.codec import MAX_BYTES
-from transport.protocol.wire.errors import TransportError
-from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
+from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE, TransportError
 from transport.protocol.wire.key_expressions import ACTING, OPERATOR, ROUTER, WATCHER, Keys
 
 _RETRY_S = 0.05  # pause between attempts of a client to reach its router

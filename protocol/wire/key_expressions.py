@@ -6,7 +6,7 @@ Those of messages follow from the `Route` of their class.
 import re
 from dataclasses import dataclass
 
-from transport.protocol.wire.errors import MessageError, TransportError
+from transport.protocol.wire.errors_and_exit_codes import MessageError, TransportError
 from transport.protocol.wire.messages import BUNDLES, KINDS, Message
 from transport.protocol.wire.names import (
     AGENT,

@@ -20,7 +20,7 @@ from transport.model.state import (
     REPORTS,
     SENSED,
 )
-from transport.protocol.wire.errors import MessageError, Reason
+from transport.protocol.wire.errors_and_exit_codes import MessageError, Reason
 from transport.protocol.wire.names import (
     AGENT,
     COORDINATOR,
@@ -502,7 +502,7 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
     # Ticks since the last solved step, 0 if it is this one: so long ago the inputs were fresh, and
     # actuators and other agents count from there.
     stale: Count = 0
-    # Targets told to some agents only, as `target` messages (`protocol.admission.carried`), oldest first:
+    # Targets told to some agents only, as `target` messages (`protocol.admission.targets_in_plans`), oldest first:
     # the newest that the sender follows, and those before on which its path still depends.
     targets: Carried = ()
     # Ticks by which the sender's path is behind the one that was given, with `controller.silence` stop.

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
+from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE
 from transport.protocol.wire.messages import Control, Event, Message
 
 M = TypeVar("M", bound=Message)

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from transport.agent.communication.announced_inputs import Alignment, AnnouncedInputs, SharedLaw
-from transport.agent.silence.age_of_information import HeardOthers
-from transport.agent.silence.hand_over_by_age import Silence
+from transport.agent.silence.heard_others import HeardOthers
+from transport.agent.silence.silence_thresholds import Silence
 from transport.model.arrays import Array
 from transport.model.state import input_indices
 from transport.mpc.settings import ControllerSettings, Limits

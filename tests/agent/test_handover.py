@@ -5,14 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from transport.agent.silence.hand_over_by_age import (
-    SHARED,
-    InformationAge,
-    InformationAges,
-    Mixture,
-    Silence,
-    mixed,
-)
+from transport.agent.planning.hand_over_inputs import Mixture, mixed
+from transport.agent.silence.age_of_information import InformationAge, InformationAges
+from transport.agent.silence.silence_thresholds import SHARED, Silence
 
 PERIOD_S = 0.05
 TO_ALONE_S, UNHEARD_S, TO_TEAM_S = 1.0, 0.5, 2.0  # (32d)
@@ -21,12 +16,12 @@ ROUNDING = 1e-12
 
 
 def _overdue(ticks: float) -> InformationAge:
-    """Return news that come at once, and then are overdue."""
+    """Return an age that is as usual in the mean, and overdue now."""
     return InformationAge(mean=1.0, overdue=ticks)
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_news_as_usual_change_nothing(rule: Silence) -> None:
+def test_usual_ages_change_nothing(rule: Silence) -> None:
     """Until the rule begins no share is alone and the errors of agents are correlated as always."""
     for overdue in range(int(rule.overdue.begins) + 1):
         assert rule.alone(_overdue(overdue)) == 0.0
@@ -44,8 +39,8 @@ def test_share_grows_and_correlation_falls_with_the_age(rule: Silence) -> None:
     assert shared[-1] < ROUNDING
 
 
-def test_late_news_count_by_their_mean_age_with_a_filter() -> None:
-    """News within 150 ms are those of a team, news a second old are none; measured, none is late."""
+def test_mean_age_counts_with_a_filter() -> None:
+    """Information within 150 ms is that of a team, a second old it is none; with a measured payload, none is late."""
     filtered, measured = RULES
     ages = [
         InformationAge(mean=age_s / PERIOD_S, overdue=0.0)
@@ -59,7 +54,7 @@ def test_late_news_count_by_their_mean_age_with_a_filter() -> None:
 
 
 @pytest.mark.parametrize("period_s", [0.05, 0.2, 2.0])
-def test_news_of_the_tick_before_are_never_late(period_s: float) -> None:
+def test_information_of_the_tick_before_is_never_late(period_s: float) -> None:
     """On a perfect network no agent acts alone, however long its period is."""
     rule = Silence.of(period_s, is_filtered=True)
     assert rule.alone(InformationAge(mean=1.0, overdue=0.0)) == 0.0
@@ -79,22 +74,23 @@ def test_a_lost_heartbeat_is_no_silence() -> None:
 @given(st.lists(st.integers(1, 300), min_size=1, max_size=200))
 def test_usual_age_is_the_least_recent_one(ages: list[int]) -> None:
     """The usual age is the smallest in its window, and the mean one that of the last second."""
-    news = InformationAges((2,), RULES[0])
+    rule = RULES[0]
+    information = InformationAges((2,), rule.window, rule.recent)
     for count, age in enumerate(ages, start=1):
-        news.observe(2, age)
+        information.observe(2, age)
         known = ages[:count]
-        recent = known[-RULES[0].recent :]
-        assert news.usual(2) == min(known[-RULES[0].window :])
-        assert news.mean(2) == sum(recent) / len(recent)
+        recent = known[-rule.recent :]
+        assert information.usual(2) == min(known[-rule.window :])
+        assert information.mean(2) == sum(recent) / len(recent)
 
 
 @pytest.mark.parametrize("rule", RULES)
 def test_a_silence_for_good_stays_one(rule: Silence) -> None:
     """Ages that grow for ever never become usual: the window is longer than the age at which an agent acts alone."""
-    news = InformationAges((2,), rule)
+    information = InformationAges((2,), rule.window, rule.recent)
     for age in range(1, 5000):
-        news.observe(2, age)
-    assert rule.alone(_overdue(4999 - news.usual(2))) == 1.0
+        information.observe(2, age)
+    assert rule.alone(_overdue(4999 - information.usual(2))) == 1.0
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=100), st.booleans())

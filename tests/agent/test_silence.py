@@ -25,7 +25,7 @@ from transport.agent.estimation.predicted_motion import Failure, PredictedMotion
 from transport.agent.estimation.sensor_estimator import SensorEstimator
 from transport.agent.node import AgentNode
 from transport.agent.planning.mpc_planner import Planner
-from transport.agent.silence.hand_over_by_age import LESS_THAN_OTHERS, SHARED, Ramp, Silence
+from transport.agent.silence.silence_thresholds import LESS_THAN_OTHERS, SHARED, Ramp, Silence
 from transport.flight.memory import InMemoryRun
 from transport.model import state
 from transport.model.arrays import Array, ShapeError

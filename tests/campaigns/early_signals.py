@@ -21,7 +21,7 @@ from tests.support.commands import wait_for
 from transport.interface.fly import fly
 from transport.log.run_log import read_log
 from transport.protocol.network.parent import python
-from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
+from transport.protocol.wire.errors_and_exit_codes import EXIT_INTERRUPTED
 from transport.protocol.wire.messages import Tick
 
 # Commands that last until they are interrupted, with their arguments, and their share of the draws.

@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
+from transport.protocol.wire.errors_and_exit_codes import EXIT_INTERRUPTED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

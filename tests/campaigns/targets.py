@@ -27,7 +27,7 @@ from tests.support.commands import transport as command
 from tests.support.live_log import LiveLog
 from tests.system.test_live_viewer import page_of
 from tests.system.test_ros2 import DOMAIN, Publisher
-from transport.analysis.flight_metrics import SETTLED_S
+from transport.analysis.cost_and_tracking_metrics import SETTLED_S
 from transport.analysis.replay.replay_difference import Comparison
 from transport.analysis.replay.replay_of_agent import Replay
 from transport.flight import live

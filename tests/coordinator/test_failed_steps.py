@@ -5,8 +5,8 @@ from msgspec.structs import replace
 
 from tests.support.coordinator_clock import at_last_tick, coordinator, tell
 from tests.support.runs import ALL, plan, plant_state, setup, ticks
-from transport.coordinator.verdict import FailedSteps
-from transport.protocol.wire.exit_codes import EXIT_FAILED
+from transport.coordinator.outcome import FailedSteps
+from transport.protocol.wire.errors_and_exit_codes import EXIT_FAILED
 from transport.protocol.wire.messages import MAX_TEXT, Control
 
 TWENTY = 20  # steps, so that one failure is the default share

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from transport.coordinator.fleet import Fleet
-from transport.coordinator.machine import State
 from transport.coordinator.node import CoordinatorNode
+from transport.coordinator.state_machine import State
 from transport.flight.roles import coordinator_of
 from transport.model.arrays import Array
 from transport.protocol.scenario.scenario_file import read_scenario

@@ -27,7 +27,7 @@ from msgspec.structs import replace
 from tests.support.coordinator_clock import MS, START_NS, THREE, gone, ready
 from tests.support.nodes import CoordinatorNode, refused
 from tests.support.runs import ALL, INCARNATION, plan, plant_state, setup
-from transport.coordinator.machine import TRANSITIONS, Cause, Machine, MachineError, State
+from transport.coordinator.state_machine import TRANSITIONS, Cause, Machine, MachineError, State
 from transport.protocol.wire.messages import (
     Control,
     Event,

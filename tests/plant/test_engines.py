@@ -18,7 +18,7 @@ from transport.plant.engines import Engine, checked_engine, engine_version
 from transport.plant.environment import Environment
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.exit_codes import EXIT_DIVERGED
+from transport.protocol.wire.errors_and_exit_codes import EXIT_DIVERGED
 from transport.protocol.wire.messages import Control, Message
 
 # An engine of a person: another integrator of the same equations, to its tolerance.

@@ -13,7 +13,7 @@ from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.teams.team_of_any_size import Team, resized
-from transport.protocol.wire.exit_codes import EXIT_COLLIDED
+from transport.protocol.wire.errors_and_exit_codes import EXIT_COLLIDED
 from transport.protocol.wire.messages import PlantState
 
 # Commands that reach the actuators 100 ms late: the UAVs swing into each other.

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.support.messages import sample
-from transport.protocol.wire.errors import MessageError, TransportError
+from transport.protocol.wire.errors_and_exit_codes import MessageError, TransportError
 from transport.protocol.wire.key_expressions import Keys, Token, matches
 from transport.protocol.wire.messages import (
     BUNDLES,

@@ -6,11 +6,11 @@ from typing import Any
 import pytest
 
 from tests.support.runs import setup
-from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.links.delay_jitter_and_loss import Link
 from transport.protocol.scenario.links.link_changes import LinkChanges, link_change
 from transport.protocol.scenario.sections.link_sections import LinkChangeSection
 from transport.protocol.scenario.sections.scenario_errors import RequestError
-from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import LinkChange
 
 SAMPLES = {"a.csv": (0.1, 0.2), "b.csv": (0.3,)}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.support.runs import setup
-from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.links.delay_jitter_and_loss import Link
 from transport.protocol.scenario.links.link_changes import link_change
 from transport.protocol.scenario.scenario_file import ScenarioError, validate
 from transport.protocol.scenario.sections.link_sections import (

@@ -3,8 +3,8 @@
 import pytest
 
 from tests.support.runs import INCARNATION, plan, roster, setup
-from transport.protocol.admission.participant import Membership
-from transport.protocol.wire.errors import MessageError
+from transport.protocol.admission.membership import Membership
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import Plan
 
 

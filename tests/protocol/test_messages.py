@@ -28,7 +28,7 @@ from transport.protocol.wire.codec import (
     encoded_length,
     header_of,
 )
-from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import MAX_DATA, Measurement, Message, Plan, StepReport, Tick
 from transport.protocol.wire.node_interface import Outbox
 

@@ -11,7 +11,7 @@ from tests.support.log_messages import report
 from tests.support.messages import sample
 from tests.support.runs import setup, ticks
 from transport.protocol.admission.plausibility import check_plausible
-from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import Airtime, Message
 from transport.protocol.wire.node_interface import RunShape
 

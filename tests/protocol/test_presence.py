@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from tests.support.runs import setup
-from transport.protocol.admission.gate import Gate
+from transport.protocol.admission.acceptance_and_refusals import Gate
 from transport.protocol.network.presence import (
     STAGES,
     OtherPresences,

@@ -11,12 +11,12 @@ from typing import Any, NoReturn
 import pytest
 
 from tests.support import runs
-from transport.protocol.admission.gate import Gate
+from transport.protocol.admission.acceptance_and_refusals import Gate
 from transport.protocol.network.bus import Arrival, BusEvent, BusOptions, Interrupted, Place
 from transport.protocol.network.node_process import run_node
 from transport.protocol.network.parent import PARENT_PIPE, ending_signals
 from transport.protocol.wire.codec import decode
-from transport.protocol.wire.exit_codes import (
+from transport.protocol.wire.errors_and_exit_codes import (
     EXIT_DIVERGED,
     EXIT_INTERRUPTED,
     EXIT_UNREACHABLE,

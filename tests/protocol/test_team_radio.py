@@ -12,7 +12,7 @@ from tests.support.runs import ALL, plan, recorded, setup, ticks
 from transport.protocol.radio.frames import FrameResult
 from transport.protocol.radio.slot_length import frame_lengths
 from transport.protocol.radio.standards_80211 import MESSAGE_BYTES, OFDM
-from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.links.delay_jitter_and_loss import Link
 from transport.protocol.scenario.radio.radio_parameters import (
     NS_PER_S,
     PlanShape,

@@ -9,7 +9,7 @@ import pytest
 from tests.support.runs import setup
 from transport.protocol.scenario.files.bounded_reading import MOST_TEXT
 from transport.protocol.scenario.files.named_files import LOST_S, TableError, trace_of
-from transport.protocol.scenario.links.impairments import traced_delay_s
+from transport.protocol.scenario.links.delay_jitter_and_loss import traced_delay_s
 from transport.protocol.scenario.scenario_file import ScenarioError, validate
 from transport.protocol.scenario.setup.run_setup import Setup
 

@@ -11,8 +11,7 @@ from transport.protocol.scenario.files.atomic_writing import (
     write_csv,
     write_whole,
 )
-from transport.protocol.wire.errors import TransportError
-from transport.protocol.wire.exit_codes import EXIT_UNRECORDED
+from transport.protocol.wire.errors_and_exit_codes import EXIT_UNRECORDED, TransportError
 
 LIMIT = 1000  # bytes
 ROWS = [{"number": number} for number in range(LIMIT)]

@@ -33,7 +33,11 @@ from transport.protocol.network.mesh import process_names
 from transport.protocol.network.parent import ENVIRONMENT, python
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_USAGE
+from transport.protocol.wire.errors_and_exit_codes import (
+    EXIT_INTERRUPTED,
+    EXIT_SCENARIO,
+    EXIT_USAGE,
+)
 from transport.protocol.wire.key_expressions import RECORDER
 
 EXIT_UNAVAILABLE, EXIT_TIMEOUT = 69, 70

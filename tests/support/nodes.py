@@ -7,10 +7,10 @@ from transport.agent import node as agent_node
 from transport.coordinator import node as coordinator_node
 from transport.flight.roles import plant_run, team_view
 from transport.plant import node as plant_node
-from transport.protocol.admission.gate import Rejections
+from transport.protocol.admission.acceptance_and_refusals import Rejections
 from transport.protocol.admission.plausibility import check_plausible
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import Event, Message
 
 

@@ -16,7 +16,7 @@ import pytest
 from tests.support.bench import Bench
 from tests.support.commands import processes_of, settings, transport
 from tests.support.runs import SCENARIOS
-from transport.flight.harness import free_udp_ports
+from transport.flight.local_processes import free_udp_ports
 from transport.log.run_log import read_log
 from transport.protocol.network.mavlink import Endpoint, MavlinkLink, messages
 from transport.protocol.wire.messages import PlantState, VehicleStatus

@@ -14,7 +14,7 @@ import zenoh
 from tests.support import runs
 from tests.support.commands import free_base
 from tests.support.runs import setup
-from transport.protocol.admission.gate import Gate
+from transport.protocol.admission.acceptance_and_refusals import Gate
 from transport.protocol.network.bus import Bus, BusOptions, Place
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.session import BusError

@@ -23,7 +23,7 @@ from tests.support.results import here
 from tests.support.runs import plant_states, ready, recorded
 from transport.log.run_log import read_log
 from transport.model.arrays import Array
-from transport.protocol.wire.exit_codes import (
+from transport.protocol.wire.errors_and_exit_codes import (
     EXIT_DIVERGED,
     EXIT_SCENARIO,
     EXIT_UNREACHABLE,

@@ -19,9 +19,9 @@ import pytest
 from tests.support.commands import command, command_of, wait_for
 from transport.cli.hosts.processes import Prepared
 from transport.cli.options import read_setup
-from transport.flight import fork_server, harness
+from transport.flight import fork_server, local_processes
 from transport.flight.fork_server import ForkServer
-from transport.flight.harness import Child, ToStart, start_children
+from transport.flight.local_processes import Child, ToStart, start_children
 from transport.mpc.law.present_law import Regulation
 from transport.protocol.network.parent import FORK_SERVER
 
@@ -48,7 +48,7 @@ _PR_GET_CHILD_SUBREAPER = 37  # <sys/prctl.h>
 def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[ForkServer]:
     """A separate server for each test, which starts the children of a harness."""
     found = ForkServer()
-    monkeypatch.setattr(harness, "fork_server", lambda: found)
+    monkeypatch.setattr(local_processes, "fork_server", lambda: found)
     yield found
     found.close()
 
@@ -352,7 +352,7 @@ def test_without_server(
                 system.setattr(subprocess, "Popen", no_process)
             elsewhere = ForkServer()
         assert not adopts_orphans()
-        monkeypatch.setattr(harness, "fork_server", lambda: elsewhere)
+        monkeypatch.setattr(local_processes, "fork_server", lambda: elsewhere)
     elif what == "dead":
         os.kill(server.pid, signal.SIGKILL)
     else:  # longer than a request; Linux has 128 KiB for each variable

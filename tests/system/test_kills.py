@@ -23,7 +23,7 @@ from tests.support.commands import (
     wait_for,
 )
 from tests.support.runs import setup, ticks
-from transport.flight.harness import Child
+from transport.flight.local_processes import Child
 from transport.flight.run_execution import simulate
 from transport.log.run_log import read_log
 from transport.protocol.wire.messages import Roster

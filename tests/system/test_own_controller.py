@@ -14,7 +14,11 @@ import transport
 from tests.support.commands import SHORT, settings
 from tests.support.commands import transport as command
 from tests.support.own_classes import Chain
-from transport.protocol.wire.exit_codes import EXIT_FAILED, EXIT_SCENARIO, EXIT_UNREACHABLE
+from transport.protocol.wire.errors_and_exit_codes import (
+    EXIT_FAILED,
+    EXIT_SCENARIO,
+    EXIT_UNREACHABLE,
+)
 from transport.protocol.wire.messages import Note, Plan, PlantState
 
 # Plans of an agent that takes four periods a step, of 25 ticks: most are late on any machine.

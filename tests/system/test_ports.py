@@ -6,7 +6,7 @@ from contextlib import ExitStack, closing
 
 import pytest
 
-from transport.flight.harness import HarnessError, reserved_ports
+from transport.flight.local_processes import HarnessError, reserved_ports
 
 HOST = "127.0.0.1"
 

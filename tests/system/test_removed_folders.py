@@ -7,7 +7,11 @@ import pytest
 
 from tests.support.commands import PATIENCE_S, start, wait_for
 from tests.support.results import here
-from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_USAGE
+from transport.protocol.wire.errors_and_exit_codes import (
+    EXIT_INTERRUPTED,
+    EXIT_SCENARIO,
+    EXIT_USAGE,
+)
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 from tests.support import runs
 from tests.support.commands import PATIENCE_S, command
 from tests.support.logs import record_run
-from transport.protocol.wire.exit_codes import EXIT_USAGE
+from transport.protocol.wire.errors_and_exit_codes import EXIT_USAGE
 
 
 @pytest.fixture(scope="module")

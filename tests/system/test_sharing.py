@@ -11,7 +11,7 @@ from tests.support.runs import SHORT, ready, recorded, reproducible
 from tests.support.shuffled import fly_shuffled
 from transport.analysis.analysed_run import AnalysedRun, counted
 from transport.analysis.replay.replay_of_agent import Replay
-from transport.analysis.summary_metrics import summarise
+from transport.analysis.summary_assembly import summarise
 from transport.flight import memory
 from transport.log.run_log import Recorded, RunLog
 from transport.protocol.scenario.setup.run_setup import Setup

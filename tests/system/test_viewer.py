@@ -34,7 +34,7 @@ from transport.flight.live import LiveRun
 from transport.flight.run_execution import simulate as run_processes
 from transport.log.run_log import LogTail, read_log, setup_of
 from transport.protocol.network.parent import PARENT_PIPE
-from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
+from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE
 from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder
 from transport.viewer.viewer import Viewer, open_viewer

@@ -10,9 +10,9 @@ import pytest
 
 from tests.support import runs
 from transport.flight.fault_script import FaultScript
-from transport.flight.harness import Harness
+from transport.flight.local_processes import Harness
 from transport.flight.recorder import Recorder
-from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE
+from transport.protocol.wire.errors_and_exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE
 from transport.protocol.wire.messages import Request
 
 STOP = "{at_s=0.3,target='coordinator',do='stop'},{at_s=1.2,target='coordinator',do='continue'}"

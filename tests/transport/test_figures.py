@@ -28,7 +28,7 @@ from transport.report.figures.column import caption_of, marks_of
 from transport.report.figures.run_figures import FIGURES, draw, fill
 from transport.report.figures.style import COLUMN_IN, CURVES, RC, SMALL
 from transport.report.report import write_report
-from transport.scene.colours import uav_marker, uav_style
+from transport.scene.uav_and_link_colours import uav_marker, uav_style
 
 NAMES = ["performance.png", "inputs.png", "trajectories.png", "timing.png"]
 

@@ -28,7 +28,7 @@ from transport.flight.signals import (
     take_interrupt,
 )
 from transport.protocol.network.parent import python
-from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
+from transport.protocol.wire.errors_and_exit_codes import EXIT_INTERRUPTED
 from transport.protocol.wire.messages import Message
 
 P = ParamSpec("P")

@@ -9,7 +9,7 @@ import pytest
 import transport
 from transport.flight import live
 from transport.flight.live import LiveRun
-from transport.protocol.wire.errors import TransportError
+from transport.protocol.wire.errors_and_exit_codes import TransportError
 
 HERE = LiveRun(
     "hover", {"coordinator": "tcp/127.0.0.1:7447", "agent1": "tcp/127.0.0.1:7448"}, os.getpid()

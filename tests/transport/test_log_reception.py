@@ -13,7 +13,7 @@ from tests.support.logs import HEADER, with_scenario
 from transport.log.run_log import LogTail, RunLog, read_log
 from transport.log.writer import LogWriter
 from transport.protocol.wire.codec import encode, header_of
-from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.messages import Message, Plan, Rejected
 

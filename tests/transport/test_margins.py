@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 import transport
 from transport.cli.main import app
-from transport.protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
+from transport.protocol.wire.errors_and_exit_codes import EXIT_SCENARIO, EXIT_USAGE
 
 # Gusts and a diagonal leg: the symmetric maneuver of the paper hardly excites the modes that
 # diverge first.

@@ -18,7 +18,7 @@ from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.communication_metrics import rest_of_tick_ms
 from transport.analysis.series import series_of
 from transport.analysis.steps import steps_columns, steps_rows
-from transport.analysis.summary_metrics import summarise
+from transport.analysis.summary_assembly import summarise
 from transport.cli.commands.top import Watch
 from transport.model import state
 from transport.model.arrays import Array

@@ -10,7 +10,7 @@ import numpy as np
 from tests.support.logs import log_of
 from tests.support.runs import plant_states, recorded, setup
 from transport.analysis.analysed_run import AnalysedRun
-from transport.analysis.summary_metrics import summarise
+from transport.analysis.summary_assembly import summarise
 from transport.model import state
 from transport.protocol.wire.messages import Message, Plan
 

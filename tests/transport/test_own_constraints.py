@@ -6,7 +6,7 @@ from tests.support import runs
 from tests.support.logs import log_of
 from tests.support.runs import completed
 from transport.analysis.analysed_run import AnalysedRun
-from transport.analysis.summary_metrics import summarise
+from transport.analysis.summary_assembly import summarise
 
 CLIMB = (
     "maneuver.phase=[{name='climb',duration_s=2.0,displacement_m=[0,0,-1]},"

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from tests.support import runs
 from tests.support.logs import record_run
-from transport.protocol.wire.errors import Reason
+from transport.protocol.wire.errors_and_exit_codes import Reason
 from transport.protocol.wire.messages import Message
 from transport.report.report import write_report
 from transport.report.summary_table import summary_table

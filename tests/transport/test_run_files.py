@@ -13,7 +13,7 @@ import pytest
 
 from tests.support.runs import SHORT, setup
 from transport.flight.run_files import RunError, new_run_folder, own_keys, run_header, started_ns
-from transport.protocol.wire.exit_codes import EXIT_USAGE
+from transport.protocol.wire.errors_and_exit_codes import EXIT_USAGE
 
 CLOCK_TICK_NS = 10**7  # of the times of processes
 

@@ -9,7 +9,7 @@ from tests.support.log_messages import on_reference
 from tests.support.logs import log_of
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.series import series_of, swing_of
-from transport.analysis.summary_metrics import summarise
+from transport.analysis.summary_assembly import summarise
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.wire.messages import PlantState

@@ -11,10 +11,10 @@ from tests.support import logs, runs
 from tests.support.coordinator_clock import CONTINUE, answers, gone, ready, started, tell
 from tests.support.nodes import CoordinatorNode
 from transport.analysis.analysed_run import AnalysedRun
-from transport.analysis.flight_metrics import SETTLED_S
+from transport.analysis.cost_and_tracking_metrics import SETTLED_S
 from transport.analysis.replay.replay_difference import Comparison
 from transport.analysis.replay.replay_of_agent import Replay
-from transport.analysis.summary_metrics import summarise
+from transport.analysis.summary_assembly import summarise
 from transport.log.run_log import RunLog
 from transport.model.state import R0
 from transport.mpc.controller import Controller
@@ -25,7 +25,7 @@ from transport.protocol.scenario.sections.scenario_errors import (
     requested,
 )
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.scenario.targets.target_timing import target_fields
+from transport.protocol.scenario.targets.target_checks_and_timing import target_fields
 from transport.protocol.wire.messages import Measurement, Message, Request, Roster, Target
 from transport.protocol.wire.node_interface import Outbox
 

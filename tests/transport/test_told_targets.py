@@ -13,12 +13,12 @@ from tests.support.nodes import AgentNode, refused
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.replay.replay_difference import Comparison
 from transport.analysis.replay.replay_of_agent import Replay
-from transport.analysis.summary_metrics import summarise
+from transport.analysis.summary_assembly import summarise
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.state import R0
-from transport.protocol.admission.carried import carried_by, check_carried, place_of
 from transport.protocol.admission.known_targets import KnownTargets
+from transport.protocol.admission.targets_in_plans import carried_by, check_carried, place_of
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import (
     RequestError,
@@ -26,9 +26,9 @@ from transport.protocol.scenario.sections.scenario_errors import (
     requested,
 )
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.scenario.targets.target_timing import target_fields
+from transport.protocol.scenario.targets.target_checks_and_timing import target_fields
 from transport.protocol.wire.codec import decode, encode
-from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import Note, Plan, PlantState, Target
 from transport.protocol.wire.node_interface import Outbox
 

@@ -27,10 +27,10 @@ from transport.flight.live import LiveRun
 from transport.log.run_log import LogTail
 from transport.protocol.scenario.links.link_changes import PERFECT
 from transport.protocol.wire.messages import LinkChange
-from transport.scene.colours import OFF_COLOUR
 from transport.scene.history import RunHistory
 from transport.scene.parts import Label
 from transport.scene.scene import SceneBuilder
+from transport.scene.uav_and_link_colours import OFF_COLOUR
 from transport.viewer import html
 from transport.viewer.camera import FIELD_OF_VIEW
 from transport.viewer.link_controls import ALL_LINKS, LinkControls, groups_of

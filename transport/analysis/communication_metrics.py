@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
-from transport.analysis.spread import percentiles
+from transport.analysis.numbers_for_json import percentiles
 from transport.log.run_log import RunLog
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import messages

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from transport.log.run_log import RunLog
-from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.links.delay_jitter_and_loss import Link
 from transport.protocol.scenario.links.link_changes import LinkChanges
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Airtime, LinkChange, StepReport

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from transport.analysis.constraints import clearances_of, separation_of, violations_of
+from transport.analysis.distances_and_violations import clearances_of, separation_of, violations_of
 from transport.log.run_log import RunLog
 from transport.model import state
 from transport.model.arrays import Array

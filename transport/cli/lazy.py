@@ -23,7 +23,7 @@ _PLAIN: dict[str, Any] = {
     "rich_markup_mode": None,
     "context_settings": {"help_option_names": ["-h", "--help"]},
 }
-# As in protocol.wire.exit_codes, which `--help` does not import.
+# As in protocol.wire.errors_and_exit_codes, which `--help` does not import.
 _USAGE = 2
 
 # Beginning of the example in a docstring; after \b the paragraph is not wrapped.
@@ -74,7 +74,7 @@ class Command(TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; other errors are bugs and keep their traceback."""
-        from transport.protocol.wire.errors import TransportError
+        from transport.protocol.wire.errors_and_exit_codes import TransportError
 
         try:
             return super().invoke(ctx)

@@ -14,11 +14,11 @@ from rich.console import Console
 from transport.cli.lazy import load
 from transport.cli.options import RUNS
 from transport.cli.output import Format, fail
-from transport.flight.harness import Child, ToStart, start_children
+from transport.flight.local_processes import Child, ToStart, start_children
 from transport.flight.run_execution import simulate
 from transport.flight.run_files import new_folder
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
+from transport.protocol.wire.errors_and_exit_codes import EXIT_INTERRUPTED
 from transport.viewer.server import require_viser
 from transport.viewer.viewer_process import ViewerBeside
 

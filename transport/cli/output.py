@@ -10,8 +10,7 @@ from typing import Any, NoReturn
 import orjson
 import typer
 
-from transport.protocol.wire.errors import TransportError
-from transport.protocol.wire.exit_codes import EXIT_USAGE
+from transport.protocol.wire.errors_and_exit_codes import EXIT_USAGE, TransportError
 
 # Columns of tables in a file or pipe, where no terminal says how many there are.
 _FILE_WIDTH = 120

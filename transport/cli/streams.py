@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from errno import EPIPE
 from typing import TextIO
 
-from transport.protocol.wire.exit_codes import EXIT_UNRECORDED
+from transport.protocol.wire.errors_and_exit_codes import EXIT_UNRECORDED
 
 
 class _Stream(io.FileIO):

@@ -12,7 +12,7 @@ import joblib
 import threadpoolctl
 
 from transport.agent.node import AgentNode
-from transport.flight.harness import HarnessError, reserved_ports
+from transport.flight.local_processes import HarnessError, reserved_ports
 from transport.model.kernels import compiler, native
 from transport.model.kernels.casadi_functions import compile_functions
 from transport.protocol.network.endpoints import Endpoints

@@ -17,7 +17,7 @@ import threadpoolctl
 
 from transport.agent.user_class.user_planner import controller_versions
 from transport.analysis.analysed_run import AnalysedRun
-from transport.analysis.summary_metrics import summarise
+from transport.analysis.summary_assembly import summarise
 from transport.flight import memory
 from transport.flight.run_files import checked
 from transport.log.run_log import Recorded, RunLog
@@ -33,8 +33,7 @@ from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.teams.team_of_any_size import Team, given_values, resized
 from transport.protocol.wire.codec import encode
-from transport.protocol.wire.errors import TransportError
-from transport.protocol.wire.exit_codes import EXIT_USAGE
+from transport.protocol.wire.errors_and_exit_codes import EXIT_USAGE, TransportError
 from transport.protocol.wire.messages import Control, Message, Plan, StepReport, Tick
 
 # Outcome of a case that could not be simulated.

@@ -29,8 +29,7 @@ from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.flight.progress import ConsoleProgress, compile_models
 from transport.flight.run_files import machine
 from transport.protocol.scenario.files.atomic_writing import PARTIAL, Lines, write_csv, write_whole
-from transport.protocol.wire.errors import TransportError
-from transport.protocol.wire.exit_codes import EXIT_FAILED
+from transport.protocol.wire.errors_and_exit_codes import EXIT_FAILED, TransportError
 
 # Files of a folder: the experiment to which it belongs, and the results.
 _IDENTITY = "experiment.json"

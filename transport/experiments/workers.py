@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from transport.experiments.cases import Case, ExperimentError, Result, refused, simulate
 from transport.protocol.scenario.sections.run_size import most_workers
-from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
+from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE
 
 Item = TypeVar("Item")
 Value = TypeVar("Value")

@@ -11,11 +11,11 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from transport.flight.harness import Child, Harness
+from transport.flight.local_processes import Child, Harness
 from transport.flight.recorder import Recorder
 from transport.protocol.scenario.faults.scripted_faults import OF_PLANT, Fault
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
+from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE
 from transport.protocol.wire.messages import CONTINUED, FaultOrigin, Request
 from transport.protocol.wire.names import COORDINATOR, PLANT
 

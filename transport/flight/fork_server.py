@@ -47,7 +47,7 @@ import setproctitle
 
 from transport.protocol.network.parent import ENVIRONMENT, FORK_SERVER, PARENT_PIPE, python
 from transport.protocol.network.session import is_used
-from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
+from transport.protocol.wire.errors_and_exit_codes import EXIT_INTERRUPTED
 
 # Longest request, most of which is the environment. The server receives a part of a longer one and
 # ends with an error: processes are then started by Popen.

@@ -20,7 +20,7 @@ from transport.protocol.network.security import Security
 from transport.protocol.network.session import Reach, ask
 from transport.protocol.scenario.files.atomic_writing import write_whole
 from transport.protocol.scenario.links.link_changes import PERFECT
-from transport.protocol.wire.errors import TransportError
+from transport.protocol.wire.errors_and_exit_codes import TransportError
 from transport.protocol.wire.key_expressions import ROUTER
 from transport.protocol.wire.names import COORDINATOR, RECORDER, agent_name
 

@@ -12,7 +12,7 @@ from contextlib import suppress
 
 from transport.log.run_log import channel_of
 from transport.log.writer import LogWriter
-from transport.protocol.admission.gate import Gate, Sample
+from transport.protocol.admission.acceptance_and_refusals import Gate, Sample
 from transport.protocol.admission.participant import check_target
 from transport.protocol.admission.plausibility import check_plausible
 from transport.protocol.network.bus import Arrival, Bus, BusOptions, Departed, Interrupted, Place
@@ -21,7 +21,7 @@ from transport.protocol.network.steady_clock import SteadyClock
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import messages as wire
 from transport.protocol.wire.codec import Header, decode, encode
-from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.key_expressions import RECORDER, Keys
 from transport.protocol.wire.names import COORDINATOR, agent_name
 from transport.protocol.wire.node_interface import Outbox, end_without_coordinator

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from transport.flight import live
 from transport.flight.fault_script import FaultScript
-from transport.flight.harness import (
+from transport.flight.local_processes import (
     Child,
     Harness,
     free_udp_ports,
@@ -41,7 +41,7 @@ from transport.protocol.network.security import Security
 from transport.protocol.network.session import check_usable
 from transport.protocol.scenario.sections.vehicles_section import DEFAULT_VEHICLE_PORT
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire import exit_codes as codes
+from transport.protocol.wire import errors_and_exit_codes as codes
 from transport.protocol.wire.key_expressions import RECORDER, Keys
 from transport.protocol.wire.names import COORDINATOR
 

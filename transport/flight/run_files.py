@@ -26,8 +26,7 @@ from transport.protocol.scenario.files.atomic_writing import write_whole
 from transport.protocol.scenario.radio.radio_parameters import is_class
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.errors import TransportError
-from transport.protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
+from transport.protocol.wire.errors_and_exit_codes import EXIT_SCENARIO, EXIT_USAGE, TransportError
 from transport.protocol.wire.names import PLANT, agent_name
 
 

@@ -15,7 +15,7 @@ from types import FrameType
 from typing import Any
 
 from transport.protocol.network.parent import ending_signals
-from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
+from transport.protocol.wire.errors_and_exit_codes import EXIT_INTERRUPTED
 
 # Pause before an interrupt is raised again, s.
 _AGAIN_S = 0.005

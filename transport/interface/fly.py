@@ -20,8 +20,7 @@ from transport.log.run_log import Recorded, RunLog, open_run
 from transport.protocol.scenario.files.named_files import points_of
 from transport.protocol.scenario.scenario_file import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.errors import TransportError
-from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
+from transport.protocol.wire.errors_and_exit_codes import EXIT_INTERRUPTED, TransportError
 from transport.protocol.wire.messages import Message, PlantState, Target
 from transport.protocol.wire.names import COORDINATOR
 from transport.report.report import write_report

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from transport.analysis.analysed_run import AnalysedRun, counted
 from transport.analysis.steps import steps_rows
-from transport.analysis.summary_metrics import summarise
+from transport.analysis.summary_assembly import summarise
 from transport.flight.run_files import create
 from transport.interface.run_series import RunSeries
 from transport.interface.scenario_builder import Scenario

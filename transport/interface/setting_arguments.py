@@ -10,7 +10,7 @@ from rich.console import Console, RenderableType
 from transport.protocol.scenario.sections.scenario_errors import PythonSetting, hint
 from transport.protocol.scenario.sections.scenario_keys import short_names
 from transport.protocol.scenario.sections.schema import Scenario
-from transport.protocol.wire.errors import TransportError
+from transport.protocol.wire.errors_and_exit_codes import TransportError
 
 Settings = Mapping[str, Any]
 

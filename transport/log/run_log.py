@@ -16,13 +16,13 @@ import msgspec
 from mcap.exceptions import McapError
 
 from transport.log.parser import Parser
-from transport.protocol.admission.gate import Gate
+from transport.protocol.admission.acceptance_and_refusals import Gate
 from transport.protocol.scenario.radio.radio_parameters import PlanShape
 from transport.protocol.scenario.scenario_file import ScenarioError, read_scenario, validate
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import messages as wire
 from transport.protocol.wire.codec import VERSION, decode
-from transport.protocol.wire.errors import MessageError, TransportError
+from transport.protocol.wire.errors_and_exit_codes import MessageError, TransportError
 from transport.protocol.wire.key_expressions import RECORDER, Keys
 from transport.protocol.wire.messages import LinkChange, Message, Plan, Target
 from transport.protocol.wire.names import COORDINATOR

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 
 from transport.analysis.analysed_run import AnalysedRun, counted
 from transport.analysis.series import SWING_S, Series
-from transport.analysis.summary_metrics import summarise
+from transport.analysis.summary_assembly import summarise
 from transport.log.run_log import RecordedRun
 from transport.model.arrays import Array
 from transport.protocol.scenario.setup.run_setup import Setup

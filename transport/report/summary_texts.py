@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from transport.analysis.own_constraints import HELD as OWN_HELD
+from transport.analysis.user_constraint_violations import HELD as OWN_HELD
 
 # Violations below this share of a constraint's range are within the solver's tolerance.
 HELD = 1e-6

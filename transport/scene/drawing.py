@@ -22,7 +22,6 @@ from transport.scene.bodies import (
     payload_points,
     quadrotor,
 )
-from transport.scene.colours import age_colour, uav_colour
 from transport.scene.parts import (
     Colour,
     Label,
@@ -35,6 +34,7 @@ from transport.scene.parts import (
     solid,
 )
 from transport.scene.scene import Scene, SceneBuilder
+from transport.scene.uav_and_link_colours import age_colour, uav_colour
 
 # Layers that can be shown and hidden; parts of no layer are always shown.
 LAYERS = ("predictions", "actual paths", "reference", "links", "thrust", "names")

@@ -11,7 +11,7 @@ import numpy as np
 
 from transport.agent.user_class.user_planner import PROJECT
 from transport.analysis.analysed_run import AnalysedRun
-from transport.analysis.summary_metrics import summarise
+from transport.analysis.summary_assembly import summarise
 from transport.flight.memory import simulate
 from transport.log.run_log import Recorded, RunLog
 from transport.model.state import StateView

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.links.delay_jitter_and_loss import Link
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.wire.names import agent_name
 from transport.search.drawn_events import DrawnSilence, Tree

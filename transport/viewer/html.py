@@ -7,9 +7,9 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.protocol.scenario.sections.link_sections import LinkSection
-from transport.scene.colours import DARK, age_colour, uav_colour
 from transport.scene.parts import Colour
 from transport.scene.scene import Air, Scene
+from transport.scene.uav_and_link_colours import DARK, age_colour, uav_colour
 
 _TABLE = "font-size:12px;border-collapse:collapse;font-variant-numeric:tabular-nums;margin:4px 8px"
 _CELL = "padding:1px 4px;white-space:nowrap"

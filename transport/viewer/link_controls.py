@@ -4,13 +4,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from transport.flight.live import Commands
-from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.links.delay_jitter_and_loss import Link
 from transport.protocol.scenario.links.link_changes import LinkChanges, split_groups
 from transport.protocol.scenario.sections.link_sections import LinkSection
 from transport.protocol.wire.messages import agent_name
 from transport.scene.history import RunHistory
 from transport.viewer import html
-from transport.viewer.widgets import NOTIFICATION_S
+from transport.viewer.server import NOTIFICATION_S
 
 ALL_LINKS = "all links"
 # Largest delay of the slider, s.

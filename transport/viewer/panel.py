@@ -4,16 +4,18 @@ from functools import partial
 from typing import Any
 
 from transport.flight.live import Commands
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.wire.messages import agent_name
 from transport.scene.drawing import LAYERS
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
 from transport.viewer.link_controls import LinkControls
 from transport.viewer.playback import Playback
 from transport.viewer.plots import Plots
+from transport.viewer.server import from_browser
 from transport.viewer.target_controls import TargetControls
 from transport.viewer.timeline import Timeline
 from transport.viewer.view3d import View3D
-from transport.viewer.widgets import add_processes, from_browser
 
 
 class Panel:
@@ -52,7 +54,7 @@ class Panel:
             self._target = TargetControls(server, builder, commands)
             self._links = LinkControls(gui, builder.history, commands)
             self._of_run.append(self._links.folder)
-            self._of_run.append(add_processes(gui, setup, commands))
+            self._of_run.append(_add_processes(gui, setup, commands))
         with gui.add_folder("Plots"):
             self._plots = Plots(gui, builder, whole=commands is None)
         with gui.add_folder("Agents"):
@@ -113,3 +115,13 @@ def _add_layers(gui: Any, view3d: View3D) -> None:
         switch = gui.add_checkbox(name, True)
         switch.on_update(from_browser(partial(view3d.show_layer, name)))
     gui.add_html(html.legend())
+
+
+def _add_processes(gui: Any, setup: Setup, commands: Commands) -> Any:
+    """Return a folder with buttons that kill and restart each agent."""
+    folder = gui.add_folder("Processes")
+    with folder:
+        for agent in setup.agents:
+            buttons = gui.add_button_group(f"agent {agent}", ("kill", "restart"))
+            buttons.on_click(from_browser(partial(commands.fault, target=agent_name(agent))))
+    return folder

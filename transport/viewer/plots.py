@@ -8,8 +8,8 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.model.state import INPUTS
-from transport.scene.colours import uav_style
 from transport.scene.scene import SceneBuilder
+from transport.scene.uav_and_link_colours import uav_style
 
 # Time axis of an active run, s.
 SPAN_S = 30.0

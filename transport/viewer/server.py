@@ -14,14 +14,14 @@ import secrets
 import socket
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from html import escape
 from importlib.util import find_spec
 from typing import Any
 
-from transport.protocol.wire.errors import TransportError
+from transport.protocol.wire.errors_and_exit_codes import TransportError
 
 # websockets reports every refused and broken connection with a traceback.
 _SILENT = logging.getLogger("transport.viewer.websockets")
@@ -30,6 +30,9 @@ _CLOSED = "Queued a .* on a closed connection"  # by viser
 # Title of viser's page. If a release of viser has another one, its pages keep it.
 _TITLE = b"<title>Viser</title>"
 _RECEIPT = re.compile(r"/shown/(\d{1,9})/(\d{1,9})")
+
+# Time after which a notification in the corner of the page ends, s.
+NOTIFICATION_S = 8.0
 
 
 class ViewerError(TransportError, RuntimeError):
@@ -180,6 +183,14 @@ def start_server(host: str, port: int, title: str) -> tuple[Any, Guard, str]:
         )
     name = f"[{host}]" if ":" in host else host
     return server, guard, f"http://{name}:{server.get_port()}{guard.path}"
+
+
+def from_browser(act: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Return a callback that passes the new value of a widget if a browser has changed it.
+
+    Changes by this process call nothing.
+    """
+    return lambda event: None if event.client_id is None else act(event.target.value)
 
 
 def _check_address(host: str, port: int) -> None:

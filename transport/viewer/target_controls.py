@@ -11,7 +11,7 @@ from transport.model.arrays import Array
 from transport.protocol.wire.names import agent_name
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
-from transport.viewer.widgets import NOTIFICATION_S
+from transport.viewer.server import NOTIFICATION_S
 
 # Steps of the target in the inertial frame by the keys for them, with Shift: alone, arrows move
 # sliders.

@@ -9,7 +9,7 @@ from transport.protocol.scenario.links.link_changes import scripted_changes
 from transport.protocol.scenario.sections.clock_section import first_tick
 from transport.scene.history import RunHistory, merged
 from transport.viewer.playback import Playback
-from transport.viewer.widgets import from_browser
+from transport.viewer.server import from_browser
 
 # Buttons of events below the plots: those around the shown instant.
 _BUTTONS = 8

@@ -13,10 +13,10 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.scene.bodies import INERTIAL
-from transport.scene.colours import OFF_COLOUR
 from transport.scene.drawing import ARROW_M, LAYERS, Drawing
 from transport.scene.parts import Label, LineSegments, Mesh, Part, Pose, quaternion
 from transport.scene.scene import Scene, SceneBuilder
+from transport.scene.uav_and_link_colours import OFF_COLOUR
 from transport.viewer.camera import ASPECT, FIELD_OF_VIEW, Camera, camera_that_sees
 
 # Directions from what is shown to the camera. Links and predicted paths lie in the plane of the

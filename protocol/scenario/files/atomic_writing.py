@@ -8,8 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from transport.protocol.wire.errors import TransportError
-from transport.protocol.wire.exit_codes import EXIT_UNRECORDED
+from transport.protocol.wire.errors_and_exit_codes import EXIT_UNRECORDED, TransportError
 
 # End of the name of a file that is not complete, which a kill leaves.
 PARTIAL = ".partial"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from transport.protocol.scenario.files.bounded_reading import read_text
-from transport.protocol.wire.errors import TransportError
+from transport.protocol.wire.errors_and_exit_codes import TransportError
 
 # Keys whose text is a file.
 _FILE_KEYS = ("samples_s", "trace", "file")

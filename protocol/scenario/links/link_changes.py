@@ -5,14 +5,14 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.links.delay_jitter_and_loss import Link
 from transport.protocol.scenario.sections.link_sections import (
     LinkOverrideSection,
     LinkSection,
     LinksSection,
 )
 from transport.protocol.scenario.sections.scenario_errors import RequestError, requested
-from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import LinkChange
 
 # Settings of a link that make it perfect: the defaults.

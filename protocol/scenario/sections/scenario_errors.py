@@ -16,8 +16,11 @@ from transport.protocol.scenario.sections.scenario_keys import (
     short_names,
     unit_of,
 )
-from transport.protocol.wire.errors import MessageError, TransportError
-from transport.protocol.wire.exit_codes import EXIT_SCENARIO
+from transport.protocol.wire.errors_and_exit_codes import (
+    EXIT_SCENARIO,
+    MessageError,
+    TransportError,
+)
 
 S = TypeVar("S", bound=BaseModel)
 

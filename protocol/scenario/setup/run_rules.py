@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from transport.protocol.scenario.faults.scripted_faults import Fault
-from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.links.delay_jitter_and_loss import Link
 from transport.protocol.scenario.sections.clock_section import ClockSection
 from transport.protocol.scenario.sections.link_sections import LinksSection
 from transport.protocol.wire.node_interface import RunShape

@@ -13,7 +13,7 @@ from transport.agent.communication.announced_inputs import AnnouncedInputs, Shar
 from transport.agent.estimation.disturbance import DisturbanceEstimator, MeasuredTeam
 from transport.agent.estimation.predicted_motion import Failure, PredictedMotion
 from transport.agent.estimation.state_estimator import StateEstimator
-from transport.agent.silence.hand_over_by_age import Silence
+from transport.agent.silence.silence_thresholds import Silence
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.linear import motor_lag as motors

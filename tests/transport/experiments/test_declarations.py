@@ -18,7 +18,7 @@ from transport.cli.commands.experiment import EXPERIMENTS
 from transport.experiments.cases import ExperimentError, Point, cases_of, is_random
 from transport.experiments.declaration import Experiment
 from transport.experiments.network_experiments import JITTER, NETWORKS
-from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.links.delay_jitter_and_loss import Link
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.sections.schema import Scenario
 

@@ -10,7 +10,7 @@ import pytest
 
 from transport.experiments.cases import ERROR, NUMBERS, ExperimentError, Result
 from transport.experiments.sweep import Results
-from transport.protocol.wire.exit_codes import EXIT_USAGE
+from transport.protocol.wire.errors_and_exit_codes import EXIT_USAGE
 
 
 def result(key: str, outcome: str = "completed", cost: float = 0.1 + 0.2) -> Result:

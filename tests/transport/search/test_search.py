@@ -18,7 +18,7 @@ from tests.support.logs import log_of
 from tests.support.runs import SCENARIOS, SHORT, recorded
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.series import series_of
-from transport.analysis.summary_metrics import summarise
+from transport.analysis.summary_assembly import summarise
 from transport.experiments.cases import ExperimentError
 from transport.interface.setting_arguments import ArgumentError, names_of
 from transport.interface.worst_case import Worst

@@ -21,7 +21,7 @@ from transport.analysis.replay.replayed_processes import (
 )
 from transport.log.run_log import RunLog
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import (
     Measurement,
     Message,

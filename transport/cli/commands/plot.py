@@ -17,7 +17,11 @@ from transport.cli.output import Format, blame, fail, show
 from transport.log.run_log import LogError, open_run
 from transport.protocol.network.parent import is_standby, stand_by
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE, EXIT_UNRECORDED
+from transport.protocol.wire.errors_and_exit_codes import (
+    EXIT_INTERRUPTED,
+    EXIT_UNREACHABLE,
+    EXIT_UNRECORDED,
+)
 from transport.report.summary_table import summary_table, warnings
 
 

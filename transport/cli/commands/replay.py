@@ -22,7 +22,7 @@ from transport.log.run_log import RecordedRun, open_run
 from transport.log.tables import INPUT_NAMES, RATE_NAMES
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.exit_codes import EXIT_DIFFERENT
+from transport.protocol.wire.errors_and_exit_codes import EXIT_DIFFERENT
 from transport.protocol.wire.messages import Measurement
 from transport.report.figures.replay_figure import draw_replay
 

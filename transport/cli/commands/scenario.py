@@ -26,7 +26,7 @@ from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.acting_alone import lacks
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.teams.team_of_any_size import FEWEST, MOST, Team, given_values
-from transport.protocol.wire.exit_codes import EXIT_CHECK_FAILED
+from transport.protocol.wire.errors_and_exit_codes import EXIT_CHECK_FAILED
 from transport.report.laws import MOST_UAVS, in_words
 from transport.report.limits_in_words import explained, explained_in_words
 

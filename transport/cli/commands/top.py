@@ -21,7 +21,7 @@ from transport.model.state import StateView
 from transport.plant.actuators import FAIL_SAFE
 from transport.protocol.scenario.setup.cost_of_run import StageCost
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
+from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE
 from transport.protocol.wire.messages import (
     Control,
     Message,

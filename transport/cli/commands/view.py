@@ -13,7 +13,7 @@ from transport.cli.options import FormatOption, HostOption, PortOption, RunArgum
 from transport.cli.output import Format
 from transport.flight.live import read as read_live_run
 from transport.flight.signals import take_interrupt
-from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
+from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE
 from transport.viewer.viewer import LOG, open_viewer
 from transport.viewer.viewer_process import parent_ended
 

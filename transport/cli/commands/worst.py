@@ -12,7 +12,7 @@ from typer import Option
 from transport.cli.options import RUNS, FormatOption, ScenarioArgument, SetOption
 from transport.cli.output import Format, show
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
-from transport.protocol.wire.exit_codes import EXIT_DIVERGED
+from transport.protocol.wire.errors_and_exit_codes import EXIT_DIVERGED
 from transport.search.search import SearchResult
 from transport.search.search_options import OVER, SearchOptions, search
 from transport.search.search_report import FIGURE, SCENARIO, in_words, ranked, summary

@@ -13,7 +13,7 @@ from transport.protocol.scenario.sections.scenario_errors import (
 )
 from transport.protocol.scenario.user_class.user_errors import OwnClassError, errors_of
 from transport.protocol.scenario.user_class.user_import import own_class, version_of
-from transport.protocol.wire.exit_codes import EXIT_SCENARIO
+from transport.protocol.wire.errors_and_exit_codes import EXIT_SCENARIO
 
 # Keys of the controller that an entry may not set, as they make the task the same for all algorithms.
 # All others are the algorithm's own: how it predicts, estimates, solves and exchanges plans, and how

@@ -10,7 +10,7 @@ from transport.model.arrays import Array
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.figures.column import MOST_BESIDE
 from transport.report.figures.style import COMPONENTS, line_width
-from transport.scene.colours import uav_style
+from transport.scene.uav_and_link_colours import uav_style
 
 # Smallest ranges of the axes, either side of zero: smaller errors are negligible.
 LEAST_M = 1e-3

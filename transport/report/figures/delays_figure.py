@@ -11,7 +11,7 @@ from transport.log.run_log import RunLog
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.figures.column import head
 from transport.report.figures.curves_over_time import Panels
-from transport.scene.colours import uav_marker, uav_style
+from transport.scene.uav_and_link_colours import uav_marker, uav_style
 
 _HEIGHT_IN = 1.1
 _MS_PER_S = 1e3

@@ -17,7 +17,7 @@ from transport.report.drawn_parts import BRIGHTEST, UP, frame, line
 from transport.report.figures.column import draw_legend, legend_height_in
 from transport.report.figures.style import COLUMN_IN, PAYLOAD, REFERENCE
 from transport.scene.bodies import obstacles
-from transport.scene.colours import uav_marker, uav_style
+from transport.scene.uav_and_link_colours import uav_marker, uav_style
 
 # Smallest distance between drawn formations, m.
 _APART_M = 0.5

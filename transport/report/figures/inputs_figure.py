@@ -25,7 +25,7 @@ from transport.report.figures.curves_over_time import (
     plot_uavs,
 )
 from transport.report.figures.style import line_width
-from transport.scene.colours import uav_style
+from transport.scene.uav_and_link_colours import uav_style
 
 # Height of a panel, and of a sentence in its place, inches.
 _HEIGHT_IN = 0.7

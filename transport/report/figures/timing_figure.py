@@ -16,7 +16,7 @@ from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import STAGES, StepReport
 from transport.report.figures.column import CLOSE, Room, column_panels, head
 from transport.report.figures.style import REFERENCE, label_decades, shade_phases
-from transport.scene.colours import uav_marker, uav_style
+from transport.scene.uav_and_link_colours import uav_marker, uav_style
 
 # Heights of the panel over time, and of a bar below it, inches.
 _OVER_TIME_IN = 1.5

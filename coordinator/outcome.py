@@ -3,7 +3,7 @@
 from collections import Counter, defaultdict
 
 from transport.protocol.scenario.setup.collisions import Contacts
-from transport.protocol.wire.exit_codes import EXIT_COLLIDED, EXIT_DIVERGED, EXIT_FAILED
+from transport.protocol.wire.errors_and_exit_codes import EXIT_COLLIDED, EXIT_DIVERGED, EXIT_FAILED
 from transport.protocol.wire.messages import MAX_TEXT, Plan, PlantState
 from transport.protocol.wire.names import agent_names
 

@@ -5,9 +5,9 @@ import numpy as np
 from tests.support import logs, runs
 from tests.support.runs import plan, setup
 from transport.analysis.analysed_run import AnalysedRun
-from transport.analysis.summary_metrics import summarise
+from transport.analysis.summary_assembly import summarise
 from transport.model.state import R0
-from transport.protocol.admission.stopping import Stopping
+from transport.protocol.admission.stop_in_silence import Stopping
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import Message, Plan, PlantState
 

@@ -7,9 +7,9 @@ import pytest
 from tests.support import runs
 from tests.support.messages import changed, sample
 from tests.support.runs import setup, ticks
-from transport.protocol.admission.gate import Gate
+from transport.protocol.admission.acceptance_and_refusals import Gate
 from transport.protocol.wire.codec import MAX_BYTES, encode
-from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.messages import (
     Answer,

@@ -15,11 +15,16 @@ from transport.analysis.communication_metrics import (
     rejections,
     rest_of_tick_ms,
 )
+from transport.analysis.cost_and_tracking_metrics import (
+    cables,
+    consistency,
+    cost_and_tracking,
+    targets,
+)
 from transport.analysis.events import TIME_DIGITS, events
-from transport.analysis.flight_metrics import cables, consistency, cost_and_tracking, targets
-from transport.analysis.own_constraints import own_constraints
+from transport.analysis.numbers_for_json import percentiles
 from transport.analysis.series import Series
-from transport.analysis.spread import percentiles
+from transport.analysis.user_constraint_violations import own_constraints
 from transport.log.run_log import RunLog
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import messages

@@ -1,18 +1,16 @@
-"""How much an agent acts alone: as its information about the others gets old, the team's law loses its reason.
+"""Ages of information from which on an agent is in silence, and how much it then acts alone.
 
+As its information about the others gets old, the team's law loses its reason.
 Each agent decides by the age of its own information, so that agents without any network decide alike, and
 no agent waits for another. Its plan says how much, so that those who hear it predict it.
-Source: docs/equations.md (32c), (32d), (63c).
+Source: docs/equations.md (32c), (63c).
 """
 
-from collections import deque
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
-from transport.model.arrays import Array
+from transport.agent.silence.age_of_information import InformationAge
 
 # Ages of information beyond the usual one at which an agent begins to act alone, and does so wholly, s. The
 # reasons: a filter without information errs by centimetres within a second, and with a measured payload the
@@ -30,13 +28,8 @@ _HEARTBEATS = 2.0
 # alone.
 _USUAL_WINDOW = 3.0
 _MEAN_WINDOW_S = 1.0  # window of the mean age of information
-# Time from the team's law to the law alone, s: others hear of the change meanwhile, and come along.
-_TO_ALONE_S = 1.0
-# The same of an agent that has never heard one of the others, s: it does not know where the UAVs of that
-# one are, and the team's law counts on them.
-_UNHEARD_S = 0.5
 # Time back to the team's law, s: the estimate takes in the information meanwhile.
-_TO_TEAM_S = 2.0
+TO_TEAM_S = 2.0
 # An agent acts alone at least as much as the largest share that it hears, minus this. Without the
 # difference all would wait for each other to return.
 LESS_THAN_OTHERS = 0.2
@@ -44,17 +37,6 @@ LESS_THAN_OTHERS = 0.2
 # measurements but the newest.
 SHARED = 0.6
 _FORGETS_S = 0.3  # time constant in which own measurements replace what both know
-
-
-class InformationAge(NamedTuple):
-    """Age of the newest plan of another agent, ticks."""
-
-    mean: float  # over the last second
-    overdue: float  # of now, beyond the usual one, which is the smallest of some seconds
-
-
-# Of an agent that is not waited for: the agent itself, and those off the roster.
-NO_WAIT = InformationAge(mean=0.0, overdue=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +91,7 @@ class Silence:
             forgets=_FORGETS_S / period_s,
             window=round(_USUAL_WINDOW * overdue.complete),
             recent=max(1, round(_MEAN_WINDOW_S / period_s)),
-            to_team=round(_TO_TEAM_S / period_s),
+            to_team=round(TO_TEAM_S / period_s),
         )
 
     @property
@@ -131,86 +113,3 @@ class Silence:
         if since_begin <= 0.0:
             return SHARED
         return float(SHARED * np.exp(-since_begin / self.forgets))
-
-
-class InformationAges:
-    """Ages of the newest plans of the others, and how old they usually are, ticks."""
-
-    def __init__(self, peers: Iterable[int], silence: Silence | None = None) -> None:
-        window, recent = (1, 1) if silence is None else (silence.window, silence.recent)
-        self._ages: dict[int, deque[int]] = {agent: deque(maxlen=window) for agent in peers}
-        self._recent: dict[int, deque[int]] = {agent: deque(maxlen=recent) for agent in peers}
-        # Smallest age in the window; sum and mean of the recent ones. The sum of integers is exact.
-        self._usual: dict[int, int] = {}
-        self._sums = dict.fromkeys(self._recent, 0)
-        self._mean: dict[int, float] = {}
-
-    def observe(self, agent: int, age: int) -> None:
-        """Take in the age of the newest plan of an agent at the next tick."""
-        ages = self._ages[agent]
-        leaving = ages[0] if len(ages) == ages.maxlen else None
-        ages.append(age)
-
-        usual = self._usual.get(agent, age)
-        if age <= usual:
-            self._usual[agent] = age
-        elif leaving == usual:
-            self._usual[agent] = min(ages)
-
-        recent = self._recent[agent]
-        if len(recent) == recent.maxlen:
-            self._sums[agent] -= recent[0]
-        recent.append(age)
-        self._sums[agent] += age
-        self._mean[agent] = self._sums[agent] / len(recent)
-
-    def forget(self, agent: int) -> None:
-        """Discard the ages of an agent that starts anew."""
-        self._ages[agent].clear()
-        self._recent[agent].clear()
-        self._sums[agent] = 0
-        self._usual.pop(agent, None)
-        self._mean.pop(agent, None)
-
-    def usual(self, agent: int) -> int:
-        """Return the smallest age of an agent's information in the window; 1 where there has been none."""
-        return self._usual.get(agent, 1)
-
-    def mean(self, agent: int) -> float:
-        """Return the mean age of an agent's information over the last second; 1 where there is none."""
-        return self._mean.get(agent, 1.0)
-
-
-class Mixture:
-    """Share of the law alone in an agent's inputs.
-
-    It begins with the share that the rule wants first, and follows the rule at a limited rate.
-    Source: (32d).
-    """
-
-    def __init__(self, period_s: float) -> None:
-        self._period_s = period_s
-        self._has_begun = False
-        self.share = 0.0
-
-    def advance(self, wanted: float, *, has_heard_all: bool = True) -> float:
-        """Return the share one tick later, where the rule wants another one."""
-        if not self._has_begun:
-            self._has_begun = True
-            self.share = wanted
-        up = self._period_s / (_TO_ALONE_S if has_heard_all else _UNHEARD_S)
-        down = self._period_s / _TO_TEAM_S
-        self.share += min(max(wanted - self.share, -down), up)
-        return self.share
-
-
-def mixed(team: Array, alone: Array, share: float, before: Array, step: Array) -> Array:
-    """Return inputs between those of the team and alone, (steps, 4 owned).
-
-    They change by a step per period at most.
-    """
-    inputs = (1.0 - share) * team + share * alone
-    for k in range(len(inputs)):
-        previous = before if k == 0 else inputs[k - 1]
-        inputs[k] = np.clip(inputs[k], previous - step, previous + step)
-    return inputs

@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 from scipy.special import gammaincinv
 
-from transport.analysis.constraints import limits_reached
+from transport.analysis.distances_and_violations import limits_reached
 from transport.analysis.estimates import estimates_of
 from transport.analysis.events import TIME_DIGITS
+from transport.analysis.numbers_for_json import finite, largest
 from transport.analysis.series import Series, swing_of
-from transport.analysis.spread import finite, largest
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.path.target_and_stop import PathTarget
 from transport.model.state import R0
-from transport.protocol.admission.carried import carried_by
+from transport.protocol.admission.targets_in_plans import carried_by
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import messages
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Generic, TypeVar
 
-from transport.protocol.scenario.links.impairments import Link
+from transport.protocol.scenario.links.delay_jitter_and_loss import Link
 from transport.protocol.wire.messages import Message
 
 M = TypeVar("M", bound=Message)

@@ -8,7 +8,7 @@ from operator import attrgetter, itemgetter
 from typing import Any
 
 from transport.model.arrays import Array
-from transport.protocol.scenario.links.draws import Draw, Streams, draw_key
+from transport.protocol.scenario.links.random_streams import Draw, Streams, draw_key
 from transport.protocol.scenario.sections.clock_section import first_tick
 from transport.protocol.scenario.sections.link_sections import (
     GilbertElliottSection,

@@ -3,7 +3,7 @@
 import numpy as np
 from msgspec.structs import replace
 
-from transport.protocol.admission.arrivals import Arrivals
+from transport.protocol.admission.delayed_messages import Arrivals
 from transport.protocol.scenario.sections.radio_section import RadioSection
 from transport.protocol.wire.messages import NO_NEWS, REPLACED, Airtime, Plan
 from transport.protocol.wire.names import agent_name

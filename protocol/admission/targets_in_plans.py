@@ -10,7 +10,7 @@ import numpy as np
 
 from transport.model.state import LARGEST
 from transport.protocol.wire.codec import decode
-from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import MAX_TARGETS, Plan, Target
 from transport.protocol.wire.names import COORDINATOR
 from transport.protocol.wire.node_interface import RunShape

@@ -10,7 +10,7 @@ from tests.support.logs import log_of
 from tests.support.runs import completed
 from tests.support.systems import controller, paper_setup, situation, step
 from transport.analysis.analysed_run import AnalysedRun
-from transport.analysis.summary_metrics import summarise
+from transport.analysis.summary_assembly import summarise
 from transport.model.arrays import Array
 from transport.mpc.settings import ConstraintSection, ControllerSettings
 

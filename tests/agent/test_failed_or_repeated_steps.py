@@ -12,7 +12,7 @@ from tests.support import runs
 from tests.support.runs import setup
 from transport.agent.planning.mpc_planner import MpcStep, Planner
 from transport.agent.received import Received
-from transport.agent.silence.freshness import Freshness, Repetition
+from transport.agent.silence.failed_or_repeated_steps import Freshness, Repetition
 from transport.agent.user_class.run_for_user import Run
 from transport.mpc.controller import Controller
 from transport.mpc.program.qp_solvers import QP, Solution, unsolved

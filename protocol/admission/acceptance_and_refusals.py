@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from transport.protocol.admission.plausibility import check_plausible
 from transport.protocol.wire.codec import Header, decode, header_of
-from transport.protocol.wire.errors import MessageError, Reason
+from transport.protocol.wire.errors_and_exit_codes import MessageError, Reason
 from transport.protocol.wire.key_expressions import Keys, matches
 from transport.protocol.wire.messages import (
     MAX_KEY,
