@@ -6,26 +6,23 @@ beside the same intervals of the controller "alone" and of the run without silen
 it to the end of the run, beside the run without silence. A ratio of sums is that of what a user sees:
 a mean of ratios would weigh a seed by how little it errs without silence.
 
-One line for each case, `--runs` for each run; `--case TEXT` selects cases. `--kept FOLDER` keeps the
-runs of these sources, and flies only those not kept there; `--write` renews the table in
-docs/guarantees.md, with the number of seeds of each row, or with `--case` its rows of those cases.
+One line for each case, `--runs` for each run; `--case TEXT` selects cases. `--write` renews each row
+of the table in docs/guarantees.md as soon as its runs are done; the table says which rows are new.
 """
 
 import argparse
-import hashlib
 import math
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
 from benchmarks.runs import origin
-from docs.tables import FLOWN, ROOT, place, put, table
+from docs.tables import ROOT, place, put, table
 from transport.experiments.weather_experiment import FORCES, SENSORS
 from transport.flight.memory import simulate
 from transport.flight.progress import compile_models
@@ -198,68 +195,6 @@ def _phases(case: Case) -> tuple[str, ...]:
     return (f"maneuver.phase=[{', '.join([*moves, hover])}]",)
 
 
-NUMBERS = ("error_m", "attitude_deg", "separation_m")
-
-
-@lru_cache(maxsize=1)
-def _of_sources() -> str:
-    """Return a digest of the sources that decide the numbers of a run."""
-    digest = hashlib.sha256()
-    files = [Path(__file__)]
-    for source in FLOWN:
-        place = ROOT / source
-        files += [place] if place.is_file() else sorted(place.rglob("*"))
-    for path in files:
-        if path.suffix in {".py", ".c", ".toml"}:
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-@dataclass(frozen=True, slots=True)
-class Kept:
-    """Runs in a folder, or in none: each is flown once for these sources."""
-
-    folder: Path | None
-    is_flying: bool = True  # otherwise only kept runs count
-
-    def fly(self, scenario: str, settings: tuple[str, ...]) -> Flown | None:
-        """Return a run, flown or kept; None where it is neither."""
-        if self.folder is None:
-            return fly(scenario, settings)
-        named = repr((_of_sources(), scenario, settings)).encode()
-        path = self.folder / f"{hashlib.sha256(named).hexdigest()[:24]}.npz"
-        if not path.exists():
-            if not self.is_flying:
-                return None
-            self._keep(path, fly(scenario, settings))
-        return self._read(path)
-
-    @staticmethod
-    def _keep(path: Path, flown: Flown) -> None:
-        """Write a run to a file, whole or not at all."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(".part")
-        with part.open("wb") as opened:
-            np.savez(
-                opened,
-                said=np.array([flown.outcome, flown.reason]),
-                numbers=np.array([flown.resets, flown.period_s]),
-                **{name: getattr(flown, name) for name in NUMBERS},
-            )
-        part.replace(path)
-
-    @staticmethod
-    def _read(path: Path) -> Flown:
-        """Return a run from its file."""
-        with np.load(path) as kept:
-            outcome, reason = kept["said"].tolist()
-            resets, period_s = kept["numbers"].tolist()
-            series = {name: kept[name] for name in NUMBERS}
-        return Flown(
-            outcome=outcome, reason=reason, resets=int(resets), period_s=period_s, **series
-        )
-
-
 @lru_cache(maxsize=256)
 def fly(scenario: str, settings: tuple[str, ...]) -> Flown:
     """Fly a scenario with settings."""
@@ -304,29 +239,22 @@ class Trio:
     undisturbed: Flown | None
 
 
-def trio(case: Case, seed: int, kept: Kept) -> Trio | None:
-    """Return the runs of a case with a seed; None where one is not kept and none are flown."""
+def trio(case: Case, seed: int) -> Trio:
+    """Return the runs of a case with a seed."""
     agents = len(read_scenario(find_scenario(case.scenario), []).owned)
     same = (*case.settings, *_phases(case), f"seed={seed}")
-    flown = kept.fly(case.scenario, (*same, *network(case, seed, agents)))
-    if flown is None:
-        return None
-    alone = undisturbed = None
-    if case.compared:
-        alone = kept.fly(case.scenario, (*same, *ALONE))
-        undisturbed = kept.fly(case.scenario, (*same, *LATE))
-        if alone is None or undisturbed is None:
-            return None
-    return Trio(flown=flown, alone=alone, undisturbed=undisturbed)
+    return Trio(
+        flown=fly(case.scenario, (*same, *network(case, seed, agents))),
+        alone=fly(case.scenario, (*same, *ALONE)) if case.compared else None,
+        undisturbed=fly(case.scenario, (*same, *LATE)) if case.compared else None,
+    )
 
 
-def run(case: Case, seeds: Sequence[int], kept: Kept, *, each: bool = False) -> Result:
+def run(case: Case, seeds: Sequence[int], *, each: bool = False) -> Result:
     """Return the result of a case with seeds."""
     result = Result()
     for seed in seeds:
-        runs = trio(case, seed, kept)
-        if runs is None:
-            continue
+        runs = trio(case, seed)
         one = Result()
         for to in (one, result):
             _count(case, seed, runs, to)
@@ -394,19 +322,24 @@ def said(case: Case, result: Result) -> str:
 
 
 def write(results: Sequence[tuple[Case, Result]], *, only: str) -> None:
-    """Renew the table in docs/guarantees.md; with `only` the rows whose names contain that text."""
+    """Renew rows in docs/guarantees.md; the others stay, and the table says which rows are new.
+
+    Args:
+        results: Cases with their results so far.
+        only: Text in the names of the cases that the command flies; empty for all.
+    """
     document = ROOT / "docs" / "guarantees.md"
-    renewed = {case.name: [case.name, *_cells(result)] for case, result in results if result.runs}
+    whole, _, earlier = place(document, "bench: silence").group().partition("\n\n")
+    before = [line.strip("| ").split(" | ") for line in whole.splitlines()[2:]]
+    rows = {cells[0]: cells for cells in before}
+    rows |= {case.name: [case.name, *_cells(result)] for case, result in results}
+    shown = [rows[case.name] for case in cases() if case.name in rows]
+
     source = origin()
-    if only:
-        whole, _, earlier = place(document, "bench: silence").group().partition("\n\n")
-        for line in whole.splitlines()[2:]:
-            cells = line.strip("| ").split(" | ")
-            renewed.setdefault(cells[0], cells)
-        of_others = earlier.strip("*.").split("; rows with ")[0]
-        source = f"{of_others}; rows with {only!r}: {source}"
-    rows = [renewed[case.name] for case in cases() if case.name in renewed]
-    put(document, "bench: silence", f"{table(HEADINGS, rows)}\n\n*{source}.*")
+    if len(results) < len(shown):
+        new = f"rows with {only!r}" if only else f"rows up to {results[-1][0].name!r}"
+        source = f"{earlier.strip('*.').split('; rows ')[0]}; {new}: {source}"
+    put(document, "bench: silence", f"{table(HEADINGS, shown)}\n\n*{source}.*")
 
 
 def main(given: Sequence[str] | None = None) -> None:
@@ -416,24 +349,17 @@ def main(given: Sequence[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--case", default="", help="text in the names of the cases to fly")
     parser.add_argument("--runs", action="store_true", help="print a line for each run")
-    parser.add_argument("--kept", type=Path, help="folder of runs of these sources")
-    parser.add_argument("--no-fly", action="store_true", help="count kept runs alone")
-    parser.add_argument("--write", action="store_true", help="renew the table of the page")
+    parser.add_argument("--write", action="store_true", help="renew the rows of the page")
     options = parser.parse_args(given)
-    if options.write and options.no_fly:
-        parser.error("--write: expected no --no-fly, as it renews rows whole")
     seeds = range(options.first, options.first + options.seeds)
-    kept = Kept(options.kept, is_flying=not options.no_fly)
     results = []
     for case in cases():
         if options.case in case.name:
-            result = run(case, seeds, kept, each=options.runs)
-            results.append((case, result))
-            if result.runs:
-                sys.stdout.write(said(case, result) + "\n")
-                sys.stdout.flush()
-    if options.write:
-        write(results, only=options.case)
+            results.append((case, run(case, seeds, each=options.runs)))
+            sys.stdout.write(said(*results[-1]) + "\n")
+            sys.stdout.flush()
+            if options.write:
+                write(results, only=options.case)
 
 
 if __name__ == "__main__":

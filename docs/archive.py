@@ -12,7 +12,7 @@ from pathlib import Path
 import kept
 import tomli_w
 from figures import TABLES
-from fingerprint import run_id
+from kept import run_id
 from measured import Measured
 from results_page import DERIVED, README
 from tables import ROOT
@@ -23,7 +23,7 @@ _EXPLANATION = """\
 Runs of the tables of README.md, payload-transport {version}.
 
 scenarios/ID.toml   a run: all keys of its scenario, with its seed; transport run ID.toml repeats it
-results/TABLE.csv   kept results of a table: column "run" is the ID; code, commit, versions, machine
+results/TABLE.csv   kept results of a table: column "run" is the ID; commit, versions, machine
 """
 
 

