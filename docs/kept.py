@@ -13,7 +13,7 @@ import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import cache
 from pathlib import Path
 
@@ -187,7 +187,8 @@ def read(file: Path) -> Runs:
     for line in lines:
         if line.startswith("# "):
             name, _, content = line.removeprefix("# ").partition(": ")
-            origins[name] = Origin(**json.loads(content))
+            values = json.loads(content)  # an earlier version kept a fingerprint of the code, too
+            origins[name] = Origin(**{field.name: values[field.name] for field in fields(Origin)})
 
     rows = csv.DictReader(line for line in lines if not line.startswith("# "))
     return {row["run"]: _run_of(row, origins) for row in rows}
