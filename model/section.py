@@ -50,6 +50,16 @@ def _growing(value: tuple[float, ...]) -> tuple[float, ...]:
     return value
 
 
+def _checked_inertia(value: list[Any]) -> list[Any]:
+    """Return an inertia that has three principal moments or three rows of three numbers."""
+    rows = [row for row in value if isinstance(row, list)]
+    are_moments = len(value) == 3 and not rows
+    are_rows = len(value) == len(rows) == 3 and all(len(row) == 3 for row in rows)
+    if not are_moments and not are_rows:
+        raise ValueError(f"expected 3 principal moments or 3 rows of 3 numbers, got {value}")
+    return value
+
+
 Positive = Annotated[float, Interval(gt=0.0)]
 NotNegative = Annotated[float, Interval(ge=0.0)]
 Vector = Annotated[tuple[float, ...], BeforeValidator(as_tuple), AfterValidator(_three_numbers)]
@@ -61,3 +71,8 @@ NotNegativeVector = Annotated[
 ]
 Pair = Annotated[tuple[NotNegative, ...], BeforeValidator(as_tuple), Len(2, 2)]
 Range = Annotated[Pair, AfterValidator(_growing)]
+Inertia = Annotated[
+    list[float] | list[list[float]],
+    AfterValidator(_checked_inertia),
+    Key(type="3 numbers or 3 rows of 3"),
+]

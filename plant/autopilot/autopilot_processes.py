@@ -25,10 +25,10 @@ from scipy.spatial.transform import Rotation
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.state import INPUTS, SENSED
-from transport.plant.actuators import Rotors
 from transport.plant.autopilot.autopilot_parameters import parameters
 from transport.plant.firmware.tuning import rotors_of
 from transport.plant.plant_run import PlantRun
+from transport.plant.rotors_and_motors import Rotors
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 
 PROGRAM = "ARDUCOPTER"  # environment variable

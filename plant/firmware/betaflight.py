@@ -23,7 +23,6 @@ from scipy.spatial.transform import Rotation
 
 from transport.model.arrays import Array
 from transport.model.state import INPUTS, OMEGA, THETA, StateView
-from transport.plant.actuators import Rotors
 from transport.plant.firmware.firmware_process import (
     FirmwareError,
     Process,
@@ -40,6 +39,7 @@ from transport.plant.firmware.tuning import (
     tuning,
 )
 from transport.plant.plant_run import PlantRun
+from transport.plant.rotors_and_motors import Rotors
 from transport.protocol.scenario.sections.plant_sections import RotorsSection
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.model.physics.parameters import Uav
-from transport.plant.actuators import Rotors
 from transport.plant.plant_run import PlantRun
+from transport.plant.rotors_and_motors import Rotors
 from transport.protocol.scenario.sections.plant_sections import RotorsSection
 
 # Output of the motors when armed, and the channel of the throttle from which it rises, us.

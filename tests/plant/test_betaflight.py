@@ -21,11 +21,12 @@ from transport.model.arrays import Array
 from transport.model.kernels import compiler
 from transport.model.physics.rotations import rotation
 from transport.model.state import OMEGA, StateView
-from transport.plant.actuators import Rotors, checked_firmware
 from transport.plant.firmware import betaflight
 from transport.plant.firmware import firmware_process as process
 from transport.plant.firmware.betaflight import Betaflight
 from transport.plant.firmware.tuning import SETTINGS, rotors_of
+from transport.plant.inner_loops import checked_firmware
+from transport.plant.rotors_and_motors import Rotors
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup

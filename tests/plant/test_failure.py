@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, VEHICLE, plan, roster, setup, tick
 from transport.model import state
-from transport.plant.actuators import MOTOR_OFF
+from transport.plant.actuator_schedule import MOTOR_OFF
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Measurement, Message, PlantState
 

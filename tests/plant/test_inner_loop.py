@@ -12,7 +12,7 @@ from transport.model.linear.motor_lag import rate_places
 from transport.model.physics.parameters import System
 from transport.model.state import StateView, uav_slice
 from transport.mpc.alone.fail_safe import FailSafe
-from transport.plant.actuators import INNER_STEP_S, RateLoop
+from transport.plant.inner_loops import INNER_STEP_S, RateLoop
 
 GAINS = np.array([25.0, 20.0, 10.0])
 WIDE_NM = np.full(3, np.inf)

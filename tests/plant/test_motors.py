@@ -8,7 +8,7 @@ from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, plan, plant_states, recorded, roster, setup, tick, ticks
 from transport.model import state
 from transport.model.arrays import Array
-from transport.plant.actuators import Motors, Rotors
+from transport.plant.rotors_and_motors import Motors, Rotors
 from transport.protocol.scenario.sections.plant_sections import MotorsSection, RotorsSection
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import ActualInputs, Message

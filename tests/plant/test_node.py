@@ -8,7 +8,7 @@ import numpy as np
 from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, end, integrated, measurement, plan, roster, setup, tick
 from transport.model import state
-from transport.plant.actuators import FAIL_SAFE
+from transport.plant.actuator_schedule import FAIL_SAFE
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Measurement, Message, PlantState, Presence
 

@@ -13,7 +13,7 @@ from transport.log.run_log import LogError, RunLog
 from transport.model.arrays import Array
 from transport.model.physics.rotations import rotation
 from transport.model.state import INPUTS, StateView
-from transport.plant.actuators import FAIL_SAFE
+from transport.plant.actuator_schedule import FAIL_SAFE
 from transport.protocol.scenario.setup.cost_of_run import StageCost
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import PlantState, StepReport

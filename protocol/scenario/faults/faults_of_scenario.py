@@ -6,7 +6,8 @@ import numpy as np
 
 from transport.protocol.scenario.faults.scripted_faults import OF_PLANT, Fault, Load
 from transport.protocol.scenario.sections.clock_section import first_tick
-from transport.protocol.scenario.sections.schema import FaultSection, Scenario
+from transport.protocol.scenario.sections.fault_sections import FaultSection
+from transport.protocol.scenario.sections.schema import Scenario
 
 
 def load_of(event: FaultSection) -> Load:

@@ -8,12 +8,13 @@ import json
 from typing import Annotated, Any, Literal
 
 from annotated_types import Interval
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
 from transport.model.physics.parameters import GRAVITY
-from transport.model.section import Key, NotNegative, Pair, Positive, Section, Vector
+from transport.model.section import Inertia, Key, NotNegative, Pair, Positive, Section, Vector
 from transport.mpc.settings import DEFAULT_HORIZON, DEFAULT_RELAXATION, ControllerSettings
 from transport.protocol.scenario.sections.clock_section import ClockSection
+from transport.protocol.scenario.sections.fault_sections import FaultsSection
 from transport.protocol.scenario.sections.link_sections import LinksSection
 from transport.protocol.scenario.sections.maneuver_sections import ManeuverSection, ObstacleSection
 from transport.protocol.scenario.sections.plant_sections import PlantSection
@@ -23,22 +24,6 @@ from transport.protocol.scenario.user_class.user_import import or_class
 from transport.protocol.wire.messages import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS
 from transport.protocol.wire.names import MAX_UAVS
 
-
-def _checked_inertia(value: list[Any]) -> list[Any]:
-    """Return an inertia that has three principal moments or three rows of three numbers."""
-    rows = [row for row in value if isinstance(row, list)]
-    are_moments = len(value) == 3 and not rows
-    are_rows = len(value) == len(rows) == 3 and all(len(row) == 3 for row in rows)
-    if not are_moments and not are_rows:
-        raise ValueError(f"expected 3 principal moments or 3 rows of 3 numbers, got {value}")
-    return value
-
-
-Inertia = Annotated[
-    list[float] | list[list[float]],
-    AfterValidator(_checked_inertia),
-    Key(type="3 numbers or 3 rows of 3"),
-]
 Relaxation = Annotated[
     Annotated[float, Interval(gt=0.0, le=1.0)] | Literal["auto"],
     Key(type="number > 0, <= 1, or auto", label="relaxation", short="relaxation"),
@@ -156,7 +141,6 @@ class ControllerSection(ControllerSettings):
     disturbance: DisturbanceSection = DisturbanceSection()
 
 
-Sensor = Literal["position", "velocity", "attitude", "rate", "specific_force"]
 UavIds = Annotated[list[int], Field(min_length=1)]
 Groups = Annotated[list[UavIds], Field(min_length=1)]
 
@@ -186,53 +170,6 @@ class AgentsSection(Section):
         float, Interval(ge=0.0, le=1.0), Key(label="allowed share of failed steps")
     ] = 0.05
     """largest share of an agent's steps that may fail; beyond it a run has failed, with exit code 7"""
-
-
-class FaultSection(Section):
-    """Fault of a process or a UAV at an instant of the run."""
-
-    at_s: NotNegative
-    """scenario time of the fault"""
-    do: Literal[
-        "kill",
-        "stop",
-        "continue",
-        "restart",
-        "motor_off",
-        "release",
-        "degrade",
-        "sensors_off",
-        "load",
-    ]
-    """kill: SIGKILL; stop: SIGSTOP; continue: SIGCONT; restart: start an agent again; motor_off:
-    thrust and moments of a UAV are zero; release: it also leaves its rod; degrade: its motors
-    produce only a share from then on; sensors_off: some sensors of a UAV measure nothing, with
-    `plant.sensors` vehicle; load: mass, inertia or centre of mass of the payload change, unknown to the
-    controllers"""
-    target: Annotated[
-        str, Key(type="coordinator, plant, agent1, agent2, ...; uav1, uav2, ...; or payload")
-    ]
-    """affected process, UAV for motor_off, release, degrade and sensors_off, or payload for load"""
-    efficiency: Annotated[float, Interval(gt=0.0, le=1.0)] | None = None
-    """with degrade, and required there: share of the commands that the motors produce"""
-    sensors: Annotated[list[Sensor], Field(min_length=1)] | None = None
-    """with sensors_off, and required there: the sensors"""
-    duration_s: Positive | None = None
-    """with sensors_off: time until they measure again, default: never; with load: time over which it
-    changes linearly, default: at once"""
-    mass_kg: Positive | None = None
-    """with load: actual mass of the payload from then on; its inertia changes in proportion if not given"""
-    inertia_kgm2: Annotated[Inertia | None, Key(type="3 numbers or 3 rows of 3")] = None
-    """with load: actual inertia of the payload about its centre of mass"""
-    centre_m: Vector | None = None
-    """with load: actual centre of mass, as `plant.payload_centre_m`"""
-
-
-class FaultsSection(Section):
-    """Scripted faults."""
-
-    event: Annotated[list[FaultSection], Key(short="faults")] = []
-    """faults, in any order of time"""
 
 
 class NetworkSection(Section):

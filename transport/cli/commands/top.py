@@ -18,7 +18,7 @@ from transport.cli.output import Format, fail, rows, show
 from transport.flight import live
 from transport.log.run_log import LogTail, setup_of
 from transport.model.state import StateView
-from transport.plant.actuators import FAIL_SAFE
+from transport.plant.actuator_schedule import FAIL_SAFE
 from transport.protocol.scenario.setup.cost_of_run import StageCost
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE
