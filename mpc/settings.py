@@ -277,12 +277,12 @@ class ControllerSettings(Section):
     linearisation: Literal["present", "along"] = "present"
     """closed_loop predicts by the linearisation about the present state, or along the trajectory
     that the shared control law would take, deviations from it by the linearisation about hover
-    ([equations.md](../equations.md#prediction-along-the-control-law)). along is valid for long
+    ([equations](../equations/law.md#prediction-along-the-control-law)). along is valid for long
     horizons and large deviations; no effect with open_loop"""
     fail_safe: Literal["level", "follow"] = "level"
     """what a UAV does without a newer plan. level: it plays its last one to the end and then keeps level.
     follow: it plays at most 0.4 s of it and then follows its part of the motion of the team alone, by its
-    own position and velocity ([equations.md](../equations.md#fail-safe))"""
+    own position and velocity ([equations](../equations/alone.md#fail-safe))"""
     terminal: Literal["multiple", "riccati"] = "multiple"
     """cost at the end of the horizon: Q_f, or the cost-to-go of the team's linear-quadratic
     regulator, [equations.md](../equations.md) (36d). riccati needs
@@ -300,7 +300,7 @@ class ControllerSettings(Section):
     daqp: the program with bounds alone is tried first"""
     inputs: Literal["moments", "rates"] = "moments"
     """commands of agents beside the thrust: moments, or body rates that an inner loop on each UAV
-    follows, [equations.md](../equations.md#body-rates) (57)"""
+    follows, [equations](../equations/plant.md#body-rates) (57)"""
     rate_time_constant_s: Annotated[
         PositiveVector,
         Key(within=LAG_S, label="time constant of the inner loop", shown="ms"),
@@ -311,7 +311,7 @@ class ControllerSettings(Section):
         NotNegative, Key(within=LAG_S, label="motor lag of the model", shown="ms")
     ] = 0.0
     """time constant of the motors that the controller predicts with,
-    [equations.md](../equations.md#motors) (55); 0, or at least a hundredth of T_s. The time constant
+    [equations](../equations/plant.md#motors) (55); 0, or at least a hundredth of T_s. The time constant
     of the plant is `plant.motors.lag_s`"""
     weights: Weights = Weights()
     limits: Limits = Limits()

@@ -30,9 +30,12 @@ FOLDERS = (
 )
 ENDINGS = {".py", ".c", ".toml", ".ipynb", ".json"}
 GUIDE = sorted((ROOT / "docs").glob("*.md"))
-DOCUMENTS = [*sorted(ROOT.glob("*.md")), *GUIDE, *sorted((ROOT / "docs").glob("re*/*.md"))]
+EQUATIONS = sorted((ROOT / "docs" / "equations").glob("*.md"))
+REFERENCE = [*sorted((ROOT / "docs" / "reference").glob("*.md")), *EQUATIONS]
+RECORD = sorted((ROOT / "docs" / "record").glob("*.md"))
+DOCUMENTS = [*sorted(ROOT.glob("*.md")), *GUIDE, *REFERENCE, *RECORD]
 HISTORY = ROOT / "CHANGELOG.md"  # also names options that are gone
-EQUATIONS = ROOT / "docs" / "equations.md"
+NUMBERS = ROOT / "docs" / "equations.md"  # which page has which equation
 SCENARIO = ROOT / "docs" / "scenario.md"
 KEYS = ROOT / "docs" / "reference" / "keys.md"
 
@@ -82,8 +85,12 @@ def blocks(document: Path) -> list[tuple[str, str]]:
 
 
 def tags() -> list[str]:
-    """Numbers of the equations, in order."""
-    return re.findall(r"\\tag\{(\w+)\}", EQUATIONS.read_text(encoding="utf-8"))
+    """Numbers of the equations, page by page."""
+    return [
+        number
+        for page in EQUATIONS
+        for number in re.findall(r"\\tag\{(\w+)\}", page.read_text(encoding="utf-8"))
+    ]
 
 
 def cited(text: str) -> list[str]:
@@ -95,7 +102,7 @@ def cited(text: str) -> list[str]:
     ("text", "numbers"),
     [
         ("docs/equations.md (22)-(24z)", ["22", "24z"]),
-        ("[(b)](equations.md#silence) (31z)", ["31z"]),
+        ("[(b)](information.md#silence) (31z)", ["31z"]),
         ("docs/equations.md (1) and (99)", ["1", "99"]),
         ("docs/equations.md, (99)", ["99"]),
         ("docs/equations.md (12),\n    # (13a); paper (2)", ["12", "13a", "2"]),
@@ -110,7 +117,7 @@ def test_citations_are_found(text: str, numbers: list[str]) -> None:
 
 
 def test_cited_equations_exist() -> None:
-    """Each number that a source or document cites, alone or at an end of a range, has a tag in docs/equations.md."""
+    """Each number that a source or document cites, alone or at an end of a range, has a tag in docs/equations."""
     known = set(tags())
     files = [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*"))]
     sources = [path for path in files if path.suffix in ENDINGS and path != Path(__file__)]
@@ -121,14 +128,14 @@ def test_cited_equations_exist() -> None:
 
 
 def test_equations_are_numbered_without_gaps() -> None:
-    """Tags count 1, 2, 3, ...
+    """Tags of all pages count 1, 2, 3, ...
 
-    Up to the number the document opens with, helpers with a letter after their number.
+    Up to the number the list of pages opens with, helpers with a letter after their number.
     """
     numbers = tags()
-    plain = [int(tag) for tag in numbers if tag.isdecimal()]
+    plain = sorted(int(tag) for tag in numbers if tag.isdecimal())
     assert plain == list(range(1, len(plain) + 1))
-    opening, _, _ = EQUATIONS.read_text(encoding="utf-8").partition("\n## ")
+    opening, _, _ = NUMBERS.read_text(encoding="utf-8").partition("\n## ")
     assert f"(1)-({plain[-1]})" in opening
     assert len(set(numbers)) == len(numbers)
     assert {tag[:-1] for tag in numbers if not tag.isdecimal()} <= {str(n) for n in plain}

@@ -108,9 +108,9 @@ def test_every_document_is_a_page(site: Path, pages: dict[Path, Page]) -> None:
     assert {*documents, "index.html", "changelog.html"} <= names
     index = {urlparse(link).path for link in pages[site / "index.html"].links}
     assert documents <= index
-    equations = (site / "equations.html").read_text(encoding="utf-8")
-    assert equations.count("<math") > 300
-    assert "\\(" not in equations
+    equations = [page.read_text(encoding="utf-8") for page in (site / "equations").glob("*.html")]
+    assert sum(page.count("<math") for page in equations) > 300
+    assert not any("\\(" in page for page in equations)
 
 
 def test_nothing_is_loaded_from_the_network(site: Path, pages: dict[Path, Page]) -> None:
@@ -163,20 +163,21 @@ COUNT = "return document.querySelectorAll('.equation').length"
 
 @needs_browser
 def test_equations_are_drawn_whole(site: Path) -> None:
-    """Every equation fits into the page, without scroll bars, and none has marks of LaTeX.
+    """Every equation fits into its page, without scroll bars, and none has marks of LaTeX.
 
     They are drawn with the font of the site, which has brackets of any height.
     """
-    source = (ROOT / "docs" / "equations.md").read_text(encoding="utf-8")
     with browser() as opened:
         opened.driver.set_window_size(1400, 900)
-        opened.driver.get((site / "equations.html").as_uri())
-        assert wait_for(
-            lambda: opened.driver.execute_script("return document.fonts.check('16px Formulas')")
-        )
-        assert opened.driver.execute_script(COUNT) == source.count("$$") / 2
-        assert opened.driver.execute_script(UNCONVERTED) == []
-        assert opened.driver.execute_script(CUT) == []
+        for source in sorted((ROOT / "docs" / "equations").glob("*.md")):
+            opened.driver.get((site / "equations" / f"{source.stem}.html").as_uri())
+            assert wait_for(
+                lambda: opened.driver.execute_script("return document.fonts.check('16px Formulas')")
+            )
+            count = source.read_text(encoding="utf-8").count("$$") / 2
+            assert opened.driver.execute_script(COUNT) == count, source
+            assert opened.driver.execute_script(UNCONVERTED) == [], source
+            assert opened.driver.execute_script(CUT) == [], source
 
 
 @needs_browser

@@ -60,7 +60,7 @@ class PhaseSection(Section):
     formation: Annotated[list[Vector] | None, Key(type="rows of 3 numbers", unit="shares")] = None
     """rods lean out or in, with `reference` flat: rows of a share of the phase's duration, and
     length and width of a team from then on over those at hover
-    ([equations.md](../equations.md#references-that-a-team-can-fly), (66a))"""
+    ([equations](../equations/flat.md#references-that-a-team-can-fly), (66a))"""
 
     @model_validator(mode="before")
     @classmethod
@@ -192,7 +192,7 @@ class ManeuverSection(Section):
     """payload position at t = 0, inertial frame; the run starts there at rest in hover"""
     reference: Literal["hover", "flat"] = "hover"
     """hover moved along the path, or the motion of the whole team that carries the payload along a
-    smooth one ([equations.md](../equations.md#references-that-a-team-can-fly)); needs closed_loop,
+    smooth one ([equations](../equations/flat.md#references-that-a-team-can-fly)); needs closed_loop,
     along, riccati, preview"""
     profile: Profile = "ramp"
     """speed along a straight segment: constant, minimum jerk, a step, or smooth to the seventh
@@ -200,7 +200,7 @@ class ManeuverSection(Section):
     some 0.5 s"""
     press_m: NotNegative = 0.2
     """distance of the controllers' reference below the payload that stands on the ground
-    ([equations.md](../equations.md#on-the-ground)): the larger, the less of its weight the team
+    ([equations](../equations/plant.md#on-the-ground)): the larger, the less of its weight the team
     holds"""
     phase: Annotated[list[PhaseSection], Field(min_length=1), Key(short="phases")]
     target: list[ScriptedTargetSection] = []

@@ -215,5 +215,5 @@ class PlantSection(Section):
     wind: WindSection = WindSection()
     sensors: Literal["state", "vehicle"] = "state"
     """measurements of an agent: the states of payload, own UAVs and rods; or what an autopilot has
-    of each own UAV ([equations.md](../equations.md#estimation-without-a-payload-sensor))"""
+    of each own UAV ([equations](../equations/estimation.md#estimation-without-a-payload-sensor))"""
     noise: NoiseSection = NoiseSection()

@@ -106,7 +106,7 @@ class ControllerSection(ControllerSettings):
     estimator: Literal["measured", "kalman"] = "measured"
     """measured states and a prediction of the others', or a Kalman filter over the whole team,
     which `plant.sensors` vehicle needs
-    ([equations.md](../equations.md#estimation-without-a-payload-sensor))"""
+    ([equations](../equations/estimation.md#estimation-without-a-payload-sensor))"""
     negotiation_iterations: Annotated[
         int, Interval(ge=1, le=MAX_NEGOTIATION_ITERATIONS), Key(label="negotiation iterations")
     ] = 1
@@ -130,14 +130,14 @@ class ControllerSection(ControllerSettings):
     silence: Literal["alone", "law", "stop"] = "alone"
     """with closed_loop, what an agent does when its information about the others is overdue, or late on average
     with a filter. alone: each of its UAVs gradually follows its part of the motion of the team alone,
-    by its own sensors ([equations.md](../equations.md#silence)); law: they follow the shared control law
+    by its own sensors ([equations](../equations/information.md#silence)); law: they follow the shared control law
     by the agent's estimate; stop: as alone, and the agent's path comes to a rest within 1 s, or its
     speed over 1 m/s^2, and goes on with the others once there is information
-    ([equations.md](../equations.md#stop-in-silence))"""
+    ([equations](../equations/information.md#stop-in-silence))"""
     targets: Literal["eager", "confirmed"] = "eager"
     """when an agent follows a target that it has heard of in a plan, or that only some are told: eager: at
     once; confirmed: once all agents on the roster are known to have it, and the path before goes on
-    until then ([equations.md](../equations.md#targets-told-to-some))"""
+    until then ([equations](../equations/information.md#targets-told-to-some))"""
     disturbance: DisturbanceSection = DisturbanceSection()
 
 
@@ -164,7 +164,7 @@ class AgentsSection(Section):
         ),
     ] = "mpc"
     """controller of every agent, or of each: that of this project; alone, by which each UAV keeps to its part of the
-    reference by its own sensors, whatever messages say ([equations.md](../equations.md#a-uav-alone)); or [your own
+    reference by its own sensors, whatever messages say ([equations](../equations/alone.md#a-uav-alone)); or [your own
     class](../bring-your-own.md#your-own-controller)"""
     failed_share: Annotated[
         float, Interval(ge=0.0, le=1.0), Key(label="allowed share of failed steps")
