@@ -7,7 +7,7 @@ it to the end of the run, beside the run without silence. A ratio of sums is tha
 a mean of ratios would weigh a seed by how little it errs without silence.
 
 One line for each case, `--runs` for each run; `--case TEXT` selects cases. `--write` renews each row
-of the table in docs/guarantees.md as soon as its runs are done; the table says which rows are new.
+of the table in docs/record/guarantees.md as soon as its runs are done; the table says which rows are new.
 """
 
 import argparse
@@ -322,13 +322,13 @@ def said(case: Case, result: Result) -> str:
 
 
 def write(results: Sequence[tuple[Case, Result]], *, only: str) -> None:
-    """Renew rows in docs/guarantees.md; the others stay, and the table says which rows are new.
+    """Renew rows in docs/record/guarantees.md; the others stay, and the table says which rows are new.
 
     Args:
         results: Cases with their results so far.
         only: Text in the names of the cases that the command flies; empty for all.
     """
-    document = ROOT / "docs" / "guarantees.md"
+    document = ROOT / "docs" / "record" / "guarantees.md"
     whole, _, earlier = place(document, "bench: silence").group().partition("\n\n")
     before = [line.strip("| ").split(" | ") for line in whole.splitlines()[2:]]
     rows = {cells[0]: cells for cells in before}

@@ -8,7 +8,7 @@ interrupted command are a fair sample. Two commands share a folder if one goes `
 
 `--margins` prints the slowest decay and the margins of the law of UAVs alone of each team instead, with
 `--first SEED` of other teams.
-`--write` renews both tables in docs/guarantees.md.
+`--write` renews both tables in docs/record/guarantees.md.
 """
 
 import argparse
@@ -347,7 +347,11 @@ def main(given: Sequence[str] | None = None) -> None:
     else:
         mark, rows, headings = "bench: teams", count(options), HEADINGS
     if options.write:
-        put(ROOT / "docs" / "guarantees.md", mark, f"{table(headings, rows)}\n\n*{origin()}.*")
+        put(
+            ROOT / "docs" / "record" / "guarantees.md",
+            mark,
+            f"{table(headings, rows)}\n\n*{origin()}.*",
+        )
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 The spread of actuation is linear (`transport margins`): commands reach the last UAV late by so much, and
 the others by less in equal steps. A flight of each scenario shows what comes of commands that are up to
-60 ms late, and further ones how far the clock of the last agent may be ahead. Writes docs/guarantees.md;
+60 ms late, and further ones how far the clock of the last agent may be ahead. Writes docs/record/guarantees.md;
 takes some minutes.
 
     python -m benchmarks.timing --write
@@ -119,7 +119,7 @@ def main(given: Sequence[str] | None = None) -> None:
             sys.stdout.flush()
         if options.write:
             content = f"{table(headings, rows)}\n\n*{origin()}.*"
-            put(ROOT / "docs" / "guarantees.md", place, content)
+            put(ROOT / "docs" / "record" / "guarantees.md", place, content)
 
 
 if __name__ == "__main__":

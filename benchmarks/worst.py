@@ -5,7 +5,7 @@ and by random draws, over several seeds. `python -m benchmarks.worst --runs 1000
 ready scenarios, within the default bounds of docs/worst.md, for how far each is from failing.
 `python -m benchmarks.worst --together` simulates deaths with silences that the search has found.
 With `--write` the table of `--planted` takes its place in docs/worst.md, the others theirs in
-docs/guarantees.md.
+docs/record/guarantees.md.
 """
 
 import argparse
@@ -35,7 +35,7 @@ from transport.search.search_report import in_words
 from transport.search.space import Bounds, Space
 
 DOCUMENT = ROOT / "docs" / "worst.md"
-GUARANTEES = ROOT / "docs" / "guarantees.md"
+GUARANTEES = ROOT / "docs" / "record" / "guarantees.md"
 _CONSOLE = Console(stderr=True)
 
 

@@ -40,7 +40,7 @@ DETAILS = {
 }
 
 
-# docs/guarantees.md
+# docs/record/guarantees.md
 
 NETWORKS = {
     "perfect": (),
@@ -498,7 +498,7 @@ RADIO = (
 )
 
 PAGES = {
-    "guarantees.md": GUARANTEES,
+    "record/guarantees.md": GUARANTEES,
     "engines.md": ENGINES,
     "reference/values.md": VALUES,
     "scenario.md": SCENARIO,

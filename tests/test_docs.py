@@ -47,11 +47,11 @@ CITATION = re.compile(r"(?<![\w\])])(?<!\d )\(([1-9]\d{0,2}[a-z]?)\)(?!\^)")
 OTHER_PARTS: list[tuple[str, str, tuple[str, ...]]] = [
     ("docs/arena.md", "docs/arena_page.py", ("tasks", "networks", "results")),
     ("docs/bring-your-own.md", "docs/algorithm_figures.py", ("ready algorithms",)),
-    ("docs/guarantees.md", "benchmarks/silence.py", ("bench: silence",)),
-    ("docs/guarantees.md", "benchmarks/timing.py", ("bench: spread", "bench: clocks")),
-    ("docs/guarantees.md", "benchmarks/teams.py", ("bench: teams alone", "bench: teams")),
+    ("docs/record/guarantees.md", "benchmarks/silence.py", ("bench: silence",)),
+    ("docs/record/guarantees.md", "benchmarks/timing.py", ("bench: spread", "bench: clocks")),
+    ("docs/record/guarantees.md", "benchmarks/teams.py", ("bench: teams alone", "bench: teams")),
     ("docs/flight.md", "benchmarks/autopilots.py", ("bench: autopilots",)),
-    ("docs/guarantees.md", "benchmarks/worst.py", ("together", "ready")),
+    ("docs/record/guarantees.md", "benchmarks/worst.py", ("together", "ready")),
     (
         "docs/record/performance.md",
         "benchmarks/__main__.py",
@@ -178,6 +178,22 @@ def test_relative_links_resolve(document: Path) -> None:
         assert not anchor or anchor in anchors(path), (
             f"{document.name} links to {target}, which has no such heading"
         )
+
+
+# A file of the source in the text of a document; several pages name those of the filter briefly.
+NAMED = re.compile(r"(?:[\w.-]+/)+[\w.-]+\.(?:py|c|toml)")
+SHORT = ROOT / "agent" / "estimation"
+
+
+@pytest.mark.parametrize(
+    "document", [path for path in DOCUMENTS if path != HISTORY], ids=lambda path: path.name
+)
+def test_files_in_text_exist(document: Path) -> None:
+    """Source files that a document names by their folder exist, but for those that a recipe makes."""
+    made = set(re.findall(r"the new file `([^`]+)`", document.read_text(encoding="utf-8")))
+    for span in set(CODE_SPAN.findall(prose(document))) - made:
+        if NAMED.fullmatch(span):
+            assert any((folder / span).is_file() for folder in (ROOT, SHORT)), span
 
 
 @pytest.fixture

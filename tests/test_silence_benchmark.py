@@ -53,8 +53,8 @@ def test_each_row_is_renewed_as_its_case_is_done(
     """Of two rows the one that is done changes, the other stays, and the page says whence each is."""
     renewed, stays = list(silence.cases())[-2:]
     monkeypatch.setattr(silence, "cases", lambda: iter((renewed, stays)))
-    (tmp_path / "docs").mkdir()
-    page = tmp_path / "docs" / "guarantees.md"
+    (tmp_path / "docs" / "record").mkdir(parents=True)
+    page = tmp_path / "docs" / "record" / "guarantees.md"
     rows = [[case.name, *(["-"] * (len(silence.HEADINGS) - 1))] for case in (renewed, stays)]
     before = table(silence.HEADINGS, rows)
     page.write_text(

@@ -116,7 +116,7 @@ def test_its_agent_may_die_with_it() -> None:
 def test_four_do_not_fly_with_the_dead_one_on_its_rod() -> None:
     """The failed UAV falls over on its rod, and the other three cannot control it.
 
-    Docs/guarantees.md.
+    Docs/record/guarantees.md.
     """
     flight = flown(4, "resilient", OFF, LONGER)
     assert flight.control.outcome == "diverged"

@@ -1,4 +1,4 @@
-"""Margins by linear analysis against runs that excite the modes (docs/guarantees.md)."""
+"""Margins by linear analysis against runs that excite the modes (docs/record/guarantees.md)."""
 
 import json
 import re

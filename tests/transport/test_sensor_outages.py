@@ -1,4 +1,4 @@
-"""Single sensors of UAVs that fail (docs/guarantees.md, "Sensors that fail")."""
+"""Single sensors of UAVs that fail (docs/record/guarantees.md, "Sensors that fail")."""
 
 import numpy as np
 import pytest

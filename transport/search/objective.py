@@ -13,7 +13,7 @@ from transport.protocol.scenario.sections.schema import Scenario
 Measure = Literal["attitude", "separation", "payload", "constraint", "cost"]
 MEASURES = get_args(Measure)
 
-# Default limits: attitude and payload error as in docs/guarantees.md; violation of the user's own
+# Default limits: attitude and payload error as in docs/record/guarantees.md; violation of the user's own
 # constraints, in their units, and of limits, as a share of their range; mean cost.
 _LIMITS: Mapping[str, float] = {"attitude": 10.0, "payload": 1.0, "constraint": 0.1, "cost": 10.0}
 # Units of numbers and limits, where they have the same for every scenario.

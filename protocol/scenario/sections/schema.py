@@ -63,7 +63,7 @@ class UavSection(Section):
     """rod length l_i"""
     radius_m: Annotated[Positive, Key(within=(1e-3, 1e2))] | None = None
     """radius of the sphere that the UAV fills: two that touch have collided
-    ([guarantees.md](../guarantees.md#collisions)); without it no contact is told"""
+    ([guarantees.md](../record/guarantees.md#collisions)); without it no contact is told"""
 
 
 class SystemSection(Section):
