@@ -5,10 +5,11 @@ geometry, periods, horizons, vehicles and late networks. The instant of the sile
 seed, too. A line for each case, `--runs` for each run; `--case TEXT` selects cases. `--kept FOLDER`
 keeps runs, and flies only those not kept there, in a drawn order of all cases and teams: those kept by an
 interrupted command are a fair sample. Two commands share a folder if one goes `--backwards`.
+Beside them the team of the ready scenario `precise` is flown in each case, with ten instants.
 
 `--margins` prints the slowest decay and the margins of the law of UAVs alone of each team instead, with
 `--first SEED` of other teams.
-`--write` renews both tables in docs/record/guarantees.md.
+`--write` renews both tables in docs/record/guarantees.md, and that of the flights in README.
 """
 
 import argparse
@@ -25,7 +26,8 @@ import numpy as np
 import threadpoolctl
 
 from benchmarks.runs import origin
-from docs.tables import ROOT, put, table
+from docs.tables import ROOT, completed_of, put, table
+from transport.experiments.statistics import estimate
 from transport.flight.memory import simulate
 from transport.model.state import StateView
 from transport.mpc.margins.actual_plant import Mismatch
@@ -46,6 +48,8 @@ _FROM_S = (2.0, 8.0)  # range of the instant at which the silence begins
 _AFTER_S = 1.0  # from the begin of the silence to the death in it
 _STAYS_S = 4.0  # after the silence, to the end of the run
 _FOR_GOOD_FLOWN_S = 40.0  # of a silence for good, at least
+_READY_SEEDS = 10  # runs of the ready team in each case
+_READY_LINKS, _READY_GUST_MPS = (0.2, 0.3), 1.0  # network and gusts of its own
 _ORDER = 0  # seed of the order in which runs are flown
 _DELAY_MS, _LAG_MS = 20.0, 25.0  # wanted margins
 
@@ -132,9 +136,18 @@ def seeds(case: Case) -> Iterator[int]:
         seed += 1
 
 
-def flown_scenario(case: Case, seed: int) -> Scenario:
-    """Return the scenario of a run. Raises: ScenarioError: it is refused."""
-    tree: dict[str, Any] = drawn(seed, *_template()).tree()
+def flown_scenario(case: Case, seed: int, *, is_ready: bool = False) -> Scenario:
+    """Return the scenario of a run of a drawn team, or of the ready one.
+
+    Raises: ScenarioError: it is refused.
+    """
+    template, path = _template()
+    tree: dict[str, Any] = (template if is_ready else drawn(seed, template, path)).tree()
+    links, gust_mps = case.links, case.gust_mps
+    if is_ready:
+        tree["seed"] = seed
+        links = links or _READY_LINKS
+        gust_mps = _READY_GUST_MPS if gust_mps is None else gust_mps
     rng = np.random.default_rng([seed, 7])
     start_s = round(float(rng.uniform(*_FROM_S)), 3)
     dying = 1 + int(rng.integers(len(tree["system"]["uav"])))
@@ -144,10 +157,10 @@ def flown_scenario(case: Case, seed: int) -> Scenario:
     if case.sensors != plant["sensors"]:
         plant |= {"sensors": case.sensors, "noise": NOISE if is_sensed else {}}
     tree["controller"]["estimator"] = "kalman" if is_sensed else "measured"
-    if case.gust_mps is not None:
-        plant["wind"]["gust_mps"] = [case.gust_mps] * 3
-    if case.links is not None:
-        delay_s, loss = case.links
+    if gust_mps is not None:
+        plant["wind"]["gust_mps"] = [gust_mps] * 3
+    if links is not None:
+        delay_s, loss = links
         tree["links"] |= {"delay_s": delay_s, "loss": loss, "jitter_s": 0.0}
 
     if case.silent_s:
@@ -168,10 +181,10 @@ def flown_scenario(case: Case, seed: int) -> Scenario:
     return validate(tree, f"team {seed}")
 
 
-def fly(case: Case, seed: int) -> Flown:
-    """Fly a case with the team of a seed."""
+def fly(case: Case, seed: int, *, is_ready: bool = False) -> Flown:
+    """Fly a case with the team of a seed, or with the ready team and the instant of the seed."""
     try:
-        setup = Setup.of(flown_scenario(case, seed), f"team {seed}")
+        setup = Setup.of(flown_scenario(case, seed, is_ready=is_ready), f"team {seed}")
     except ScenarioError as error:
         return Flown(
             team=seed, outcome="refused", attitude_deg=0.0, at_s=0.0, end_s=0.0, text=str(error)
@@ -202,52 +215,69 @@ def fly(case: Case, seed: int) -> Flown:
     )
 
 
-def _runs(options: argparse.Namespace) -> dict[tuple[str, int], Flown]:
-    """Return the runs of the selected cases by case and team, kept or flown."""
-    wanted = [(case, seed) for case in CASES for seed in seeds(case)]
+# Runs by case, whether the team is the ready one, and seed.
+_Runs = dict[tuple[str, bool, int], Flown]
+
+
+def _runs(options: argparse.Namespace) -> _Runs:
+    """Return the runs of the selected cases, kept or flown."""
+    wanted = [(case, False, seed) for case in CASES for seed in seeds(case)]
+    wanted += [(case, True, seed) for case in CASES for seed in range(_READY_SEEDS)]
     in_order = [wanted[i] for i in np.random.default_rng(_ORDER).permutation(len(wanted))]
     if options.backwards:
         in_order.reverse()
 
-    runs: dict[tuple[str, int], Flown] = {}
-    for case, seed in in_order:
-        if options.case not in case.name:
+    runs: _Runs = {}
+    for case, is_ready, seed in in_order:
+        if options.case not in case.name or (options.ready and not is_ready):
             continue
-        path = None if options.kept is None else options.kept / _file_name(case, seed)
+        file = _file_name(case, seed, is_ready=is_ready)
+        path = None if options.kept is None else options.kept / file
         if path is not None and path.exists():
             run = Flown(**json.loads(path.read_bytes()))
         elif options.no_fly:
             continue
         else:
-            run = fly(case, seed)
+            run = fly(case, seed, is_ready=is_ready)
             if path is not None:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 write_whole(path, json.dumps(asdict(run)).encode())
         if options.runs or not run.is_held:
-            sys.stdout.write(f"{case.name}: {run}\n")
+            sys.stdout.write(f"{case.name}{', ready' * is_ready}: {run}\n")
             sys.stdout.flush()
-        runs[case.name, seed] = run
+        runs[case.name, is_ready, seed] = run
     return runs
 
 
-def _file_name(case: Case, seed: int) -> str:
+def _file_name(case: Case, seed: int, *, is_ready: bool) -> str:
     """Return the file of a kept run."""
     words = case.name.replace("%", "percent").replace(",", "").replace(" ", "-")
-    return f"{words}-{seed}.json"
+    return f"{words}-{'ready-' * is_ready}{seed}.json"
 
 
-HEADINGS = ("drawn teams", "complete", "within 15 deg", "median attitude", "largest", "refused")
+HEADINGS = (
+    "", "drawn teams: complete, 95 % interval", "within 15 deg", "refused", "attitude, deg", "largest",
+    f"`{TEMPLATE}`: complete", "attitude, deg", "largest",
+)  # fmt: skip
+_SHORT = (0, 1, 4, 5, 6, 7, 8)  # columns of the table in README
 
 
-def cells(case: Case, runs: Sequence[Flown]) -> list[str]:
-    """Return the row of a case."""
-    done = [run.attitude_deg for run in runs if run.outcome == "completed"]
+def cells(case: Case, runs: Sequence[Flown], ready: Sequence[Flown]) -> list[str]:
+    """Return the row of a case: the drawn teams, then the ready one."""
     held = sum(run.is_held for run in runs)
     refused = sum(run.outcome == "refused" for run in runs)
-    middle, largest = (float(np.median(done)), max(done)) if done else (math.nan, math.nan)
-    of = f"of {len(runs)}"
-    numbers = [f"{len(done)} {of}", f"{held} {of}", f"{middle:.1f} deg", f"{largest:.1f} deg"]
-    return [case.name, *numbers, f"{refused}"]
+    drawn_count, *drawn_deg = _count_and_attitudes(runs)
+    counts = [drawn_count, f"{held} of {len(runs)}", f"{refused}"]
+    return [case.name, *counts, *drawn_deg, *_count_and_attitudes(ready)]
+
+
+def _count_and_attitudes(runs: Sequence[Flown]) -> list[str]:
+    """Return how many runs complete, and mean with 95 % interval and largest of their attitudes, deg."""
+    done = [run.attitude_deg for run in runs if run.outcome == "completed"]
+    mean = estimate(done)
+    if mean is None:
+        return [f"0 of {len(runs)}", "", ""]
+    return [completed_of(len(done), len(runs)), mean.text(1), f"{max(done):.1f}"]
 
 
 def count(options: argparse.Namespace) -> list[list[str]]:
@@ -255,9 +285,16 @@ def count(options: argparse.Namespace) -> list[list[str]]:
     flown = _runs(options)
     rows = []
     for case in CASES:
-        runs = [run for (name, _), run in flown.items() if name == case.name]
-        if runs:
-            rows.append(cells(case, runs))
+        drawn_runs, ready_runs = (
+            [
+                run
+                for (name, ready, _), run in flown.items()
+                if (name, ready) == (case.name, is_ready)
+            ]
+            for is_ready in (False, True)
+        )
+        if drawn_runs or ready_runs:
+            rows.append(cells(case, drawn_runs, ready_runs))
             sys.stdout.write(" | ".join(rows[-1]) + "\n")
     return rows
 
@@ -334,11 +371,14 @@ def main(given: Sequence[str] | None = None) -> None:
     parser.add_argument("--backwards", action="store_true", help="fly the last ones first")
     parser.add_argument("--runs", action="store_true", help="print a line for each run")
     parser.add_argument("--kept", type=Path, help="folder of runs")
+    parser.add_argument("--ready", action="store_true", help="the ready team alone")
     parser.add_argument("--no-fly", action="store_true", help="count kept runs alone")
     parser.add_argument("--margins", action="store_true", help="margins in place of flights")
     parser.add_argument("--first", type=int, default=0, help="seed of the first of these teams")
     parser.add_argument("--write", action="store_true", help="renew the table of the page")
     options = parser.parse_args(given)
+    if options.write and (options.ready or options.case):
+        parser.error("--write: expected neither --ready nor --case, as the page has all of them")
     if options.write and options.first:
         parser.error("--write: expected no --first, as the page has the teams from seed 0 on")
     if options.margins:
@@ -352,6 +392,9 @@ def main(given: Sequence[str] | None = None) -> None:
             mark,
             f"{table(headings, rows)}\n\n*{origin()}.*",
         )
+        if not options.margins:
+            short = [[cells[i] for i in _SHORT] for cells in (headings, *rows)]
+            put(ROOT / "README.md", mark, table(short[0], short[1:]))
 
 
 if __name__ == "__main__":

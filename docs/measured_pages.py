@@ -17,6 +17,7 @@ from simulations import (
     completed,
     events,
     grid,
+    interval,
     listed,
     outcome,
     unless_diverged,
@@ -459,7 +460,7 @@ RESULTS = (
         {text: Run("eight", settings, seeds=10) for text, settings in AGILE.items()},
         {
             "completed": completed,
-            "error rms, mean, cm": cell("payload_rms_m", "{:.2f}", 100.0),
+            "error rms, mean, cm": interval("payload_rms_m", 2, 100.0),
             "worst rms, cm": cell("payload_rms_m", "{:.2f}", 100.0, np.max),
             "largest error, cm": cell("payload_max_m", "{:.1f}", 100.0, np.max),
             "attitude, deg": cell("attitude_max_deg", "{:.1f}", of=np.max),

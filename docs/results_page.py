@@ -4,14 +4,14 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from measured import Derived, Measured
+from readme_tables import ALONE, TEAM, drag, known, worth
 from tables import ROOT, table
-from weather_table import known, worth
 
 from transport.cli.commands.experiment import EXPERIMENTS as DECLARED
 from transport.cli.commands.experiment import ExperimentOptions
@@ -34,10 +34,30 @@ Row = Mapping[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """Options of an experiment where they are not the defaults: its own ones, and seeds."""
+    """Options of an experiment where they are not the defaults.
+
+    Attributes:
+        own: Its own options.
+        seeds: Repetitions of random runs.
+        declared: Name of its declaration, if that is another one: part of an experiment with more seeds.
+        scenarios: Scenarios.
+        shown: Returns the text of the page in place of conclusions and table, from the rows of points.csv.
+    """
 
     own: Mapping[str, Any] = field(default_factory=dict)
     seeds: int | None = None
+    declared: str = ""
+    scenarios: Sequence[str] = ()
+    shown: Callable[[Sequence["Row"]], str] | None = None
+
+    def plan(self, name: str) -> tuple[Experiment, list[Case]]:
+        """Return the experiment with its runs."""
+        options = ExperimentOptions(
+            declared=DECLARED[self.declared or name],
+            seeds=self.seeds,
+            scenarios=list(self.scenarios) or None,
+        )
+        return options.plan(self.own, simulated_before=True)
 
 
 # Standard deviation of gusts in the comparison, m/s.
@@ -52,7 +72,14 @@ EXPERIMENTS: Mapping[str, Asked] = {
     "scaling": Asked({"max": 12}, seeds=3),
     "radio": Asked({"sharing": ["always", "on_change"]}, seeds=1),
     WEATHER: Asked(seeds=2),
-    "information": Asked(),
+    "worth": Asked(
+        {"air": ["still air", "gusts 2 m/s", "payload 15 % heavier"]},
+        seeds=10,
+        declared=WEATHER,
+        scenarios=(TEAM, ALONE),
+        shown=worth,
+    ),
+    "information": Asked(seeds=10),
 }
 # Pages of experiments with a page of their own.
 OWN_PAGES = {"radio": ROOT / "docs" / "radio.md"}
@@ -73,14 +100,17 @@ def measured(name: str) -> Measured:
     if name == PAPER:
         return _compared()
     asked = EXPERIMENTS[name]
-    options = ExperimentOptions(declared=DECLARED[name], seeds=asked.seeds)
-    experiment, cases = options.plan(asked.own, simulated_before=True)
+    experiment, cases = asked.plan(name)
 
     def text(results: Sequence[Result]) -> str:
+        if asked.shown is not None:
+            return asked.shown(_rows(name, results))
         found = swept(experiment, cases, results).measured
         return markdown(conclusions(found), table_of("", found))
 
     def draw(results: Sequence[Result]) -> None:
+        if asked.shown is not None:  # the whole experiment has the figure
+            return
         with tempfile.TemporaryDirectory() as folder:
             swept(experiment, cases, results).write(Path(folder))
             shutil.copy(Path(folder) / "figure.png", IMAGES / f"{name}.png")
@@ -148,9 +178,7 @@ def _compared() -> Measured:
 
 def _rows(name: str, results: Sequence[Result]) -> list[dict[str, str]]:
     """Return the rows of points.csv of an experiment as texts."""
-    asked = EXPERIMENTS[name]
-    options = ExperimentOptions(declared=DECLARED[name], seeds=asked.seeds)
-    rows = swept(*options.plan(asked.own, simulated_before=True), results).rows("points")
+    rows = swept(*EXPERIMENTS[name].plan(name), results).rows("points")
     return [_as_text(row) for row in rows]
 
 
@@ -220,7 +248,7 @@ def _effect(rows: Sequence[Row], labels: Row) -> str:
 
 
 def claim(results: Mapping[str, Sequence[Result]]) -> str:
-    """Return the README's table of the paper's algorithm against the centralized controller.
+    """Return the table of the paper's algorithm against the centralized controller.
 
     One row a comparison.
     """
@@ -242,10 +270,10 @@ def claim(results: Mapping[str, Sequence[Result]]) -> str:
 
 DERIVED = (
     Derived(
-        name="worth",
+        name="drag",
         document=README,
-        sources=(WEATHER,),
-        text=lambda results: worth(_rows(WEATHER, results[WEATHER])),
+        sources=("fast",),
+        text=lambda results: drag(results["fast"]),
     ),
     Derived(
         name="known",
@@ -259,7 +287,7 @@ DERIVED = (
         sources=("latency", "loss", "kill", "deaths"),
         text=at_a_glance,
     ),
-    Derived(name="claim", document=README, sources=(PAPER,), text=claim),
+    Derived(name="claim", document=PAGE, sources=(PAPER,), text=claim),
 )
 
 

@@ -10,6 +10,7 @@ from tables import ROOT, table
 
 from transport.analysis.series import series_of
 from transport.experiments.cases import Case, Point, Result, cases_of_point
+from transport.experiments.statistics import estimate
 from transport.log.run_log import RunLog
 from transport.protocol.scenario.scenario_file import find_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
@@ -92,6 +93,16 @@ def cell(
             number, precision=3, fractional=False, unique=False, trim="k"
         )
         return digits.rstrip(".").format(number) if found else ""
+
+    return text
+
+
+def interval(name: str, digits: int, factor: float = 1.0) -> Callable[..., str]:
+    """Return a cell with the mean of completed runs and half its 95 % interval, "" without any."""
+
+    def text(*results: Flown) -> str:
+        found = estimate([factor * value for value in values(name, *results)])
+        return "" if found is None else found.text(digits)
 
     return text
 

@@ -5,6 +5,8 @@ import subprocess
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from scipy.special import betaincinv
+
 ROOT = Path(__file__).resolve().parent.parent
 
 # Sources that decide the numbers of a simulation in memory.
@@ -12,6 +14,13 @@ FLOWN = (
     *("model", "mpc", "protocol", "agent", "plant", "coordinator", "scenarios", "vehicles"),
     *("transport/flight/memory.py", "transport/analysis", "transport/experiments/cases.py"),
 )
+
+
+def completed_of(completed: int, runs: int) -> str:
+    """Return a count of runs with its exact 95 % interval, after Clopper and Pearson."""
+    low = betaincinv(completed, runs - completed + 1, 0.025) if completed else 0.0
+    high = betaincinv(completed + 1, runs - completed, 0.975) if completed < runs else 1.0
+    return f"{completed} of {runs} ({100.0 * low:.0f} to {100.0 * high:.0f} %)"
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -50,6 +50,7 @@ OTHER_PARTS: list[tuple[str, str, tuple[str, ...]]] = [
     ("docs/record/guarantees.md", "benchmarks/silence.py", ("bench: silence",)),
     ("docs/record/guarantees.md", "benchmarks/timing.py", ("bench: spread", "bench: clocks")),
     ("docs/record/guarantees.md", "benchmarks/teams.py", ("bench: teams alone", "bench: teams")),
+    ("README.md", "benchmarks/teams.py", ("bench: teams",)),
     ("docs/flight.md", "benchmarks/autopilots.py", ("bench: autopilots",)),
     ("docs/record/guarantees.md", "benchmarks/worst.py", ("together", "ready")),
     (

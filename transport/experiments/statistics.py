@@ -29,6 +29,11 @@ class Estimate(NamedTuple):
     half_width: float | None
     n: int  # number of repetitions
 
+    def text(self, digits: int) -> str:
+        """Return the mean with half its interval, if it has one."""
+        half = "" if self.half_width is None else f" ±{self.half_width:.{digits}f}"
+        return f"{self.mean:.{digits}f}{half}"
+
 
 def estimate(values: Sequence[float]) -> Estimate | None:
     """Return mean and Student's 95 % confidence interval of independent repetitions.

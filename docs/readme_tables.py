@@ -1,0 +1,101 @@
+"""Tables of the README that are made from results of others, and the short one of the weather."""
+
+from collections.abc import Mapping, Sequence
+
+from measured_pages import AGILE, RESULTS
+from simulations import completed, interval, values
+from tables import completed_of, table
+
+from transport.experiments.cases import Result
+from transport.experiments.information_experiment import ALL, RULES
+from transport.experiments.weather_experiment import NETWORKS, NONE, PERFECT
+
+Row = Mapping[str, str]  # of points.csv
+TEAM, ALONE = "precise", "alone"
+
+
+def worth(rows: Sequence[Row]) -> str:
+    """Return the table of payload errors in weather, a row for each weather."""
+    headings = [
+        "payload error, cm rms",
+        *(f"{network} network" if network == PERFECT else network for network in NETWORKS),
+        "`alone`, no network",
+    ]
+    places = [*((TEAM, network) for network in NETWORKS), (ALONE, NONE)]
+    lines = [
+        [air, *(_cell(rows, "payload_rms_m", scenario=scenario, weather=air, network=network)
+                for scenario, network in places)]
+        for air in dict.fromkeys(row["weather"] for row in rows)
+    ]  # fmt: skip
+    return table(headings, lines)
+
+
+def _cell(rows: Sequence[Row], number: str, **labels: str) -> str:
+    """Return mean and interval of a number of a point, cm, and how many of its runs complete.
+
+    Empty for a point that is not flown.
+    """
+    row = next((row for row in rows if row.items() >= labels.items()), None)
+    if row is None:
+        return ""
+    done, runs = int(row["completed"]), int(row["flights"])
+    if done < runs:
+        return f"{completed_of(done, runs)} complete"
+    half = row[f"{number}_ci95"]
+    interval_cm = f" ±{100.0 * float(half):.1f}" if half else ""
+    return f"{100.0 * float(row[number]):.1f}{interval_cm}"
+
+
+# Networks of the table on targets that one agent knows, with their headings.
+_TOLD: Mapping[str, str] = {
+    "perfect": "perfect network, n = 1",
+    "200 ms, 30 % loss": "200 ms, 30 % loss, n = 10",
+    "90 % loss": "90 % loss, n = 10",
+    "5 s, own sensors": "5 s of silence, n = 10",
+    "5 s, own sensors, gusts": "and gusts of 1 m/s, n = 10",
+}
+_WORDS: Mapping[str, str] = {
+    "eager": "followed at once (`eager`)",
+    "confirmed": "once all have it (`confirmed`)",
+    "stop": "at once, with a stop in silence",
+    "confirmed, stop": "once all have it, with a stop",
+}
+
+
+def known(rows: Sequence[Row]) -> str:
+    """Return the table of targets that one agent knows, a row for each rule."""
+    lines = []
+    for rule in (rule for rule in RULES if rule != ALL):
+        places = ({"scenario": TEAM, "rule": rule, "network": network} for network in _TOLD)
+        cells = [_cell(rows, "away_rms_m", **place) or "as without" for place in places]
+        lines.append([_WORDS[rule], *cells])
+    return table(["away from the run in which all are told, cm rms", *_TOLD.values()], lines)
+
+
+# Cases of the table on drag, with their texts.
+_DRAG: Mapping[str, str] = {
+    "200 ms delay, 30 % loss": "known",
+    "half the known drag, estimated, late": "half of the known, estimated",
+    "1.5 times the known drag, estimated, late": "1.5 times the known, estimated",
+    "unknown drag, estimated, late": "not known, estimated",
+    "1.5 times the known drag, late": "1.5 times the known, not estimated",
+    "unknown drag, late": "not known, not estimated",
+}
+
+
+def drag(results: Sequence[Result]) -> str:
+    """Return the table of fast flight with drag, from the results of the table `fast`."""
+    fast = next(one for one in RESULTS if one.name == "fast")
+    seeds = [run.seeds for row in fast.rows.values() for run in row if run is not None]
+    flown = {}
+    taken = 0
+    for case, count in zip(AGILE, seeds, strict=True):
+        flown[case] = results[taken : taken + count]
+        taken += count
+
+    mean = interval("payload_rms_m", 2, 100.0)
+    lines = []
+    for case, text in _DRAG.items():
+        worst_cm = 100.0 * max(values("payload_rms_m", flown[case]))
+        lines.append([text, completed(flown[case]), mean(flown[case]), f"{worst_cm:.2f}"])
+    return table(["drag", "complete", "payload error, cm rms", "worst run"], lines)
