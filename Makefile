@@ -43,7 +43,7 @@ campaigns: $(VENV)/.installed-test ## search for defects by random runs, by nigh
 bench: $(VENV)/.installed-bench ## measure steps, solvers, messages and runs, and renew docs/record/performance.md (3 minutes)
 	@$(BIN)/python -m benchmarks
 
-radio: radio-reference ## compare the model of the radio with ns-3, and renew docs/radio.md (10 minutes)
+radio: radio-reference ## compare the model of the radio with ns-3, and renew docs/record/radio.md (10 minutes)
 	@$(BIN)/python -m benchmarks.radio
 
 # ns-3 (GPL-2) runs in a process of its own; its Python bindings and their dependencies stay out.

@@ -469,7 +469,7 @@ RESULTS = (
 )
 
 
-# docs/radio.md
+# docs/record/radio.md
 
 ON_CHANGE = "controller.share=on_change"
 FLIGHTS: Mapping[str, tuple[int | None, tuple[str, ...]]] = {
@@ -505,5 +505,5 @@ PAGES = {
     "scenario.md": SCENARIO,
     "time.md": TIME,
     "record/results.md": RESULTS,
-    "radio.md": RADIO,
+    "record/radio.md": RADIO,
 }

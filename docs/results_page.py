@@ -82,7 +82,7 @@ EXPERIMENTS: Mapping[str, Asked] = {
     "information": Asked(seeds=10),
 }
 # Pages of experiments with a page of their own.
-OWN_PAGES = {"radio": ROOT / "docs" / "radio.md"}
+OWN_PAGES = {"radio": ROOT / "docs" / "record" / "radio.md"}
 
 
 def swept(experiment: Experiment, cases: Sequence[Case], results: Sequence[Result]) -> Swept:

@@ -60,9 +60,9 @@ OTHER_PARTS: list[tuple[str, str, tuple[str, ...]]] = [
     ),
     ("docs/record/performance.md", "benchmarks/peers/__main__.py", ("bench: peers",)),
     ("docs/python.md", "tests/test_getting_started.py", ("series",)),
-    ("docs/radio.md", "benchmarks/radio/__main__.py", ("deferral", "validation")),
-    ("docs/radio.md", "benchmarks/radio/computation.py", ("computation",)),
-    ("docs/radio.md", "benchmarks/radio/plan_bytes.py", ("bytes",)),
+    ("docs/record/radio.md", "benchmarks/radio/__main__.py", ("deferral", "validation")),
+    ("docs/record/radio.md", "benchmarks/radio/computation.py", ("computation",)),
+    ("docs/record/radio.md", "benchmarks/radio/plan_bytes.py", ("bytes",)),
     ("docs/vehicles.md", "benchmarks/estimates.py", ("bench: estimates",)),
     ("docs/worst.md", "benchmarks/worst.py", ("planted",)),
 ]

@@ -11,7 +11,7 @@ from benchmarks.runs import origin
 from docs.tables import ROOT, put, table
 from transport.protocol.radio.standards_80211 import STANDARDS
 
-DOCUMENT = ROOT / "docs" / "radio.md"
+DOCUMENT = ROOT / "docs" / "record" / "radio.md"
 HEADINGS = ("case", "delivered, %", "", "p50, ms", "", "p99, ms", "", "within")
 DEFERRAL_HEADINGS = ("case", "delivered with a backoff, %", "with the rule of ns-3, %")
 

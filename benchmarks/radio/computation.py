@@ -1,4 +1,4 @@
-"""Computation of the radio: `python -m benchmarks.radio.computation` renews its table in docs/radio.md.
+"""Computation of the radio: `python -m benchmarks.radio.computation` renews its table in docs/record/radio.md.
 
 Runs in memory with a radio and without one, in turns. The computation is the processor time of the
 coordinator's radio within the run: sends, channel, and its news. The runs have the same states, so

@@ -1,4 +1,4 @@
-"""Bytes of plans: `python -m benchmarks.radio.plan_bytes` renews their table in docs/radio.md.
+"""Bytes of plans: `python -m benchmarks.radio.plan_bytes` renews their table in docs/record/radio.md.
 
 A run of `resilient` is repeated with plans that the other agents receive in a shorter form. The
 table has the bytes of each form, and how far the run is from that with whole plans.
