@@ -35,7 +35,7 @@ FIRST = ("test_soak", "test_live_viewer", "test_silence", "test_agile", "test_mu
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add options: renew transcripts of runs (tests/transport/test_transcripts.py), end in time."""
+    """Add options: renew transcripts of runs (tests/transport/flights/test_transcripts.py), end in time."""
     parser.addoption("--rewrite", action="store_true", help="write transcripts of runs anew")
     parser.addoption(
         "--until",

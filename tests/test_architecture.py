@@ -105,7 +105,7 @@ OUTSIDE_WORLD = {
 # same.
 EXCEPTIONS = {
     # The first import compiles kernels and model, and later ones load them: what they compute is
-    # what Python computes without them (tests/model/test_native.py). So a node, which computes by
+    # what Python computes without them (tests/model/kernels/test_native.py). So a node, which computes by
     # the model, may reach the compiler.
     "model/kernels/compiler.py": {"os", "pathlib", "platform", "shutil", "subprocess", "tempfile"},
     # Sources whose content names the compiled file.

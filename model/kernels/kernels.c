@@ -1,6 +1,6 @@
 /* The loops of a controller's step, for matrices so small that BLAS calls are mostly overhead.
 
-   Each function has an equivalent in Python, which tests it (tests/model/test_native.py, tests/mpc) and replaces it
+   Each function has an equivalent in Python, which tests it (tests/model/kernels/test_native.py, tests/mpc) and replaces it
    without a C compiler. Matrices are dense and row-major, sizes are numbers of entries, nothing is allocated or kept.
    Numbers in brackets are equations of docs/equations.md, in whose letters the comments are.
 

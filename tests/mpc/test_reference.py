@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.model.test_flat import ROUNDING, unequal
-from tests.model.test_targets import EIGHT, target
+from tests.model.path.test_flatness import ROUNDING, unequal
+from tests.model.path.test_targets import EIGHT, target
 from transport.agent.estimation.repeated_ticks import WINDOW
 from transport.model.arrays import Array
 from transport.model.path.flat_reference import FlatReference

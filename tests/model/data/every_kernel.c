@@ -1,6 +1,6 @@
 /* Every kernel of model/kernels/kernels.c once, with numbers of a generator; the results, as bytes, to standard output.
 
-   Built for two processors, it shows what differs between them (tests/model/test_arm.py). */
+   Built for two processors, it shows what differs between them (tests/model/kernels/test_arm.py). */
 
 #include "kernels.c"
 

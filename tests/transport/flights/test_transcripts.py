@@ -1,6 +1,6 @@
 """Transcripts of whole runs on the in-memory bus, as text files that people read.
 
-`python -m pytest tests/transport/test_transcripts.py --rewrite` renews the files; a change of one is
+`python -m pytest tests/transport/flights/test_transcripts.py --rewrite` renews the files; a change of one is
 a change of the protocol's behaviour and belongs into a review. Only what is equal on every machine
 is written: who takes part, which plans arrive when, and what the actuators follow; no numbers that
 the last bit of a computation decides.

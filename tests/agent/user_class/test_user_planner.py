@@ -39,7 +39,7 @@ from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Measurement, Message, Note, Plan, StepReport
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
+EXAMPLES = Path(__file__).resolve().parents[3] / "docs" / "examples"
 
 # The payload's largest attitude with the examples, deg: half of what a diverging flight passes
 # within a second.

@@ -32,7 +32,7 @@ from transport.report.ros2_bag import (
 )
 
 PHASES = [{"name": "move", "duration_s": 0.5, "displacement_m": [0.1, 0.05, -0.2]}]
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "ros2.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "ros2.md"
 # Central differences over 50 ms of a motion with a jerk of 20 m/s^3 at most.
 SLOPE_MPS = 0.01
 ROUNDING = 1e-12  # m, rad/s

@@ -109,7 +109,7 @@ def test_a_run_imports_viewer_and_report_when_needed() -> None:
 
 def test_docs_list_every_command() -> None:
     """The table in docs/command-line.md has a row with name and line of each command, and no other."""
-    document = (Path(__file__).resolve().parents[2] / "docs" / "command-line.md").read_text(
+    document = (Path(__file__).resolve().parents[3] / "docs" / "command-line.md").read_text(
         encoding="utf-8"
     )
     rows = re.findall(r"^\| `transport ([a-z0-9 ]+)` \| (.+?) \|", document, re.MULTILINE)

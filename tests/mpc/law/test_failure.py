@@ -5,7 +5,7 @@ from collections.abc import Set as AbstractSet
 import numpy as np
 import pytest
 
-from tests.model.test_failure import DEAD, larger
+from tests.model.physics.test_failure import DEAD, larger
 from tests.support.systems import paper_setup
 from transport.model import state
 from transport.model.arrays import Array

@@ -14,7 +14,7 @@ from transport.protocol.scenario.scenario_file import ScenarioError, validate
 from transport.protocol.scenario.setup.run_setup import Setup
 
 TRACE = "links.trace=[[0.0,0.01],[0.05,0.3],[0.1,-1.0],[0.15,0.02]]"
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "record_link.py"
+EXAMPLE = Path(__file__).resolve().parents[4] / "examples" / "record_link.py"
 
 
 def test_a_trace_is_followed_and_repeated() -> None:

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from tests.model.test_flat import unequal
+from tests.model.path.test_flatness import unequal
 from tests.support import naive
 from tests.support.systems import INTEGRATION_STEPS
 from transport.model.arrays import Array

@@ -142,7 +142,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
     ended = subprocess.run(
         [sys.executable, "-c", program, str(path), str(list_path)],
-        cwd=Path(__file__).resolve().parents[2],
+        cwd=Path(__file__).resolve().parents[3],
         env=os.environ,
         check=False,
         timeout=60,

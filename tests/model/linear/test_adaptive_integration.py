@@ -6,7 +6,7 @@ Accurate at the plant's defaults, in calm and violent motion, with the same bits
 import numpy as np
 import pytest
 
-from tests.model.test_integration import HELD_THRUST, TRAJECTORY_TOLERANCE, deviation, exact
+from tests.model.linear.test_integration import HELD_THRUST, TRAJECTORY_TOLERANCE, deviation, exact
 from tests.support import reference
 from tests.support.random_systems import random_input, random_state, random_system
 from transport.model import state

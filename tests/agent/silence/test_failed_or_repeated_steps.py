@@ -19,7 +19,7 @@ from transport.mpc.program.qp_solvers import QP, Solution, unsolved
 from transport.protocol.scenario.user_class.user_import import own_class
 from transport.protocol.wire.messages import Measurement, Plan, PlantState
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
+EXAMPLES = Path(__file__).resolve().parents[3] / "docs" / "examples"
 # The agent that is dead, and since when, in the climb; it is killed in the flight to compare with.
 DEAD, DEAD_S, FROM = 3, 5.4, 108
 KILLED = [{"at_s": DEAD_S, "do": "kill", "target": f"agent{DEAD}"}]

@@ -14,7 +14,7 @@ import pytest
 from transport.model.arrays import Array
 from transport.model.kernels import compiler, native
 
-DRIVER = Path(__file__).parent / "data" / "every_kernel.c"
+DRIVER = Path(__file__).parents[1] / "data" / "every_kernel.c"
 FLAGS = ("-O3", "-fno-math-errno", "-w")
 
 CROSS_COMPILER = shutil.which("aarch64-linux-gnu-gcc")
