@@ -40,7 +40,7 @@ from transport.report.figures.style import CURVES, DIVERGED, MARKER, RC, save
 
 FOLDER = ROOT / "examples" / "controllers"
 IMAGES = ROOT / "docs" / "images"
-PAGE = ROOT / "docs" / "bring-your-own.md"
+PAGE = ROOT / "docs" / "record" / "algorithms.md"
 
 ALGORITHMS = (
     "alone:Alone",
@@ -237,7 +237,7 @@ def in_words(iterated: Array, in_flight: Mapping[str, tuple[Array, Array]]) -> s
 def row_of(name: str, runs: Mapping[str, Flight]) -> list[str]:
     """Return the row of an algorithm in the table."""
     file = name.partition(":")[0]
-    cells = [f"`{name}` ([figure](images/own_{file}.png))"]
+    cells = [f"`{name}` ([figure](../images/own_{file}.png))"]
     for network in SHOWN:
         if network not in runs:
             cells.append("no network")

@@ -1,4 +1,4 @@
-"""The program, controller, scenarios and engine of docs/bring-your-own.md work."""
+"""The program, controller, scenarios and engine of docs/own-*.md work."""
 
 import re
 import subprocess
@@ -17,7 +17,10 @@ from transport.protocol.wire.messages import Plan
 ENGINES_M = 1e-5
 CLIMB = "maneuver.phase=[{name='climb',duration_s=3.0,displacement_m=[0.5,0.0,-1.5]}]"
 
-DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "bring-your-own.md"
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+PAGES = [
+    DOCS / f"own-{subject}.md" for subject in ("controller", "algorithm", "maneuver", "process")
+]
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
@@ -25,7 +28,8 @@ def blocks(language: str) -> list[str]:
     """The fenced blocks of a language."""
     found = [
         text
-        for name, text in FENCE.findall(DOCUMENT.read_text(encoding="utf-8"))
+        for page in PAGES
+        for name, text in FENCE.findall(page.read_text(encoding="utf-8"))
         if name == language
     ]
     assert found

@@ -1,6 +1,6 @@
 """A controller of the user: a class named in the scenario plans the inputs of an agent's UAVs.
 
-The class takes the place of estimator, prediction and program; docs/bring-your-own.md has its
+The class takes the place of estimator, prediction and program; docs/own-controller.md has its
 methods. A step that raises, or that returns anything but inputs, is data: the shifted previous plan
 is applied, as after a solve without solution, and a `Note` says why. So it does where the class returns
 the same for long although its measurements change. Plans say how old such inputs are

@@ -29,7 +29,7 @@ class PhaseSection(Section):
     kind: PhaseKind = "move"
     """take_off and land are vertical, from and to the ground, where the payload stands for a
     quarter of the phase; circle, eight and spline are curves from rest to rest
-    ([bring-your-own.md](../bring-your-own.md#your-own-maneuver))"""
+    ([own-maneuver.md](../own-maneuver.md#your-own-maneuver))"""
     way: Annotated[
         list[list[float]] | None, Key(type="rows of 4 numbers", unit="s and m", within=(0.0, 1e9))
     ] = None
@@ -39,7 +39,7 @@ class PhaseSection(Section):
     file: str | None = None
     """path of the phase as a table, instead of duration and displacement: CSV with the columns
     `t_s,x_m,y_m,z_m`, relative to the scenario's folder
-    ([bring-your-own.md](../bring-your-own.md#your-own-maneuver))"""
+    ([own-maneuver.md](../own-maneuver.md#your-own-maneuver))"""
     size_m: Annotated[Vector, Key(within=(0.0, 1e5))] = (0.0, 0.0, 0.0)
     """a, b, c of a circle, (a sin A, b (1 - cos A), c sin A), or an eight, (a sin A, b sin 2 A, c
     sin A), with the angle A from 0 to 2 pi `laps`"""

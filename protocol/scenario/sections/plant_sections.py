@@ -167,7 +167,7 @@ class PlantSection(Section):
         str, or_class("rods", "mujoco"), Key(type="rods, mujoco, package.module:Class")
     ] = "rods"
     """the controllers' own equations, MuJoCo ([engines.md](../engines.md) compares them), or [your own
-    class](../bring-your-own.md#your-own-engine)"""
+    class](../own-process.md#your-own-engine)"""
     ground_m: float | None = None
     """z of a level ground, inertial frame (z down), for engines with contacts, so not rods. The
     payload is a box that reaches to its attachment points, a UAV a sphere of 0.1 m"""

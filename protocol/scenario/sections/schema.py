@@ -165,7 +165,7 @@ class AgentsSection(Section):
     ] = "mpc"
     """controller of every agent, or of each: that of this project; alone, by which each UAV keeps to its part of the
     reference by its own sensors, whatever messages say ([equations](../equations/alone.md#a-uav-alone)); or [your own
-    class](../bring-your-own.md#your-own-controller)"""
+    class](../own-controller.md)"""
     failed_share: Annotated[
         float, Interval(ge=0.0, le=1.0), Key(label="allowed share of failed steps")
     ] = 0.05

@@ -38,7 +38,7 @@ def is_dead(agent: int, tick: int) -> bool:
 
 
 class Raises:
-    """The PID of docs/bring-your-own.md, until its every step raises."""
+    """The PID of docs/own-algorithm.md, until its every step raises."""
 
     def start(self, run: Run) -> None:
         """Start the PID."""
