@@ -63,7 +63,7 @@ figures: $(VENV)/.installed-test ## renew tables and figures of README and docs 
 figures-check: $(VENV)/.installed-test ## compare all tables with kept results, and a run of each, drawn by a checksum of the kept results, with today's numbers
 	@$(BIN)/python docs/figures.py --check $(TABLES)
 
-arena: $(VENV)/.installed-test $(VENV)/.installed-nmpc ## fly the arena and the ready algorithms, and renew docs/arena.md and their table (an hour)
+arena: $(VENV)/.installed-test $(VENV)/.installed-nmpc ## fly the arena and the ready algorithms, and renew docs/record/arena.md and their table (an hour)
 	@$(BIN)/python docs/algorithm_figures.py
 	@$(BIN)/python docs/arena_page.py
 

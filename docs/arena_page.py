@@ -1,4 +1,4 @@
-"""Fly the arena with all ready algorithms and renew docs/arena.md.
+"""Fly the arena with all ready algorithms and renew docs/arena.md and docs/record/arena.md.
 
 Part of `make figures`. Results are kept for each commit. Further arguments go to
 `transport arena`.
@@ -15,7 +15,7 @@ from tables import ROOT, commit, put, table
 
 from transport.experiments.arena.arena_tasks import NETWORK_TEXTS, NETWORKS, TASKS
 
-PAGE = ROOT / "docs" / "arena.md"
+PAGE, RECORD = ROOT / "docs" / "arena.md", ROOT / "docs" / "record" / "arena.md"
 IMAGES = ROOT / "docs" / "images"
 FOLDER = ROOT / "examples" / "controllers"
 
@@ -62,16 +62,16 @@ def results(arguments: Sequence[str]) -> str:
 
     shutil.copy(folder / "figure.png", IMAGES / "arena.png")
     report = (folder / "report.md").read_text(encoding="utf-8").strip()
-    figure = "![Completion of each task, and the other measures, by algorithm](images/arena.png)"
+    figure = "![Completion of each task, and the other measures, by algorithm](../images/arena.png)"
     flown = f"In examples/controllers:\n\n```\ntransport arena {shlex.join(chosen)}\n```"
     return f"{flown}\n\n{figure}\n\n{report}"
 
 
 def main() -> None:
-    """Renew the tables of the page."""
+    """Renew the tables of both pages."""
     put(PAGE, "tasks", tasks())
     put(PAGE, "networks", networks())
-    put(PAGE, "results", results(sys.argv[1:]))
+    put(RECORD, "results", results(sys.argv[1:]))
 
 
 if __name__ == "__main__":
