@@ -26,8 +26,8 @@ from transport.agent.user_class.run_for_user import run_of
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.series import Series
 from transport.analysis.summary_assembly import summarise
-from transport.experiments.arena.arena_entries import entered
-from transport.experiments.arena.arena_tasks import NETWORKS, PERFECT
+from transport.experiments.arena.arena_algorithms import entered
+from transport.experiments.arena.arena_tasks_and_networks import NETWORKS, PERFECT
 from transport.experiments.cases import run_in_memory
 from transport.flight.run_files import machine
 from transport.log.run_log import RunLog

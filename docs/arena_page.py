@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tables import ROOT, commit, put, table
 
-from transport.experiments.arena.arena_tasks import NETWORK_TEXTS, NETWORKS, TASKS
+from transport.experiments.arena.arena_tasks_and_networks import NETWORK_TEXTS, NETWORKS, TASKS
 
 PAGE, RECORD = ROOT / "docs" / "arena.md", ROOT / "docs" / "record" / "arena.md"
 IMAGES = ROOT / "docs" / "images"

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from transport.model.arrays import Array, continued, frozen
-from transport.model.identity import SharedResults, digest
+from transport.model.digests_and_shared_results import SharedResults, digest
 from transport.model.path.flat_reference import FlatReference, Track
 from transport.model.path.hover_reference import HoverReference as HoverReference
 from transport.model.path.maneuver import Maneuver

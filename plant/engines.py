@@ -14,9 +14,10 @@ from transport.model.arrays import Array
 from transport.model.linear.linearisation import Model
 from transport.model.physics.parameters import System
 from transport.model.state import StateView
-from transport.plant.environment import Environment, about
+from transport.plant.actual_bodies import about
 from transport.plant.inner_loops import checked_firmware
 from transport.plant.plant_run import PlantRun
+from transport.plant.wind_and_noise import Environment
 from transport.protocol.scenario.sections.plant_sections import PlantSection
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.user_class.user_errors import (

@@ -16,12 +16,14 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.model.physics.hover import motor_off_state, no_inputs, released_state
 from transport.model.physics.parameters import Payload
+from transport.plant.actual_bodies import payload_during
 from transport.plant.actuator_schedule import MOTOR_OFF, ActuatorSchedule
 from transport.plant.engines import UNKNOWN_ERROR, Engine
-from transport.plant.environment import Environment, Sensors, payload_during
 from transport.plant.inner_loops import INNER_STEP_S, inner_loop
 from transport.plant.plant_run import PlantRun
 from transport.plant.rotors_and_motors import Motors
+from transport.plant.vehicle_sensors import Sensors
+from transport.plant.wind_and_noise import Environment
 from transport.protocol.admission.known_targets import KnownTargets
 from transport.protocol.admission.participant import Participant
 from transport.protocol.admission.stop_in_silence import Stopping

@@ -35,7 +35,7 @@ from transport.protocol.wire.messages import (
 )
 from transport.protocol.wire.names import vehicle_name
 from transport.vehicle.autopilot import Autopilot, AutopilotState
-from transport.vehicle.own_law import OwnLaw
+from transport.vehicle.law_by_autopilot_state import OwnLaw
 from transport.vehicle.setpoints import BEFORE_ANY_PLAN, NONE, OWN_LAW, Plans
 
 # Time between two of its turns before tick 0, and between two of its words there, ns of wall time.

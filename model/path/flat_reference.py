@@ -9,7 +9,7 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array, Rows, frozen
-from transport.model.identity import digest
+from transport.model.digests_and_shared_results import digest
 from transport.model.path.flatness import Flight, flight
 from transport.model.path.maneuver import Maneuver
 from transport.model.physics.hover import Hover

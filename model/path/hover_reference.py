@@ -4,7 +4,7 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.identity import digest
+from transport.model.digests_and_shared_results import digest
 from transport.model.path.maneuver import Maneuver
 from transport.model.physics.hover import Hover
 from transport.model.physics.parameters import System

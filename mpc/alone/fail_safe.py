@@ -9,7 +9,7 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array, rows
-from transport.model.identity import digest
+from transport.model.digests_and_shared_results import digest
 from transport.model.path import flat_reference as flat
 from transport.model.path.flat_reference import Track
 from transport.model.physics.hover import hover_after_failures, with_released

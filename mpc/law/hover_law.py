@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from transport.model.arrays import Array, padded
-from transport.model.identity import SharedResults, digest
+from transport.model.digests_and_shared_results import SharedResults, digest
 from transport.model.linear.linearisation import Model
 from transport.model.physics.hover import Hover, hover_after_failures
 from transport.model.state import input_slice

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transport.model.arrays import Array, continued, padded
-from transport.model.identity import SharedResults, digest
+from transport.model.digests_and_shared_results import SharedResults, digest
 from transport.model.path import flat_reference as flat
 from transport.model.path.flat_reference import Track
 from transport.model.physics.parameters import ParameterError

@@ -7,7 +7,7 @@ import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array, frozen, padded, rows
-from transport.model.identity import digest
+from transport.model.digests_and_shared_results import digest
 from transport.model.linear.discretisation import zero_order_hold
 from transport.model.path.flat_reference import Track
 from transport.mpc.alone.fail_safe import FailSafe

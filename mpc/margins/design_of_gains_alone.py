@@ -18,7 +18,7 @@ import threadpoolctl
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.identity import digest
+from transport.model.digests_and_shared_results import digest
 from transport.model.linear.discretisation import zero_order_hold
 from transport.model.linear.linearisation import Model
 from transport.model.physics.hover import hover

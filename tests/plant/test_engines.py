@@ -15,7 +15,7 @@ from transport.flight.memory import simulate
 from transport.flight.roles import plant_run
 from transport.model.arrays import Array
 from transport.plant.engines import Engine, checked_engine, engine_version
-from transport.plant.environment import Environment
+from transport.plant.wind_and_noise import Environment
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors_and_exit_codes import EXIT_DIVERGED

@@ -11,9 +11,10 @@ from transport.flight.roles import plant_run
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.physics.rotations import rotation
+from transport.plant.actual_bodies import about
 from transport.plant.engines import Engine
-from transport.plant.environment import Environment, about
 from transport.plant.node import PlantNode
+from transport.plant.wind_and_noise import Environment
 from transport.protocol.wire.messages import ActualInputs
 
 CENTRE = np.array([0.06, -0.03, 0.02])  # m

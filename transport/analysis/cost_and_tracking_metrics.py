@@ -1,5 +1,6 @@
 """Numbers of the flight in a summary: cost, tracking, distances, cables, estimates and targets."""
 
+import math
 from itertools import zip_longest
 from typing import Any
 
@@ -10,7 +11,7 @@ from transport.analysis.distances_and_violations import limits_reached
 from transport.analysis.estimates import estimates_of
 from transport.analysis.events import TIME_DIGITS
 from transport.analysis.numbers_for_json import finite, largest
-from transport.analysis.series import Series, swing_of
+from transport.analysis.series import Series
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.path.target_and_stop import PathTarget
@@ -26,6 +27,12 @@ _ROUNDING_S = 1e-9
 # Probabilities at the ends of the band in which a single NEES of a consistent filter lies. There is
 # none for the mean: values of successive ticks and of several agents are correlated.
 _BAND = (0.025, 0.975)
+
+# End of the run in which the swing is measured, s: longer than the 3.6 s period of a pendulum of
+# 3.2 m, and shorter than the last hover of the paper's maneuver, 5 s.
+SWING_S = 4.0
+# Tolerance of a number of periods: a time over the sampling period has rounding errors.
+_ROUNDING = 1e-6
 
 
 def cost_and_tracking(setup: Setup, series: Series) -> dict[str, Any]:
@@ -58,6 +65,18 @@ def cost_and_tracking(setup: Setup, series: Series) -> dict[str, Any]:
         ],
         "local_error_max": largest(series.local_error),
     }
+
+
+def swing_of(setup: Setup, series: Series) -> float | None:
+    """Return the largest payload position error in the last `SWING_S` of a run, m.
+
+    None without a recorded tick.
+    """
+    if not len(series.ticks):
+        return None
+    periods = math.ceil(SWING_S / setup.settings.sampling_period_s - _ROUNDING)
+    at_end = series.ticks > series.ticks[-1] - periods
+    return float(series.payload_error_norm_m[at_end].max())
 
 
 def _worst_limit(series: Series) -> dict[str, Any] | None:

@@ -1,6 +1,5 @@
-"""Time series of a run, the basis of every metric and figure, and the swing at its end."""
+"""Time series of a run, the basis of every metric and figure."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -17,12 +16,6 @@ from transport.protocol.scenario.setup.collisions import Contact
 from transport.protocol.scenario.setup.cost_of_run import StageCost
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import PlantState, Target
-
-# End of the run in which the swing is measured, s: longer than the 3.6 s period of a pendulum of
-# 3.2 m, and shorter than the last hover of the paper's maneuver, 5 s.
-SWING_S = 4.0
-# Tolerance of a number of periods: a time over the sampling period has rounding errors.
-_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,15 +173,3 @@ def _local_errors(states: Sequence[PlantState]) -> Array:
     """Return the local errors of the plant's integration, without those not recorded (< 0)."""
     errors = [entry.local_error for entry in states if entry.local_error >= 0.0]
     return np.array(errors, dtype=np.float64)
-
-
-def swing_of(setup: Setup, series: Series) -> float | None:
-    """Return the largest payload position error in the last `SWING_S` of a run, m.
-
-    None without a recorded tick.
-    """
-    if not len(series.ticks):
-        return None
-    periods = math.ceil(SWING_S / setup.settings.sampling_period_s - _ROUNDING)
-    at_end = series.ticks > series.ticks[-1] - periods
-    return float(series.payload_error_norm_m[at_end].max())

@@ -17,10 +17,10 @@ from transport.interface.setting_arguments import (
     settings_of,
 )
 from transport.protocol.scenario.scenario_file import find_scenario, read_tree, with_settings
-from transport.protocol.scenario.sections.origins import Origin
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError, hint
 from transport.protocol.scenario.sections.scenario_keys import names_of
 from transport.protocol.scenario.sections.schema import Scenario as ValidatedScenario
+from transport.protocol.scenario.sections.sources_of_values import Origin
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.teams.team_of_any_size import Team, given_values, resized
 

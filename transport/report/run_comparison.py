@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from transport.analysis.analysed_run import AnalysedRun, counted
-from transport.analysis.series import SWING_S, Series
+from transport.analysis.cost_and_tracking_metrics import SWING_S
+from transport.analysis.series import Series
 from transport.analysis.summary_assembly import summarise
 from transport.log.run_log import RecordedRun
 from transport.model.arrays import Array

@@ -6,7 +6,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from transport.analysis.series import SWING_S
+from transport.analysis.cost_and_tracking_metrics import SWING_S
 from transport.report.summary_texts import (
     deadlines_text,
     limits_text,

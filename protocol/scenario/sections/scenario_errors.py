@@ -7,7 +7,6 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from transport.protocol.scenario.sections.origins import Origin, source_of
 from transport.protocol.scenario.sections.scenario_keys import (
     milliseconds,
     names_of,
@@ -16,6 +15,7 @@ from transport.protocol.scenario.sections.scenario_keys import (
     short_names,
     unit_of,
 )
+from transport.protocol.scenario.sections.sources_of_values import Origin, source_of
 from transport.protocol.wire.errors_and_exit_codes import (
     EXIT_SCENARIO,
     MessageError,

@@ -13,13 +13,13 @@ from typing import Annotated, Any
 from transport.model.physics.parameters import table_1
 from transport.model.section import Inertia, Key, Pair, Positive, Section
 from transport.protocol.scenario.scenario_file import find_ready, read_tree, validate
-from transport.protocol.scenario.sections.origins import Origin, origins_in
 from transport.protocol.scenario.sections.scenario_errors import (
     HoverError,
     ScenarioError,
     validated,
 )
 from transport.protocol.scenario.sections.schema import NO_DRAG, Scenario
+from transport.protocol.scenario.sections.sources_of_values import Origin, origins_in
 from transport.protocol.wire.names import MAX_UAVS
 
 FEWEST = 2  # a single rod leaves the payload free to turn about it

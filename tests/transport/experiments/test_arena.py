@@ -11,10 +11,16 @@ from matplotlib.image import imread
 import transport
 from tests.support.results import here
 from transport.agent.user_class.run_for_user import Run
-from transport.experiments.arena import arena_tasks
-from transport.experiments.arena.arena_entries import BUILT_IN, REFERENCE, Entry, entered
+from transport.experiments.arena.arena_algorithms import BUILT_IN, REFERENCE, Entry, entered
 from transport.experiments.arena.arena_runs import arena
-from transport.experiments.arena.arena_tasks import NETWORK_TEXTS, NETWORKS, PERFECT, TASKS, Task
+from transport.experiments.arena.arena_tasks_and_networks import (
+    NETWORK_TEXTS,
+    NETWORKS,
+    PERFECT,
+    TASKS,
+    VERSION,
+    Task,
+)
 from transport.experiments.cases import Case, ExperimentError
 from transport.model import state
 from transport.model.arrays import Array
@@ -95,7 +101,11 @@ def short_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
         "short": Task(text="0.6 s", settings=(SHORT,)),
         "eight UAVs": Task(text="0.6 s of eight", settings=(SHORT,), uavs=8),
     }
-    for module in ("arena_report", "arena_runs", "arena_tasks"):  # each has imported the name
+    for module in (
+        "arena_report",
+        "arena_runs",
+        "arena_tasks_and_networks",
+    ):  # each has imported the name
         monkeypatch.setattr(import_module(f"transport.experiments.arena.{module}"), "TASKS", tasks)
 
 
@@ -269,7 +279,7 @@ def test_the_whole_command(tmp_path: Path) -> None:
     assert refused in done.stdout
 
     content = orjson.loads((tmp_path / "arena.json").read_bytes())
-    assert content["arena"] == arena_tasks.VERSION
+    assert content["arena"] == VERSION
     assert content["algorithms"][STEADY]["version"] == "7"
     assert content["tasks"]["short"]["version"] == 1
     points = {(row["task"], row["network"], row["algorithm"]): row for row in content["points"]}

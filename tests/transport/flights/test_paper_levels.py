@@ -5,7 +5,8 @@ import pytest
 
 from tests.support.logs import log_of
 from tests.support.runs import SHORT, completed, ready
-from transport.analysis.series import Series, series_of, swing_of
+from transport.analysis.cost_and_tracking_metrics import swing_of
+from transport.analysis.series import Series, series_of
 
 SCALE = 128.0  # a power of two: every weight keeps its digits
 SCALED = {  # all weights and penalties of the scenario

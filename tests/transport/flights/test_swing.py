@@ -8,7 +8,8 @@ from tests.support import runs
 from tests.support.log_messages import on_reference
 from tests.support.logs import log_of
 from transport.analysis.analysed_run import AnalysedRun
-from transport.analysis.series import series_of, swing_of
+from transport.analysis.cost_and_tracking_metrics import swing_of
+from transport.analysis.series import series_of
 from transport.analysis.summary_assembly import summarise
 from transport.model import state
 from transport.model.arrays import Array

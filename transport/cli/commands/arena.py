@@ -13,7 +13,7 @@ from transport.cli.output import show
 from transport.experiments.arena.arena_report import conduct, results_of
 from transport.experiments.arena.arena_runs import DECLARED, NAME
 from transport.experiments.arena.arena_runs import arena as arena_of
-from transport.experiments.arena.arena_tasks import NETWORKS, TASKS
+from transport.experiments.arena.arena_tasks_and_networks import NETWORKS, TASKS
 
 _WIDTH = 150  # characters
 

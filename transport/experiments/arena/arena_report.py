@@ -12,10 +12,14 @@ import tomli_w
 from rich.console import Console
 from rich.table import Table
 
-from transport.experiments.arena import arena_tasks
-from transport.experiments.arena.arena_entries import REFERENCE
+from transport.experiments.arena.arena_algorithms import REFERENCE
 from transport.experiments.arena.arena_runs import NAME, VIOLATION, ArenaRuns
-from transport.experiments.arena.arena_tasks import NETWORK_TEXTS, NETWORKS, TASKS
+from transport.experiments.arena.arena_tasks_and_networks import (
+    NETWORK_TEXTS,
+    NETWORKS,
+    TASKS,
+    VERSION,
+)
 from transport.experiments.cases import Case
 from transport.experiments.statistics import COST_RATIO, PointStatistics
 from transport.experiments.sweep import Results, Simulate, Swept, markdown_of, sweep
@@ -134,7 +138,7 @@ class ArenaResult:
     def content(self) -> dict[str, Any]:
         """Return results and versions as JSON data."""
         return {
-            "arena": arena_tasks.VERSION,
+            "arena": VERSION,
             "versions": versions(),
             "machine": machine(),
             "seeds": self.arena.seeds,
@@ -192,7 +196,7 @@ class ArenaResult:
         seeds = f"{count} seed{'s' * (count > 1)} of each random run"
         if count > 1:
             seeds += ", ± half the 95 % interval"
-        origin = f"Arena {arena_tasks.VERSION}, {seeds}; {versions()}; machine: {machine()}"
+        origin = f"Arena {VERSION}, {seeds}; {versions()}; machine: {machine()}"
         return "\n".join([*lines, "", f"*{origin}*", ""])
 
 

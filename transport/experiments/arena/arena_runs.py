@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from transport.experiments.arena.arena_entries import REFERENCE, Algorithm, algorithms_of
-from transport.experiments.arena.arena_tasks import NETWORKS, PERFECT, SCENARIO, TASKS
+from transport.experiments.arena.arena_algorithms import REFERENCE, Algorithm, algorithms_of
+from transport.experiments.arena.arena_tasks_and_networks import NETWORKS, PERFECT, SCENARIO, TASKS
 from transport.experiments.cases import (
     Case,
     Point,

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-from transport.experiments.arena.arena_tasks import NETWORKS
+from transport.experiments.arena.arena_tasks_and_networks import NETWORKS
 from transport.experiments.statistics import COST_RATIO, PointStatistics
 from transport.report.figures.column import Room, column_panels, head
 from transport.report.figures.style import CURVES, label_decades

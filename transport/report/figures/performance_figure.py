@@ -3,7 +3,8 @@
 import numpy as np
 from matplotlib.axes import Axes
 
-from transport.analysis.series import SWING_S, Series, swing_of
+from transport.analysis.cost_and_tracking_metrics import SWING_S, swing_of
+from transport.analysis.series import Series
 from transport.log.run_log import RunLog
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.figures.column import head, widen

@@ -1,12 +1,10 @@
-"""Effects that the controller does not model: mass errors, wind, measurement noise.
+"""Effects that the controller does not model: wind and gusts, drag, noise of measured states.
 
 Random numbers are drawn from counters (Philox) keyed by seed and purpose, with the tick as counter:
 those of a tick do not depend on the order of calls.
 """
 
 import math
-from collections import deque
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -15,13 +13,12 @@ import numpy as np
 from transport.model.arrays import Array
 from transport.model.linear.linearisation import Model
 from transport.model.physics.hover import with_released
-from transport.model.physics.parameters import Payload, System, Uav
+from transport.model.physics.parameters import Payload
 from transport.model.physics.rotations import rotation
-from transport.model.state import OMEGA0, R0, SENSED, SENSORS, THETA0, V0, StateView, is_measured
+from transport.model.state import StateView
+from transport.plant.actual_bodies import about, actual_system
 from transport.plant.plant_run import PlantRun
-from transport.protocol.scenario.faults.scripted_faults import Load
 from transport.protocol.scenario.links.random_streams import Streams, draw_key
-from transport.protocol.scenario.sections.plant_sections import UavFactorsSection
 from transport.protocol.wire.names import PLANT
 
 # Gusts are drawn at these intervals, so that the wind is the same at any sampling period.
@@ -53,7 +50,7 @@ class Environment:
     def __init__(self, setup: PlantRun) -> None:
         section = setup.section
         N = setup.run.system.N
-        self.system = _actual_system(setup)
+        self.system = actual_system(setup)
         is_known = np.array_equal(self.system.drag, setup.run.system.drag)
         is_nominal = (
             section.payload_mass_factor == section.uav_mass_factor == 1.0
@@ -195,125 +192,3 @@ class Environment:
         # Without spin about the rod: Omega_i minus its part along e_i.
         rods.Omega_P[:] -= rods.e_P * (rods.e_P * rods.Omega_P).sum(axis=1, keepdims=True)
         return measured
-
-
-class Sensors:
-    """Sensors of the autopilots: position, velocity, attitude, body rates, specific force of UAVs.
-
-    A measurement errs by white noise and a constant bias, and shows its quantity as it was some
-    periods before.
-    """
-
-    def __init__(self, setup: PlantRun) -> None:
-        sheet = setup.run.sensors
-        self._seed = setup.run.rules.seed
-        self._noise = np.repeat(sheet.noise, 3)  # standard deviations, (15,)
-        self._ages = np.repeat(sheet.ages, 3)  # periods, (15,)
-        bias = np.repeat(sheet.bias, 3)
-        names = [f"bias/{uav}" for uav in range(1, setup.run.system.N + 1)]
-        self._bias = np.array([bias * drawn(self._seed, name, 0, SENSED) for name in names])
-        # Outages: UAV, 0-based, sensor by its place in SENSORS, and the tick of its return, if any.
-        self._outages: list[tuple[int, int, int | None]] = []
-        # True values at the newest ticks, (N, 15) each, the newest first.
-        self._true: deque[Array] = deque(maxlen=max(sheet.ages) + 1)
-
-    def observe(self, model: Model, x: Array, u: Array, forces: Array | None) -> None:
-        """Take in the next tick: the state, (n,), and the inputs, (4 N,), and forces until then."""
-        sensed, *_ = model.sense(x, u, forces=forces)
-        self._true.appendleft(sensed.reshape(-1, SENSED))
-
-    def measured(self, tick: int, uavs: Sequence[int]) -> Array:
-        """Return the measurements of UAVs, 0-based, at the newest tick, (UAVs, 15).
-
-        Source: docs/equations.md (61).
-        """
-        ages = np.minimum(self._ages, len(self._true) - 1)
-        true = np.array(self._true)[ages, :, np.arange(SENSED)].T
-        draws = [drawn(self._seed, f"sensors/{uav + 1}", tick, SENSED) for uav in uavs]
-        noise = np.array([self._noise * draw for draw in draws])
-        measured: Array = true[list(uavs)] + self._bias[list(uavs)] + noise
-        for row, missing in zip(measured, self.missing(tick, uavs), strict=True):
-            row.reshape(-1, 3)[[not is_measured(s, missing) for s in range(len(SENSORS))]] = 0.0
-        return measured
-
-    def fail(self, uav: int, sensors: Sequence[str], until: int | None) -> None:
-        """Let sensors of a UAV, 0-based, measure nothing until a tick, or None for good."""
-        self._outages += [(uav, SENSORS.index(sensor), until) for sensor in sensors]
-
-    def missing(self, tick: int, uavs: Sequence[int]) -> tuple[int, ...]:
-        """Return the sensors without a measurement of each UAV, as bits (`model.state.SENSORS`)."""
-        bits = dict.fromkeys(uavs, 0)
-        for uav, sensor, until in self._outages:
-            if uav in bits and (until is None or tick < until):
-                bits[uav] |= 1 << sensor
-        return tuple(bits.values())
-
-
-def about(x: Array, point: Array) -> Array:
-    """Return a state with place and velocity of another point of the payload.
-
-    Rods and UAVs stay as they are.
-
-    Args:
-        x: State, (n,).
-        point: The other point from the present one, (3,), payload frame, m.
-    Source: docs/equations.md (44a).
-    """
-    if not point.any():
-        return x
-    moved = x.copy()
-    #   r_c = r_0 + R_0 c,  v_c = v_0 + omega_0 x c
-    moved[R0] += rotation(x[THETA0]) @ point
-    moved[V0] += np.cross(x[OMEGA0], point)
-    return moved
-
-
-def _actual_system(setup: PlantRun) -> System:
-    """Return the actual bodies: masses, inertias and drag times factors, the centre of the payload.
-
-    Inputs are moments.
-    """
-    known = setup.run.system
-    section = setup.section
-    mass_factor, inertia_factor = section.payload_mass_factor, section.payload_inertia_factor
-    if inertia_factor is None:
-        inertia_factor = mass_factor
-    payload = Payload(
-        mass=mass_factor * known.payload.mass,
-        inertia=inertia_factor * known.payload.inertia,
-        drag=section.drag_factor * setup.bodies.payload.drag_kgps,
-        centre=section.payload_centre_m,
-    )
-    of_one = {one.id: one for one in section.uav}
-    uavs = []
-    for uav, own in zip(known.uavs, setup.bodies.uav, strict=True):
-        one = of_one.get(own.id, UavFactorsSection(id=own.id))
-        uavs.append(
-            Uav(
-                mass=section.uav_mass_factor * one.mass_factor * uav.mass,
-                inertia=section.uav_mass_factor * one.inertia * uav.inertia,
-                rho=uav.rho - payload.centre,
-                rod_length=uav.rod_length,
-                drag=section.drag_factor * one.drag_factor * np.array(own.drag_kgps),
-            )
-        )
-    return System(payload=payload, uavs=uavs, gravity=known.gravity)
-
-
-def payload_during(change: Load, before: Payload, share: float) -> Payload:
-    """Return the payload after a share, 0 to 1, of a change from the one before.
-
-    Without an inertia that of before changes with the mass.
-    Raises: ParameterError: there is no such body.
-    """
-    mass = before.mass if change.mass_kg is None else change.mass_kg
-    inertia = mass / before.mass * before.inertia
-    if change.inertia_kgm2 is not None:
-        inertia = np.array(change.inertia_kgm2)
-    centre = before.centre if change.centre_m is None else np.array(change.centre_m)
-    return Payload(
-        mass=before.mass + share * (mass - before.mass),
-        inertia=before.inertia + share * (inertia - before.inertia),
-        drag=before.drag,
-        centre=before.centre + share * (centre - before.centre),
-    )

@@ -9,7 +9,7 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.model.physics.rotations import rotation
 from transport.model.state import StateView
-from transport.plant.environment import Environment
+from transport.plant.wind_and_noise import Environment
 from transport.protocol.scenario.setup.run_setup import Setup
 
 MEAN = "plant.wind.speed_mps=[3.0,-1.0,0.5]"
