@@ -24,7 +24,7 @@ test: $(VENV)/.installed-test ## set up and run the tests, without the slow ones
 test-slow: $(VENV)/.installed-test ## run the slow tests: long runs, browsers, half a minute in real time
 	@$(BIN)/python -m pytest $(WORKERS) -m "slow and not pages and not firmware"
 
-test-pages: $(VENV)/.installed-test ## run the commands of docs/command-line.md (playground), docs/getting-started.md and the notebooks
+test-pages: $(VENV)/.installed-test ## run the commands of docs/active-runs.md (playground), docs/getting-started.md and the notebooks
 	@$(BIN)/python -m pytest -m pages
 
 test-firmware: $(VENV)/.installed-test $(VENV)/.installed-firmware ## build Betaflight (1 minute) and run the tests with it as inner loop

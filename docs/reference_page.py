@@ -8,6 +8,7 @@ comment.
 
 import json
 import re
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, get_args, get_origin
 
 import typer
@@ -31,22 +32,83 @@ KEYS, COMMANDS = (
     ROOT / "docs" / "reference" / "keys.md",
     ROOT / "docs" / "reference" / "commands.md",
 )
+_COMMANDS_HEAD = """\
+# Commands and options
+
+Made by `make reference` from the help texts. Every command explains itself with `-h` or `--help`."""
+# Parts of a command's description that its name, arguments and sections say.
+_LEFT_OUT = re.compile(
+    r"\*\*Usage\*\*:\n\n```console\n(?:.*\n)*?```\n|\*\*Commands\*\*:\n\n(?:\* .*\n)+"
+    r"|\*\*Options\*\*:\n+(?=\* `--help`)|^\* `--help`: .*\n",
+    re.MULTILINE,
+)
+_OPTION = re.compile(r"^\* `--.*$", re.MULTILINE)
 _TABLE = re.compile(r"(<!-- keys of (\S+) -->\n).*?(\n<!-- end of keys -->)", re.DOTALL)
 _NOUNS = {int: "integer", float: "number", str: "text", bool: "true, false"}
 _SIGNS = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
 
 
 def commands_page() -> str:
-    """Return the page of commands."""
+    """Return the page of commands: an index, options that several share, and each command."""
     root = typer.main.get_command(app)
     _load(root)
-    text = (
-        get_docs_for_click(
-            obj=root, ctx=typer.Context(root), name="transport", title="Commands and options"
-        )
+    text = get_docs_for_click(obj=root, ctx=typer.Context(root), name="transport")
+    text = re.sub(r"(?<! )<(?=[a-z])", "&lt;", text.replace("\b\n", ""))
+    parts = re.split(r"^#+ `(transport[^`]*)`\n", text, flags=re.MULTILINE)
+    described = {
+        name: re.sub(r"\n{3,}", "\n\n", _LEFT_OUT.sub("", part)).strip()
+        for name, part in zip(parts[1::2], parts[2::2], strict=True)
+    }
+    shared = dict(sorted(_shared(described).items()))
+    sections = [f"## `{name}`\n\n{_with_shared(part, shared)}" for name, part in described.items()]
+    index = [[f"`{name}`", part.partition("\n")[0]] for name, part in described.items()]
+    lists = "\n".join(
+        f"{line} ({', '.join(f'`{one}`' for one in names)})" if names else line
+        for line, names in shared.items()
+    )
+    return (
+        "\n\n".join(
+            [
+                _COMMANDS_HEAD,
+                table(["command", "purpose"], index),
+                f"## Shared options\n\n{lists}",
+                *sections,
+                "",
+            ]
+        ).rstrip()
         + "\n"
     )
-    return re.sub(r"(?<! )<(?=[a-z])", "&lt;", text.replace("\b\n", ""))
+
+
+def _shared(described: Mapping[str, str]) -> dict[str, list[str]]:
+    """Return the options in several commands; with the names of these where others have another meaning."""
+    of_option: dict[str, list[str]] = {}
+    for name, part in described.items():
+        for line in _OPTION.findall(part):
+            of_option.setdefault(line, []).append(name.removeprefix("transport "))
+    shared = {line: names for line, names in of_option.items() if len(names) > 2}
+    flags = [line.split()[1] for line in of_option]
+    return {
+        line: [] if flags.count(line.split()[1]) == 1 else _of_group(names)
+        for line, names in shared.items()
+    }
+
+
+def _of_group(names: Sequence[str]) -> list[str]:
+    """Return names of commands, those of a group as the group."""
+    return list(dict.fromkeys(name.partition(" ")[0] for name in names))
+
+
+def _with_shared(part: str, shared: Mapping[str, object]) -> str:
+    """Return the description of a command with its shared options by name."""
+    own = [line for line in _OPTION.findall(part) if line in shared]
+    for line in own:
+        part = (
+            part.replace(f"{line}\n", "", 1) if f"{line}\n" in part else part.replace(line, "", 1)
+        )
+    names = ", ".join(f"`{line.split()[1].strip('`:')}`" for line in own)
+    listed = part.strip() + (f"\n\n[Shared](#shared-options): {names}." if names else "")
+    return re.sub(r"\n{3,}", "\n\n", re.sub(r"\*\*Options\*\*:\n+(?=\[Shared|$)", "", listed))
 
 
 def _load(group: object) -> None:

@@ -1,4 +1,4 @@
-"""The part of docs/command-line.md on a run impaired by hand.
+"""The part of docs/active-runs.md on a run impaired by hand.
 
 Its commands, in order, on the scenario `playground`.
 """
@@ -20,7 +20,7 @@ from transport.analysis.series import series_of
 from transport.cli.main import app
 from transport.log.run_log import open_run
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "command-line.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "active-runs.md"
 TEAM = ["coordinator", "plant", "agent1", "agent2", "agent3", "agent4"]
 INTERRUPTED = 130
 # Ticks between two commands; time of a step on a busy machine, s.

@@ -151,7 +151,7 @@ class TargetSection(Section):
     """times of the points instead of a speed; they count from that of the first one"""
     to: Annotated[list[Annotated[int, Field(ge=1)]], Key(type="list of agents")] = []
     """agents that are told, such as [2]; the others learn the target from plans
-    ([command-line.md](../command-line.md#targets)). If omitted, all are told at the same tick"""
+    ([active-runs.md](../active-runs.md#targets)). If omitted, all are told at the same tick"""
 
     @model_validator(mode="after")
     def _points_differ_and_times_rise(self) -> Self:

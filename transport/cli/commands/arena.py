@@ -54,7 +54,7 @@ def arena(
         ),
     ] = None,
 ) -> None:
-    """Compare algorithms on tasks and networks.
+    """Compare algorithms, yours too, on tasks and networks.
 
     Every algorithm of the project and every class given runs on each task and network. Prints a
     table for each measure: there is no score. Writes arena.json, tables and a figure.
