@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SCENARIO ?= paper
+# Tests of `make test`.
+MARK ?= not slow
 # Each worker takes the next file of tests, in the order of tests/conftest.py.
 WORKERS := --numprocesses 3 --dist loadfile --no-loadscope-reorder
 # Empty means unset: each process of a run would otherwise compile all sources again.
@@ -19,7 +21,7 @@ run: $(VENV)/.installed ## set up and run the paper's maneuver (SCENARIO=name fo
 	@echo "      $(BIN)/transport run playground --view                    # fly by hand in the browser"
 
 test: $(VENV)/.installed-test ## set up and run the tests, without the slow ones (3 minutes on two processors)
-	@$(BIN)/python -m pytest $(WORKERS) -m "not slow"
+	@$(BIN)/python -m pytest $(WORKERS) -m "$(MARK)"
 
 test-slow: $(VENV)/.installed-test ## run the slow tests: long runs, browsers, half a minute in real time
 	@$(BIN)/python -m pytest $(WORKERS) -m "slow and not pages and not firmware"

@@ -31,24 +31,33 @@ hypothesis.settings.load_profile("workers")
 
 
 # Files of tests whose waiting, or computing, takes longest.
-FIRST = ("test_soak", "test_live_viewer", "test_silence", "test_agile", "test_mujoco", "test_worst")
+FIRST = (
+    "test_autopilots",
+    "test_soak",
+    "test_live_viewer",
+    "test_silence",
+    "test_agile",
+    "test_mujoco",
+    "test_worst",
+)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add options: renew transcripts of runs (tests/transport/flights/test_transcripts.py), end in time."""
     parser.addoption("--rewrite", action="store_true", help="write transcripts of runs anew")
     parser.addoption(
-        "--until",
+        "--slow-until",
         type=float,
         default=math.inf,
         metavar="TIME",
-        help="skip tests that would begin after this time, s since 1970",
+        help="skip slow tests that would begin after this time, s since 1970",
     )
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Skip a test, and the fixtures that it needs, if the time of `--until` is over."""
-    if time.time() > item.config.getoption("--until"):
+    """Skip a slow test, and the fixtures that it needs, if the time of `--slow-until` is over."""
+    is_slow = item.get_closest_marker("slow") is not None
+    if is_slow and time.time() > item.config.getoption("--slow-until"):
         pytest.skip("no time left on this machine")
 
 
@@ -118,8 +127,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
     A long one at the end would leave a worker idle.
 
-    The soak test is the very first: it mostly waits, which leaves processor time for style and
-    types. Files whose tests compute for long come next beside those of processes, which wait.
+    Files whose tests compute for long come beside those of processes, which wait.
     """
     slow = {item.path for item in items if item.get_closest_marker("slow")}
 
