@@ -19,6 +19,8 @@ WORST_ATTITUDE = "attitude_worst_deg"
 
 # Quantile of Student's distribution at the upper end of a 95 % confidence interval.
 _QUANTILE = 0.975
+# Fewer values than these have error bars of their range.
+FEW = 5
 
 
 class Estimate(NamedTuple):
@@ -28,6 +30,21 @@ class Estimate(NamedTuple):
     # Half the 95 % confidence interval of the mean; None for a single value.
     half_width: float | None
     n: int  # number of repetitions
+    low: float  # smallest and largest value
+    high: float
+
+    def bar(self) -> tuple[float, float]:
+        """Return the lengths of an error bar below and above the mean.
+
+        It is the 95 % interval, no further than to zero for values that are all positive. The interval of
+        fewer than five values is wider than the axis: their range stands for it.
+        """
+        if self.half_width is None:
+            return 0.0, 0.0
+        if self.n < FEW:
+            return max(0.0, self.mean - self.low), max(0.0, self.high - self.mean)  # rounding
+        below = min(self.half_width, self.mean) if self.low >= 0.0 else self.half_width
+        return below, self.half_width
 
     def text(self, digits: int) -> str:
         """Return the mean with half its interval, if it has one."""
@@ -48,10 +65,10 @@ def estimate(values: Sequence[float]) -> Estimate | None:
 
     mean = math.fsum(values) / n
     if n == 1:
-        return Estimate(mean, None, n)
+        return Estimate(mean, None, n, mean, mean)
     t = float(stdtrit(n - 1, _QUANTILE))
     s = statistics.stdev(values)
-    return Estimate(mean, t * s / math.sqrt(n), n)
+    return Estimate(mean, t * s / math.sqrt(n), n, min(values), max(values))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,6 +103,15 @@ class PointStatistics:
         if name != COST_RATIO:
             return value.half_width
         return None if self.cost_ratio is None else value.half_width * self.cost_ratio / value.mean
+
+    def bar(self, name: str) -> tuple[float, float]:
+        """Return the lengths of the error bar of a number; those of the cost ratio are the cost's, scaled."""
+        value = self.numbers["cost_mean" if name == COST_RATIO else name]
+        if value is None:
+            return 0.0, 0.0
+        scale = 1.0 if name != COST_RATIO else (self.cost_ratio or 0.0) / value.mean
+        below, above = value.bar()
+        return scale * below, scale * above
 
     def row(self) -> dict[str, Any]:
         """Return values by column, as in points.csv."""

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from transport.experiments.arena import arena_runs as experiment_arena
-from transport.experiments.arena.arena_report import ArenaResult, conduct, results_of
+from transport.experiments.arena.arena_report import MEASURES, ArenaResult, conduct, results_of
 from transport.experiments.figures.experiment_figures import fill
+from transport.experiments.figures.figure_arena import draw_measure
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.fly import console
 from transport.interface.setting_arguments import ArgumentError, names_of, plain, printed
@@ -40,9 +41,20 @@ class Arena:
         """Return a row for each task, network and algorithm, or for each run (docs/arena.md)."""
         return self._result.swept.rows(table)
 
-    def plot(self) -> RunFigure:
-        """Return the figure: completion, then a strip for each other measure."""
+    def plot(self, measure: str = "") -> RunFigure:
+        """Return the matrix of the completed runs, or of a measure: cost, error, distance, step, ...
+
+        Raises: ArgumentError: no such measure.
+        """
         swept = self._result.swept
+        if measure:
+            if measure not in MEASURES:
+                raise ArgumentError(
+                    f"measure: expected one of {', '.join(MEASURES)}, got {measure!r}"
+                )
+            axis = MEASURES[measure]
+            arguments = (swept.measured, axis.number, axis.drawn, axis.factor)
+            return drawn(lambda figure: draw_measure(figure, *arguments))
         return drawn(lambda figure: fill(figure, swept.experiment, swept.measured))
 
     def save(self, folder: "str | PathLike[str]") -> list[Path]:

@@ -22,6 +22,7 @@ from transport.experiments.arena.arena_tasks_and_networks import (
     Task,
 )
 from transport.experiments.cases import Case, ExperimentError
+from transport.interface.setting_arguments import ArgumentError
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.scenario.sections.schema import ControllerSection
@@ -32,8 +33,6 @@ SHORT = (
     "{name='climb',duration_s=0.3,displacement_m=[0,0,-0.2]}]"
 )
 
-# Panels of the figure: completed runs, and a measure each.
-PANELS = 6
 
 # Keys of [controller] that an entry may set: they do not change the task.
 ALGORITHM_KEYS = {
@@ -321,7 +320,22 @@ def test_from_python() -> None:
     assert result.content["points"][0]["algorithm"] == REFERENCE
     assert "Mean cost over that of" in str(result)
     assert result.notes[-1] == f"{STEADY} (version 7): tuned: nothing"
-    assert len(result.plot().axes) == PANELS
+    flown = [row for row in result.rows() if row["flights"]]
+    (matrix,) = result.plot().axes
+    marks = [line for line in matrix.lines if line.get_marker() not in ("None", None)]
+    assert [mark.get_fillstyle() for mark in marks] == ["full"] * len(flown)
+    places = {(*mark.get_xdata(), *mark.get_ydata()) for mark in marks}
+    assert len(places) == len(flown)
+
+    tiles = result.plot("error").axes[0].patches
+    assert len(tiles) == len(flown)
+    assert len({tile.get_facecolor() for tile in tiles}) == len(
+        {row["payload_rms_m"] for row in flown}
+    )
+    with pytest.raises(
+        ArgumentError, match=r"measure: expected one of cost, error, .* got 'speed'"
+    ):
+        result.plot("speed")
 
 
 def test_the_project_says_what_was_tuned() -> None:

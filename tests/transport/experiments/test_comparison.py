@@ -102,7 +102,8 @@ def test_ratios_are_taken_seed_by_seed() -> None:
     assert [cell.period_s for cell in curve.cells] == [0.1, 0.05, 0.025]
     mean = estimate([1.2, 1.1, 1.2])
     row = list(curve.rows())[1]
-    assert mean == (row["cost_ratio"], row["cost_ratio_ci95"], 3)
+    assert mean is not None
+    assert mean[:3] == (row["cost_ratio"], row["cost_ratio_ci95"], 3)
     assert curve.cost_ratios(0.05) == pytest.approx([1.2, 1.1, 1.2])
 
 

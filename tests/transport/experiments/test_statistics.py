@@ -34,6 +34,23 @@ def test_interval_is_students(n: int) -> None:
     assert found.mean + found.half_width == pytest.approx(high, abs=tolerance)
 
 
+def test_error_bars_stay_on_the_axis() -> None:
+    """Bars are the interval, not below zero where no value is; a range where values are few."""
+    spread = estimate([0.1, 0.2, 0.1, 0.2, 4.0])
+    assert spread is not None
+    assert spread.half_width is not None
+    assert spread.half_width > spread.mean
+    assert spread.bar() == (spread.mean, spread.half_width)
+
+    signed = estimate([-0.1, 0.2, 0.1, 0.2, 4.0])
+    assert signed is not None
+    assert signed.bar() == (signed.half_width, signed.half_width)
+
+    few = estimate([1.0, 2.0, 6.0])
+    assert few is not None
+    assert few.bar() == (2.0, 3.0)
+
+
 def test_diverged_runs_count_but_are_not_averaged() -> None:
     """Cost is averaged over completed runs.
 

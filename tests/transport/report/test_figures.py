@@ -26,7 +26,7 @@ from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import FaultNote, LinkChange
 from transport.report.figures.column import caption_of, marks_of
 from transport.report.figures.run_figures import FIGURES, draw, fill
-from transport.report.figures.style import COLUMN_IN, CURVES, RC, SMALL
+from transport.report.figures.style import COLUMN_IN, CURVES, RC, SMALL, styles_of
 from transport.report.report import write_report
 from transport.scene.uav_and_link_colours import uav_marker, uav_style
 
@@ -224,6 +224,16 @@ def test_ten_curves_are_told_apart() -> None:
     assert len({(colour, line) for colour, _, line in CURVES}) == 10
     assert len({tuple(uav_style(i).values()) for i in range(10)}) == 10
     assert len({(uav_style(i)["color"], uav_marker(i)) for i in range(10)}) == 10
+
+
+def test_controllers_and_networks_have_their_own_style() -> None:
+    """A name has the same style in every figure, and no other name of a figure its colour and marker."""
+    together = styles_of(
+        ["alone", "mine", "precise", "paper", "resilient", "centralized_lq", "yours"]
+    )
+    assert styles_of(["mine", "paper"])["paper"] == together["paper"]
+    assert styles_of(["late", "perfect"])["perfect"] == styles_of(["perfect"])["perfect"]
+    assert len({style[:2] for style in together.values()}) == len(together)
 
 
 def at_rest(series: Series) -> Series:

@@ -10,10 +10,11 @@ from typer import Option
 from transport.cli.commands.experiment import ExperimentOptions
 from transport.cli.lazy import with_options
 from transport.cli.output import show
-from transport.experiments.arena.arena_report import conduct, results_of
+from transport.experiments.arena.arena_report import MEASURES, conduct, results_of
 from transport.experiments.arena.arena_runs import DECLARED, NAME
 from transport.experiments.arena.arena_runs import arena as arena_of
 from transport.experiments.arena.arena_tasks_and_networks import NETWORKS, TASKS
+from transport.experiments.cases import check_names
 
 _WIDTH = 150  # characters
 
@@ -53,15 +54,24 @@ def arena(
             help="Algorithm of the project that runs beside the classes; default: all. Repeatable.",
         ),
     ] = None,
+    measures: Annotated[
+        list[str] | None,
+        Option(
+            "--measure",
+            metavar="NAME",
+            help=f"Also a figure of a measure: {', '.join(MEASURES)}. Repeatable.",
+        ),
+    ] = None,
 ) -> None:
     """Compare algorithms, yours too, on tasks and networks.
 
     Every algorithm of the project and every class given runs on each task and network. Prints a
-    table for each measure: there is no score. Writes arena.json, tables and a figure.
+    table for each measure: there is no score. Writes arena.json, tables and a figure of the completed runs.
 
     Example: transport arena --controller mine:Mine --algorithm paper --algorithm resilient
     """
     options.check_workers()
+    check_names("--measure", measures or [], MEASURES)
     made = arena_of(
         controllers or [],
         tasks=tasks or [],
@@ -77,7 +87,7 @@ def arena(
             typer.echo(f"{done} of {len(made.cases)} runs are done already", err=True)
         result = conduct(made, options.simulate, results, Console(stderr=True))
 
-    files = [str(file) for file in result.write(folder)]
+    files = [str(file) for file in result.write(folder, measures or [])]
     lines = ["", *result.sentences(), "", *(f" {file}" for file in files)]
     content = {**result.content(), "files": files}
     tables = [part for table in result.tables() for part in (table, "")]

@@ -7,8 +7,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import orjson
 import tomli_w
+from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
@@ -21,10 +23,12 @@ from transport.experiments.arena.arena_tasks_and_networks import (
     VERSION,
 )
 from transport.experiments.cases import Case
+from transport.experiments.figures.figure_arena import draw_measure
 from transport.experiments.statistics import COST_RATIO, PointStatistics
 from transport.experiments.sweep import Results, Simulate, Swept, markdown_of, sweep
 from transport.flight.run_files import machine, versions
 from transport.protocol.scenario.files.atomic_writing import write_whole
+from transport.report.figures.style import RC, save
 
 RESULTS = "arena.json"
 _MISSING = "-"
@@ -42,17 +46,38 @@ class ArenaAxis:
     number: str  # empty for the share of completed runs
     factor: float = 1.0
     digits: int = 2
+    drawn: str = ""  # name and unit in a figure
 
 
 AXES: Sequence[ArenaAxis] = (
     ArenaAxis("Completed runs; earliest end of the others", ""),
-    ArenaAxis(f"Mean cost over that of `{REFERENCE}` on a perfect network", COST_RATIO),
-    ArenaAxis("Payload error, cm rms", "payload_rms_m", 100.0, 1),
-    ArenaAxis("Smallest distance of two UAVs, m", "separation_min_m", 1.0, 3),
-    ArenaAxis("Largest violation of the shared constraint, N", VIOLATION, 1.0, 2),
-    ArenaAxis("Plans of the team to each other, kB/s", "plan_bytes_per_s", 1e-3, 1),
-    ArenaAxis("Airtime of the radio, %, 20 % of it traffic of others", "airtime_share", 100.0, 1),
-    ArenaAxis("Processor time of an agent's step, ms, median", "cpu_step_p50_ms", 1.0, 2),
+    ArenaAxis(
+        f"Mean cost over that of `{REFERENCE}` on a perfect network",
+        COST_RATIO,
+        drawn="cost over centralized",
+    ),
+    ArenaAxis("Payload error, cm rms", "payload_rms_m", 100.0, 1, "payload error, cm rms"),
+    ArenaAxis("Smallest distance of two UAVs, m", "separation_min_m", 1.0, 3, "distance, m"),
+    ArenaAxis("Largest violation of the shared constraint, N", VIOLATION, 1.0, 2, "violation, N"),
+    ArenaAxis("Plans of the team to each other, kB/s", "plan_bytes_per_s", 1e-3, 1, "plans, kB/s"),
+    ArenaAxis(
+        "Airtime of the radio, %, 20 % of it traffic of others",
+        "airtime_share",
+        100.0,
+        1,
+        "airtime, %",
+    ),
+    ArenaAxis(
+        "Processor time of an agent's step, ms, median", "cpu_step_p50_ms", 1.0, 2, "step, ms"
+    ),
+)
+# Measures that have a figure on request, by name.
+MEASURES: Mapping[str, ArenaAxis] = dict(
+    zip(
+        ("cost", "error", "distance", "violation", "plans", "airtime", "step"),
+        AXES[1:],
+        strict=True,
+    )
 )
 
 
@@ -148,9 +173,18 @@ class ArenaResult:
             "points": [_row(one, reason) for one, reason in self.by_place.values()],
         }
 
-    def write(self, folder: Path) -> list[Path]:
-        """Write tables, results and figure to a folder and return the files."""
+    def draw(self, measure: str, folder: Path) -> list[Path]:
+        """Draw one of `MEASURES` to a folder as figure-MEASURE, and return the files."""
+        axis = MEASURES[measure]
+        with mpl.rc_context({**RC, "svg.hashsalt": f"{NAME} {measure}"}):
+            figure = Figure()
+            draw_measure(figure, self.swept.measured, axis.number, axis.drawn, axis.factor)
+            return save(figure, folder / f"figure-{measure}.png")
+
+    def write(self, folder: Path, measures: Sequence[str] = ()) -> list[Path]:
+        """Write tables, results and figures to a folder and return the files."""
         files = self.swept.write(folder)
+        files += [file for measure in measures for file in self.draw(measure, folder)]
         results = folder / RESULTS
         text = orjson.dumps(self.content(), option=orjson.OPT_INDENT_2, default=str)
         write_whole(results, text + b"\n")

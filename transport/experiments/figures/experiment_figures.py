@@ -10,7 +10,7 @@ from transport.experiments.declaration import Experiment, axis
 from transport.experiments.figures.figure_arena import draw_arena
 from transport.experiments.figures.figure_curves import draw_curves
 from transport.experiments.figures.figure_maps import draw_maps
-from transport.experiments.figures.figure_variants import draw_variants
+from transport.experiments.figures.figure_variants import draw_tracking, draw_variants
 from transport.experiments.figures.figure_weather import draw_weather
 from transport.experiments.statistics import PointStatistics
 from transport.report.figures.style import RC, save
@@ -35,6 +35,8 @@ def fill(figure: Figure, experiment: Experiment, measured: Sequence[PointStatist
 
     if experiment.drawn_as == "variants":
         draw_variants(figure, scenarios)
+    elif experiment.drawn_as == "tracking":
+        draw_tracking(figure, measured, axis(experiment.x), experiment.curves or "case")
     elif experiment.drawn_as == "weather":
         draw_weather(figure, scenarios)
     elif experiment.drawn_as == "arena":

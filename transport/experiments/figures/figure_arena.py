@@ -1,74 +1,111 @@
-"""Figure of the arena: completion of each task, then a strip of points for each other measure."""
+"""Matrices of the arena: tasks in rows, algorithms in columns, in each cell one mark for each network."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from itertools import zip_longest
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
+<<<<<<< HEAD
 from transport.experiments.arena.arena_tasks_and_networks import NETWORKS
 from transport.experiments.statistics import COST_RATIO, PointStatistics
 from transport.report.figures.column import Room, column_panels, head
 from transport.report.figures.style import CURVES, label_decades
+=======
+from transport.experiments.arena.arena_tasks import NETWORKS
+from transport.experiments.statistics import PointStatistics
+from transport.report.figures.column import Room, column_panels, head, text_width_in
+from transport.report.figures.style import COLUMN_IN, MARKER, label_decades, styles_of
+>>>>>>> 4cd6fcfa (Figures: arena as a matrix, agile flight by rows, styles by name, error bars on the axis)
 
-_MAP_IN, _STRIP_IN = 0.9, 0.62
-_LEFT_IN, _BELOW_IN = 0.62, 0.75
-_SPREAD = 0.8  # of the distance of two algorithms: place of all networks of one
-_SIZE = 2.2  # of a point
-_FEW_DECADES = 1e3
-# Number, title, factor, and whether the axis is logarithmic.
-_STRIPS = (
-    (COST_RATIO, "mean cost over centralized", 1.0, True),
-    ("payload_rms_m", "payload error, cm rms", 100.0, True),
-    ("separation_min_m", "smallest distance of two UAVs, m", 1.0, False),
-    ("plan_bytes_per_s", "plans of the team, kB/s", 1e-3, True),
-    ("cpu_step_p50_ms", "processor time of a step, ms", 1.0, True),
-)
+_ROW_IN = 0.27
+_SLANT_DEG = 40.0  # of the names of algorithms
+_BELOW_IN = 0.1  # beside the height of the names
+_BESIDE_NAME_IN = 0.08
+_RIGHT_IN, _RIGHT_OF_SCALE_IN = 0.08, 0.42
+_BAR_GAP_IN, _BAR_IN = 0.08, 0.09
+_LEAST_SPAN = 1.001  # of a scale, at least this ratio
+# Marks and tiles of a cell: two columns, as many rows as needed; distance of marks, size of a tile.
+_ACROSS = 2
+_APART = 0.44
+_TILE = 0.4
+_NONE: Any = {"facecolor": "#ffffff", "edgecolor": "#b0b0b0", "linewidth": 0.4, "hatch": "//////"}
+_FILLS = {"all complete": "full", "some": "left", "none": "none"}
+
+_Place = tuple[float, float]
 
 
 def draw_arena(figure: Figure, measured: Sequence[PointStatistics]) -> None:
-    """Draw a column for each algorithm, in it a place for each network; a point is a task.
+    """Draw which runs complete: filled marks all, half filled ones some, hollow ones none.
 
-    In the map above, the height of a bar is the share of completed runs of a task, and a cell
-    without frame was not flown. Points are means of completed runs with their 95 % intervals.
+    A place without mark was not flown.
     """
-    algorithms = _values(measured, "algorithm")
-    networks = [name for name in NETWORKS if name in _values(measured, "network")]
-    styles = dict(zip(networks, CURVES, strict=False))
-    legend = [
-        Line2D([], [], label=name, color=colour, marker=marker, linestyle="none", markersize=_SIZE)
-        for name, (colour, marker, _) in styles.items()
-    ]
-    panels = column_panels(
-        figure,
-        [_MAP_IN, *[_STRIP_IN] * len(_STRIPS)],
-        legend=legend,
-        x_label="",
-        room=Room(left_in=_LEFT_IN, bottom_in=_BELOW_IN),
+    networks = _networks(measured)
+    styles = styles_of(networks)
+    shown = [Line2D([], [], label=name, **_mark(styles[name], "full")) for name in networks]
+    grey = ("#555555", "o", "")
+    fills = [Line2D([], [], label=text, **_mark(grey, fill)) for text, fill in _FILLS.items()]
+    pairs = zip_longest(shown, fills)  # a legend is filled by columns: networks are its first row
+    legend = [handle for pair in pairs for handle in pair if handle is not None]
+    panel = _matrix(figure, measured, legend=legend)
+    for one, (column, row) in _places(measured, networks):
+        if one.runs:
+            share = one.completed / one.runs
+            fill = "full" if share == 1.0 else "left" if share else "none"
+            style = styles[str(one.point.labels["network"])]
+            panel.plot([column], [row], **_mark(style, fill))
+
+
+def draw_measure(
+    figure: Figure, measured: Sequence[PointStatistics], number: str, title: str, factor: float
+) -> None:
+    """Draw a number of completed runs as colours, a tile for each network; hatched: none completes."""
+    networks = _networks(measured)
+    means = {id(one): one.mean(number) for one in measured if _has(one, number)}
+    values = [factor * mean for mean in means.values() if mean] or [1.0]
+    scale = LogNorm(min(values), max(*values, _LEAST_SPAN * min(values)))
+    colours = ScalarMappable(scale)
+    panel = _matrix(figure, measured, right_in=_RIGHT_OF_SCALE_IN)
+    rows = [networks[i : i + _ACROSS] for i in range(0, len(networks), _ACROSS)]
+    head(panel, f"{title}; in a cell {' / '.join(', '.join(row) for row in rows)}", legend=False)
+    for one, (column, row) in _places(measured, networks):
+        corner = (column - _TILE / 2.0, row - _TILE / 2.0)
+        mean = means.get(id(one))
+        if mean:
+            colour = colours.to_rgba(factor * mean)
+            panel.add_patch(Rectangle(corner, _TILE, _TILE, color=colour, linewidth=0.0))
+        elif one.runs and not one.completed:
+            panel.add_patch(Rectangle(corner, _TILE, _TILE, **_NONE))
+
+    place = panel.get_position()
+    left = place.x1 + _BAR_GAP_IN / COLUMN_IN
+    bar = figure.colorbar(
+        colours, cax=figure.add_axes((left, place.y0, _BAR_IN / COLUMN_IN, place.height))
     )
-    _draw_map(panels[0], measured, algorithms, styles)
-    for panel, (number, title, factor, is_log) in zip(panels[1:], _STRIPS, strict=True):
-        _draw_strip(panel, measured, algorithms, styles, (number, factor))
-        if is_log and panel.has_data():
-            _set_logarithmic(panel)
-            title = f"{title}; logarithmic"
-        head(panel, title, legend=False)
-    for panel in panels:
-        panel.set_xlim(-0.5, len(algorithms) - 0.5)
-        panel.set_xticks(range(len(algorithms)), [""] * len(algorithms))
-    names = [name.rpartition(":")[2] for name in algorithms]
-    panels[-1].set_xticks(range(len(algorithms)), names, rotation=40, ha="right")
+    label_decades(bar.ax.yaxis)
 
 
-def _set_logarithmic(panel: Axes) -> None:
-    """Set a logarithmic axis, with plain numbers if they do not touch."""
-    panel.set_yscale("log")
-    low, high = panel.get_ylim()
-    if high < _FEW_DECADES * low:
-        label_decades(panel.yaxis)
+def _has(one: PointStatistics, number: str) -> bool:
+    return number == "cost_ratio" or number in one.numbers
+
+
+def _mark(style: tuple[str, str, str], fill: str) -> dict[str, Any]:
+    """Return the mark of a network, filled by the share of completed runs."""
+    colour, marker, _ = style
+    return {
+        "color": colour,
+        "marker": marker,
+        "linestyle": "none",
+        "markersize": MARKER,
+        "markeredgewidth": 0.6,
+        "fillstyle": fill,
+    }
 
 
 def _values(measured: Sequence[PointStatistics], label: str) -> list[str]:
@@ -76,53 +113,59 @@ def _values(measured: Sequence[PointStatistics], label: str) -> list[str]:
     return list(dict.fromkeys(str(one.point.labels[label]) for one in measured))
 
 
-def _place(one: PointStatistics, algorithms: Sequence[str], networks: Sequence[str]) -> float:
-    """Return the place of a point along the axis of algorithms."""
-    place = networks.index(str(one.point.labels["network"])) + 0.5
-    shift = _SPREAD * (place / len(networks) - 0.5)
-    return algorithms.index(str(one.point.labels["algorithm"])) + shift
+def _networks(measured: Sequence[PointStatistics]) -> list[str]:
+    found = _values(measured, "network")
+    return [name for name in NETWORKS if name in found]
 
 
-def _draw_map(
-    panel: Axes,
+def _matrix(
+    figure: Figure,
     measured: Sequence[PointStatistics],
-    algorithms: Sequence[str],
-    styles: dict[str, tuple[str, str, str]],
-) -> None:
-    """Draw the share of completed runs of each task as a bar in a cell."""
+    *,
+    legend: Sequence[Line2D] = (),
+    right_in: float = _RIGHT_IN,
+) -> Axes:
+    """Return the panel of an empty figure: a row for each task, a column for each algorithm."""
     tasks = _values(measured, "task")
-    width = _SPREAD / len(styles)
-    for one in measured:
-        if not one.runs:
-            continue
-        colour = styles[str(one.point.labels["network"])][0]
-        left = _place(one, algorithms, list(styles)) - width / 2.0
-        row = tasks.index(str(one.point.labels["task"]))
-        share = one.completed / one.runs
-        frame: Any = {"linewidth": 0.3, "edgecolor": colour, "facecolor": "none"}
-        panel.add_patch(Rectangle((left, row + 0.1), width, 0.8, **frame))
-        panel.add_patch(Rectangle((left, row + 0.1), width, 0.8 * share, color=colour, linewidth=0))
-    panel.set_ylim(len(tasks), 0.0)  # the first task is at the top
-    panel.set_yticks(np.arange(len(tasks)) + 0.5, tasks)
-    head(panel, "share of completed runs", legend=False)
+    algorithms = _values(measured, "algorithm")
+    names = [name.rpartition(":")[2] for name in algorithms]
+    room = Room(
+        left_in=max(map(text_width_in, tasks)) + _BESIDE_NAME_IN,
+        right_in=right_in,
+        top_in=0.12 if legend else 0.2,
+        bottom_in=_BELOW_IN + math.sin(math.radians(_SLANT_DEG)) * max(map(text_width_in, names)),
+    )
+    (panel,) = column_panels(figure, [_ROW_IN * len(tasks)], legend=legend, x_label="", room=room)
+    panel.set(xlim=(-0.5, len(algorithms) - 0.5), ylim=(len(tasks) - 0.5, -0.5))
+    slant: Any = {"rotation": _SLANT_DEG, "ha": "right", "rotation_mode": "anchor"}
+    panel.set_xticks(range(len(algorithms)), names, **slant)
+    panel.set_yticks(range(len(tasks)), tasks)
+    panel.tick_params(length=0.0)
+    panel.grid(visible=False)
+    for edge in range(len(tasks) + 1):
+        panel.axhline(edge - 0.5, color="#d9d9d9", linewidth=0.5)
+    for edge in range(len(algorithms) + 1):
+        panel.axvline(edge - 0.5, color="#d9d9d9", linewidth=0.5)
+    return panel
 
 
-def _draw_strip(
-    panel: Axes,
-    measured: Sequence[PointStatistics],
-    algorithms: Sequence[str],
-    styles: dict[str, tuple[str, str, str]],
-    drawn: tuple[str, float],
-) -> None:
-    """Draw a number, times a factor, of all points."""
-    number, factor = drawn
+def _places(
+    measured: Sequence[PointStatistics], networks: Sequence[str]
+) -> list[tuple[PointStatistics, _Place]]:
+    """Return each point with its place in its cell: column and row of the matrix."""
+    tasks = _index(_values(measured, "task"))
+    algorithms = _index(_values(measured, "algorithm"))
+    down = -(-len(networks) // _ACROSS)
+    across = min(_ACROSS, len(networks))
+    places = []
     for one in measured:
-        mean = one.mean(number)
-        if not mean:  # no completed run; or none of a kind, such as messages of UAVs alone
-            continue
-        half = one.half_width(number) or 0.0
-        colour, marker, _ = styles[str(one.point.labels["network"])]
-        panel.errorbar(
-            _place(one, algorithms, list(styles)), factor * mean, yerr=factor * half, color=colour,
-            marker=marker, markersize=_SIZE, linestyle="none", linewidth=0.5, markeredgewidth=0.3,
-        )  # fmt: skip
+        labels = one.point.labels
+        row, column = divmod(networks.index(str(labels["network"])), _ACROSS)
+        x = algorithms[str(labels["algorithm"])] + _APART * (column - (across - 1) / 2.0)
+        y = tasks[str(labels["task"])] + _APART * (row - (down - 1) / 2.0)
+        places.append((one, (x, y)))
+    return places
+
+
+def _index(names: Sequence[str]) -> Mapping[str, int]:
+    return {name: place for place, name in enumerate(names)}

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -18,7 +19,7 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 from transport.experiments.declaration import NONE, Axis, Experiment, axis
 from transport.experiments.statistics import COST_RATIO, PointStatistics
 from transport.report.figures.column import Room, column_panels, head
-from transport.report.figures.style import CURVES, DIVERGED, MARKER, label_decades
+from transport.report.figures.style import DIVERGED, MARKER, label_decades, styles_of
 
 Scenarios = Mapping[str, Sequence[PointStatistics]]
 
@@ -71,11 +72,6 @@ _PANELS: Mapping[str, Sequence[FigurePanel]] = {
         FigurePanel("airtime (%)", "airtime_share", 100.0),
         FigurePanel("payload error, root mean square (cm)", "payload_rms_m", 100.0),
         FigurePanel("mean cost over that without a radio", COST_RATIO),
-    ),
-    "tracking": (
-        FigurePanel("payload error, root mean square (cm)", "payload_rms_m", 100.0),
-        FigurePanel("largest payload error (cm)", "payload_max_m", 100.0),
-        _ATTITUDE,
     ),
     "scaling": (
         FigurePanel("agent's CPU per step (ms)", "cpu_step_p50_ms"),
@@ -228,16 +224,10 @@ def _draw_means(
     for curve_places, curve in zip(places, curves, strict=True):
         means = [one.mean(content.number) for one in curve.points]
         heights = [math.nan if mean is None else content.factor * mean for mean in means]
-        halves = [content.factor * _half_width(one, content.number) for one in curve.points]
-        panel.errorbar(curve_places, heights, halves, capsize=1.5, elinewidth=0.8, **curve.style)
+        bars = content.factor * np.array([one.bar(content.number) for one in curve.points]).T
+        panel.errorbar(curve_places, heights, bars, capsize=1.5, elinewidth=0.8, **curve.style)
         drawn += [height for height in heights if not math.isnan(height)]
     return drawn
-
-
-def _half_width(one: PointStatistics, number: str) -> float:
-    """Return half the confidence interval of a number; 0 without one."""
-    estimate = one.numbers.get(number)
-    return 0.0 if estimate is None or estimate.half_width is None else estimate.half_width
 
 
 def _curves(experiment: Experiment, scenarios: Scenarios, *, joined: bool) -> Iterator[_Curve]:
@@ -247,19 +237,23 @@ def _curves(experiment: Experiment, scenarios: Scenarios, *, joined: bool) -> It
     """
     column = experiment.curves
     is_single = len(scenarios) == 1
-    for place, (scenario, measured) in enumerate(scenarios.items()):
+    styles = styles_of(list(scenarios))
+    for scenario, measured in scenarios.items():
+        own = styles[scenario]
         if column is None:
             points = _points(experiment, measured, None)
-            style = _style(place, place, joined=joined)
+            style = _style(own, joined=joined)
             yield _Curve(points, {**style, "label": scenario})
             continue
 
         labels = dict.fromkeys(one.point.labels[column] for one in measured)
         values = [label for label in labels if label != NONE]
-        for index, value in enumerate(values):
+        names = [_name(experiment, column, value) for value in values]
+        shapes = styles_of(names)
+        for value, name in zip(values, names, strict=True):
             points = _points(experiment, measured, value)
-            style = _style(index, index if is_single else place, joined=joined)
-            name = _name(experiment, column, value)
+            colour, marker, line = shapes[name]
+            style = _style((colour if is_single else own[0], marker, line), joined=joined)
             label = name if is_single else f"{scenario}, {name}"
             yield _Curve(points, {**style, "label": label})
 
@@ -288,12 +282,11 @@ def _name(experiment: Experiment, column: str, value: float | str) -> str:
     return experiment.legend.get(value, text)
 
 
-def _style(shape: int, colour: int, *, joined: bool) -> dict[str, Any]:
-    """Return the style of a curve with a number for marker and line, and one for its colour."""
-    count = len(CURVES)
-    _, marker, line = CURVES[shape % count]
+def _style(look: tuple[str, str, str], *, joined: bool) -> dict[str, Any]:
+    """Return the style of a curve with a colour, marker and line."""
+    colour, marker, line = look
     return {
-        "color": CURVES[colour % count][0],
+        "color": colour,
         "marker": marker,
         "linestyle": line if joined else "",
         "markersize": MARKER,

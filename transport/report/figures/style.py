@@ -1,6 +1,7 @@
 """Style of all figures: size, fonts, colours, axes of costs, and the phases of the maneuver."""
 
-from collections.abc import Collection
+import itertools
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,21 @@ def _curve(i: int) -> tuple[str, str, str]:
 # Colour, marker and line style of ten curves.
 CURVES = tuple(_curve(i) for i in range(len(_MARKERS)))
 MARKER = 3.2  # size, points
+# Colour, marker and line of what many figures show, the same in each, by name: controllers and networks.
+_KNOWN = {
+    "centralized": ("#000000", "D", "-"),
+    "centralized_lq": ("#CC79A7", "v", "-"),
+    "paper": ("#004488", "o", "-"),
+    "resilient": ("#D55E00", "s", "--"),
+    "precise": ("#56B4E9", "^", "-."),
+    "alone": ("#117733", "P", ":"),
+    "perfect": CURVES[0],
+    "late": CURVES[1],
+    "200 ms delay": CURVES[1],
+    "200 ms delay, 30 % loss": CURVES[1],
+    "bursts": CURVES[2],
+    "radio": CURVES[3],
+}
 # Marker of a diverged run, in every figure: hollow.
 DIVERGED: Any = {"markerfacecolor": "#ffffff", "linestyle": "none"}
 
@@ -63,6 +79,14 @@ _ABOVE_PT = 11.0
 _LETTER = 0.62
 # Costs below it are rounding errors, such as those of a team at rest.
 LEAST_COST = 1e-6
+
+
+def styles_of(names: Sequence[str]) -> dict[str, tuple[str, str, str]]:
+    """Return colour, marker and line of each of names: known ones have always the same, ten others differ."""
+    taken = [_KNOWN[name] for name in names if name in _KNOWN]
+    looks = {(colour, marker) for colour, marker, _ in taken}
+    free = itertools.cycle(style for style in CURVES if style[:2] not in looks)
+    return {name: _KNOWN[name] if name in _KNOWN else next(free) for name in names}
 
 
 def line_width(i: int, count: int, widest: float) -> float:
