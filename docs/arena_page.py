@@ -62,7 +62,7 @@ def results(arguments: Sequence[str]) -> str:
 
     shutil.copy(folder / "figure.png", IMAGES / "arena.png")
     report = (folder / "report.md").read_text(encoding="utf-8").strip()
-    figure = "![Completion of each task, and the other measures, by algorithm](../images/arena.png)"
+    figure = "![Tasks by algorithms, a mark for each network: filled where all runs complete](../images/arena.png)"
     flown = f"In examples/controllers:\n\n```\ntransport arena {shlex.join(chosen)}\n```"
     return f"{flown}\n\n{figure}\n\n{report}"
 

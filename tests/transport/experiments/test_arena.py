@@ -324,7 +324,7 @@ def test_from_python() -> None:
     (matrix,) = result.plot().axes
     marks = [line for line in matrix.lines if line.get_marker() not in ("None", None)]
     assert [mark.get_fillstyle() for mark in marks] == ["full"] * len(flown)
-    places = {(*mark.get_xdata(), *mark.get_ydata()) for mark in marks}
+    places = {str((mark.get_xdata(), mark.get_ydata())) for mark in marks}
     assert len(places) == len(flown)
 
     tiles = result.plot("error").axes[0].patches

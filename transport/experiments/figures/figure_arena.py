@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
@@ -12,17 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-<<<<<<< HEAD
 from transport.experiments.arena.arena_tasks_and_networks import NETWORKS
-from transport.experiments.statistics import COST_RATIO, PointStatistics
-from transport.report.figures.column import Room, column_panels, head
-from transport.report.figures.style import CURVES, label_decades
-=======
-from transport.experiments.arena.arena_tasks import NETWORKS
 from transport.experiments.statistics import PointStatistics
 from transport.report.figures.column import Room, column_panels, head, text_width_in
 from transport.report.figures.style import COLUMN_IN, MARKER, label_decades, styles_of
->>>>>>> 4cd6fcfa (Figures: arena as a matrix, agile flight by rows, styles by name, error bars on the axis)
 
 _ROW_IN = 0.27
 _SLANT_DEG = 40.0  # of the names of algorithms
@@ -78,7 +72,7 @@ def draw_measure(
         corner = (column - _TILE / 2.0, row - _TILE / 2.0)
         mean = means.get(id(one))
         if mean:
-            colour = colours.to_rgba(factor * mean)
+            (colour,) = colours.to_rgba(np.array([factor * mean]))
             panel.add_patch(Rectangle(corner, _TILE, _TILE, color=colour, linewidth=0.0))
         elif one.runs and not one.completed:
             panel.add_patch(Rectangle(corner, _TILE, _TILE, **_NONE))
