@@ -155,7 +155,7 @@ GUARANTEES = (
 )
 
 
-# docs/engines.md
+# docs/record/engines.md
 
 # A maneuver that descends almost as fast as bodies fall.
 FALL = (
@@ -230,7 +230,7 @@ ENGINES = (
 )
 
 
-# docs/reference/values.md, docs/scenario.md and docs/time.md
+# docs/record/values.md and docs/record/measured.md
 
 COMPARED = ("paper", "centralized", "resilient", "centralized_lq", "precise")
 WEIGHTS = (
@@ -500,10 +500,9 @@ RADIO = (
 
 PAGES = {
     "record/guarantees.md": GUARANTEES,
-    "engines.md": ENGINES,
-    "reference/values.md": VALUES,
-    "scenario.md": SCENARIO,
-    "time.md": TIME,
+    "record/engines.md": ENGINES,
+    "record/values.md": VALUES,
+    "record/measured.md": (*SCENARIO, *TIME),
     "record/results.md": RESULTS,
     "record/radio.md": RADIO,
 }

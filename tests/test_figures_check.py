@@ -40,7 +40,9 @@ def short(docs: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     columns = {"result": docs.simulations.outcome, "cost": docs.simulations.COST}
     table = docs.simulations.listed("short", "", runs, columns)
     # Timed runs are simulated one at a time, in this process: others take seconds to start.
-    one = replace(docs.simulations.measured("time.md", table), document=page, is_timed=True)
+    one = replace(
+        docs.simulations.measured("record/measured.md", table), document=page, is_timed=True
+    )
     kept_runs = docs.figures.complete(one, docs.figures.missing(one, {}))
     docs.figures.put(page, "short", docs.figures.text_of(one, kept_runs))
     return one

@@ -1,4 +1,4 @@
-"""The levels that section V reports, and the scale of the cost at which they hold (docs/reference/values.md)."""
+"""The levels that section V reports, and the scale of the cost at which they hold (docs/record/values.md)."""
 
 import numpy as np
 import pytest
