@@ -11,6 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from transport.model.arrays import Array
+from transport.protocol.admission.told_changes import ToldChanges
 from transport.protocol.scenario.sections.vehicles_section import VehiclesSection
 from transport.protocol.wire.messages import Schedule, VehicleStatus
 from transport.protocol.wire.node_interface import Outbox
@@ -18,6 +19,8 @@ from transport.protocol.wire.node_interface import Outbox
 # Time between two words to the vehicles before tick 0, and from the decision to tick 0, ns.
 _EVERY_NS = 200_000_000
 _AHEAD_NS = 1_000_000_000
+# Longest time in which a coordinator that returns learns what an earlier one has told, ns.
+_LEARNS_NS = 5_000_000_000
 READY = "ready"  # `vehicle.node.Phase`
 
 
@@ -26,6 +29,7 @@ class Fleet:
 
     places_I: Positions of the UAVs at the start of the maneuver, (N, 3), m.
     wall_offset_ns: The common clock less the steady one, ns.
+    told: Targets and changes of links so far.
 
     Attributes:
         start_ns: Instant of tick 0 by the common clock, 0 before it is decided.
@@ -33,12 +37,18 @@ class Fleet:
     """
 
     def __init__(
-        self, section: VehiclesSection, places_I: Array, out: Outbox, wall_offset_ns: int
+        self,
+        section: VehiclesSection,
+        places_I: Array,
+        out: Outbox,
+        wall_offset_ns: int,
+        told: ToldChanges,
     ) -> None:
         self._section = section
         self._places_I = places_I
         self._out = out
         self._wall_offset_ns = wall_offset_ns
+        self._told = told
         self._status: dict[int, VehicleStatus] = {}
         # Offset of each clock and its uncertainty, s: of the exchange that took least time.
         self._offsets: dict[int, tuple[float, float]] = {}
@@ -59,6 +69,7 @@ class Fleet:
         wrong by at most half the time on the way, (t4 - t1) - (t3 - t2).
         """
         self._status[status.uav] = status
+        self._told.note(status, now_ns)
         if not status.heard_ns:
             return
         t4 = now_ns + self._wall_offset_ns
@@ -83,7 +94,14 @@ class Fleet:
     def word(self, now_ns: int) -> Schedule:
         """Return the instants of the ticks, as far as they are decided."""
         sent_ns = now_ns + self._wall_offset_ns
-        return self._out.stamp(Schedule, tick=0, sent_ns=sent_ns, start_ns=self.start_ns)
+        return self._out.stamp(
+            Schedule, tick=0, sent_ns=sent_ns, start_ns=self.start_ns, **self._told.counts
+        )
+
+    def learns(self, now_ns: int) -> bool:
+        """Return whether vehicles still have to say what an earlier coordinator has told."""
+        began_ns = now_ns if self._began_ns is None else self._began_ns
+        return self._told.lacks() and now_ns < began_ns + _LEARNS_NS
 
     def follow(self) -> None:
         """Take the instant of tick 0 that the vehicles follow already."""

@@ -8,6 +8,7 @@ from typing import Any
 
 from transport.coordinator.roster import TeamRoster
 from transport.coordinator.team_view import TargetPlanner
+from transport.protocol.admission.told_changes import ToldChanges, changes_in
 from transport.protocol.scenario.links.link_changes import changed_in_words, link_change, words_of
 from transport.protocol.scenario.sections.scenario_errors import RequestError
 from transport.protocol.wire.messages import (
@@ -17,6 +18,7 @@ from transport.protocol.wire.messages import (
     Message,
     Roster,
     Target,
+    VehicleStatus,
 )
 from transport.protocol.wire.names import PLANT
 from transport.protocol.wire.node_interface import Outbox
@@ -27,6 +29,9 @@ class Changes:
 
     Processes that join are told all of them again, in order: they take a change only after those of
     smaller numbers.
+
+    Attributes:
+        told: Those so far; a coordinator that returns to a team of vehicles learns earlier ones from them.
     """
 
     def __init__(
@@ -39,13 +44,28 @@ class Changes:
         self._roster = roster
         self._planner = planner
         self._out = out
-        self._links: list[LinkChange] = []
-        self._targets: list[Target] = []
+        self.told = ToldChanges()
         self._scripted = deque(scripted)  # targets still to be announced
 
     def repeated(self) -> list[Message]:
         """Return all changes so far, for a process that joins."""
-        return [self._out.again(message) for message in [*self._links, *self._targets]]
+        return [self._out.again(message) for message in [*self.told.links, *self.told.targets]]
+
+    def learn(self, status: VehicleStatus) -> None:
+        """Take over what an earlier coordinator has told, from a vehicle that knows it."""
+        for change in changes_in(status):
+            if not self.told.add(change) or not isinstance(change, Target):
+                continue
+            self._planner.follow(change)
+            # The script was followed until then.
+            while self._scripted and self._scripted[0][0] <= change.tick:
+                self._scripted.popleft()
+
+    @property
+    def landing(self) -> Target | None:
+        """The newest target, if the team comes down by it."""
+        newest = self.told.targets[-1] if self.told.targets else None
+        return newest if newest is not None and newest.lands else None
 
     def announce_scripted(self, tick: int) -> list[Message]:
         """Return the messages of the scripted targets that are due at a tick."""
@@ -63,12 +83,12 @@ class Changes:
 
         Raises: RequestError: the team cannot reach it.
         """
-        if len(self._targets) == MAX_TARGETS:
+        if len(self.told.targets) == MAX_TARGETS:
             raise RequestError(f"expected at most {MAX_TARGETS} targets in a run")
-        number = len(self._targets) + 1
+        number = len(self.told.targets) + 1
         target = self._out.stamp(Target, number=number, **self._planner.fields(wanted, tick))
         self._planner.follow(target)
-        self._targets.append(target)
+        self.told.add(target)
         words = f"{target.in_words()}, from {self._roster.time(tick)} on"
         return [target, self._roster.message(words, tick)]
 
@@ -97,12 +117,12 @@ class Changes:
             change = self._out.stamp(
                 LinkChange,
                 tick=tick,
-                number=len(self._links) + 1,
+                number=len(self.told.links) + 1,
                 source=source,
                 target=target,
                 settings=settings,
             )
-            self._links.append(change)
+            self.told.add(change)
             changes.append(change)
         reason = changed_in_words(words, given["settings"]) if words else words_of(changes[0])
         text = f"{reason}, from {self._roster.time(tick)} on"[:MAX_TEXT]

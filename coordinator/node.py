@@ -11,6 +11,7 @@ from collections.abc import Collection, Sequence
 from collections.abc import Set as AbstractSet
 
 from transport.coordinator.clock import Clock
+from transport.coordinator.coming_down import ComingDown
 from transport.coordinator.fleet import Fleet
 from transport.coordinator.link_and_target_changes import Changes
 from transport.coordinator.open_tick import OpenTick
@@ -97,9 +98,14 @@ class CoordinatorNode:
             )
         self._open = OpenTick(rules, self._clock, self._air)
         self._fleet: Fleet | None = None
+        self._coming_down: ComingDown | None = None
         vehicles: set[str] = set()
         if team.vehicles is not None and team.places_I is not None:
-            self._fleet = Fleet(team.vehicles, team.places_I, self._out, wall_offset_ns)
+            told = self._changes.told
+            self._fleet = Fleet(team.vehicles, team.places_I, self._out, wall_offset_ns, told)
+            self._coming_down = ComingDown(
+                self._changes, self._roster, team.vehicles.battery_land, rules.period_s
+            )
             vehicles = {vehicle_name(uav + 1) for uav in range(rules.uavs)}
 
         plant = {PLANT} if rules.has_plant else set()
@@ -153,9 +159,10 @@ class CoordinatorNode:
             case Presence():
                 return self._presence_changed(event, now_ns)
             case Request():
-                return answer_request(event, self._status(), self._changes)
+                messages = answer_request(event, self._status(), self._changes, self._coming_down)
+                return self._end() if messages is None else messages
             case VehicleStatus() if self._fleet is not None:
-                self._fleet.take(event, now_ns)
+                return [*self._take_status(event, self._fleet, now_ns), *self._advance(now_ns)]
         return self._advance(now_ns)
 
     def poll(self, now_ns: int) -> Sequence[Message]:
@@ -205,6 +212,17 @@ class CoordinatorNode:
         """Note an answer to a tick, or a proposal of a negotiation."""
         if self._open.take_plan(plan, now_ns):
             self._verdict.add_plan(plan)
+
+    def _take_status(self, status: VehicleStatus, fleet: Fleet, now_ns: int) -> Sequence[Message]:
+        """Take in how a vehicle is; in flight return the messages of a landing that follows."""
+        fleet.take(status, now_ns)
+        if self._machine.state in BEFORE_TICK_0:
+            self._changes.learn(status)
+            return ()
+        is_flying = self._machine.state is State.OPEN and not self._open.is_last
+        if self._coming_down is None or not is_flying:
+            return ()
+        return self._coming_down.watch(status, self.tick + 1)
 
     # -- Processes that join and leave -----------------------------------------------------------
 
@@ -313,7 +331,7 @@ class CoordinatorNode:
 
     def _prepare(self, fleet: Fleet, now_ns: int) -> Sequence[Message]:
         """Speak to the vehicles until all are ready; then tell them the instant of tick 0."""
-        if fleet.followed_ns:
+        if fleet.followed_ns and not fleet.learns(now_ns):
             return self._take_over(fleet, now_ns)
         if fleet.is_over(now_ns):
             reason = f"the vehicles are not ready: {fleet.problem()}"
@@ -331,7 +349,8 @@ class CoordinatorNode:
         """Take over a team that flies without a coordinator, from the newest tick on.
 
         Its ticks go on at their instants; the roster has all agents, in a newer version than any
-        vehicle has. Links and targets that an earlier coordinator has changed stay as they are.
+        vehicle has. Links and targets that an earlier coordinator has changed stay as they are, and
+        are repeated for processes that have returned meanwhile.
         """
         fleet.follow()
         self._machine.move(Cause.TOLD)
@@ -340,7 +359,8 @@ class CoordinatorNode:
         self._roster.follow(fleet.roster)
         reason = f"the coordinator has returned at {self._roster.time(self.tick)}"
         roster = self._roster.message(reason, self.tick)
-        return [roster, fleet.word(now_ns), *self._open_next(now_ns)]
+        repeated = self._changes.repeated()
+        return [*repeated, roster, fleet.word(now_ns), *self._open_next(now_ns)]
 
     def _advance(self, now_ns: int) -> Sequence[Message]:
         """End an exchange whose proposals are all here, and the open tick if it may be closed."""
@@ -431,8 +451,10 @@ class CoordinatorNode:
     # -- The end, and answers about the run ------------------------------------------------------
 
     def _end(self) -> Sequence[Message]:
-        """End the run by the plant's states or at its last tick."""
+        """End the run by the plant's states, at its last tick, or once a team that landed is released."""
         exit_code, reason = self._verdict.outcome()
+        if exit_code == 0 and self._coming_down is not None and self._coming_down.aborted:
+            exit_code, reason = EXIT_INTERRUPTED, self._coming_down.aborted
         return self._stop(exit_code, reason)
 
     def _stop(self, exit_code: int, reason: str) -> Sequence[Message]:

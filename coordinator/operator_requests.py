@@ -1,12 +1,15 @@
-"""Requests of clients to the coordinator: the status of the run, changes of links, targets."""
+"""Requests of clients to the coordinator: the status of the run, changes of links, targets, the way down."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from transport.coordinator.coming_down import ComingDown
 from transport.coordinator.link_and_target_changes import Changes
 from transport.protocol.scenario.sections.scenario_errors import RequestError
 from transport.protocol.wire.messages import Message, Request, Target
+
+_NO_VEHICLES = "expected a run with vehicles (docs/flight.md), got one without"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,14 +33,23 @@ class RunStatus:
     period_ns: int
 
 
-def answer_request(request: Request, status: RunStatus, changes: Changes) -> Sequence[Message]:
-    """Answer a request, and return the messages of a change, which holds from the next tick on."""
+def answer_request(
+    request: Request, status: RunStatus, changes: Changes, coming_down: ComingDown | None = None
+) -> Sequence[Message] | None:
+    """Answer a request, and return the messages of a change, which holds from the next tick on.
+
+    None: the run ends, as a team that has landed is released.
+    """
     if request.what == "status":
         shown = ("tick", "ticks", "members", "observers")
         request.reply({key: getattr(status, key) for key in shown})
         return ()
     try:
-        messages = _changed(request, status, changes)
+        if request.what == "release":
+            _check_release(status, coming_down)
+            request.reply({"tick": status.tick, "t_s": status.tick * status.period_ns / 1e9})
+            return None
+        messages = _changed(request, status, changes, coming_down)
     except RequestError as error:
         request.reply({"error": str(error)})
         return ()
@@ -45,13 +57,27 @@ def answer_request(request: Request, status: RunStatus, changes: Changes) -> Seq
     return messages
 
 
-def _changed(request: Request, status: RunStatus, changes: Changes) -> Sequence[Message]:
+def _check_release(status: RunStatus, coming_down: ComingDown | None) -> None:
+    """Raise RequestError unless a team of vehicles has landed."""
+    if coming_down is None:
+        raise RequestError(_NO_VEHICLES)
+    coming_down.check_release(status.tick)
+
+
+def _changed(
+    request: Request, status: RunStatus, changes: Changes, coming_down: ComingDown | None
+) -> Sequence[Message]:
     """Return the messages of a change of links or a target. Raises: RequestError."""
-    if request.what not in ("link", "target"):
-        raise RequestError(f"what: expected status, link or target, got {request.what!r}")
+    if request.what not in ("link", "target", "abort"):
+        expected = "expected status, link, target, abort or release"
+        raise RequestError(f"what: {expected}, got {request.what[:40]!r}")
     if not status.takes_changes:
         raise RequestError("expected a running simulation")
 
+    if request.what == "abort":
+        if coming_down is None:
+            raise RequestError(_NO_VEHICLES)
+        return coming_down.abort(status.tick + 1)
     if request.what == "link":
         return changes.link(request.given, status.tick + 1)
     return changes.target(request.given, status.tick + 1)

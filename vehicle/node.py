@@ -3,7 +3,7 @@
     SILENT    the autopilot has not been heard                --its sign of life--> CHECKING
     CHECKING  its parameters, estimate, place, battery        --all fit, armed--> READY
     READY     the autopilot hovers by itself, or stands       --tick 0--> FLYING
-    FLYING    measures at each tick, and obeys its agent      --end of the run--> RELEASED
+    FLYING    measures at each tick, and obeys its agent      --end of the run, or off its rod--> RELEASED
     RELEASED  the autopilot holds its place or lands, by itself
 
 A process that starts while the team flies goes to FLYING as soon as it hears its autopilot, whose
@@ -15,6 +15,7 @@ motors run, and the instants of the ticks. In FLYING the setpoints come
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 
@@ -23,12 +24,16 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.admission.participant import Participant, Ticking
+from transport.protocol.admission.told_changes import ToldChanges, changes_in, rests_at
 from transport.protocol.scenario.sections.vehicles_section import VehiclesSection
 from transport.protocol.scenario.setup.team_run import TeamRun
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import (
+    LinkChange,
     Measurement,
     Message,
     Plan,
+    Roster,
     Schedule,
     Target,
     VehicleStatus,
@@ -106,6 +111,7 @@ class VehicleNode(Participant):
         self.phase = VehiclePhase.SILENT
         self._ticking: Ticking | None = None
         self._schedule_ns = 0  # the start that it follows, ns since 1970
+        self._told = ToldChanges()
         self._heard: tuple[int, int] = 0, 0  # `Schedule.sent_ns` and when it arrived
         self._wakes_ns = 0
         self._tells_ns = 0
@@ -132,6 +138,13 @@ class VehicleNode(Participant):
 
     # What comes
 
+    def _handle(self, message: Message, now_ns: int) -> None:
+        if isinstance(message, Target | LinkChange):
+            self._told.add(message)
+        super()._handle(message, now_ns)
+        if isinstance(message, Roster) and self._uav in message.released:
+            self._let_go(is_in_order=True)
+
     def _follow_target(self, target: Target) -> None:
         self._setup = self._setup.led_to(target)
         self._own.follow(self._setup)
@@ -140,10 +153,16 @@ class VehicleNode(Participant):
         match message:
             case Schedule():
                 self._heard = message.sent_ns, now_ns + self._wall_offset_ns
+                self._told.note(message, now_ns)
                 self._follow_schedule(message.start_ns)
             case VehicleStatus():
-                # Where the coordinator is gone, another vehicle tells the same instants.
+                # Where the coordinator is gone, another vehicle tells the same instants and changes.
+                self._told.note(message, now_ns)
                 self._follow_schedule(message.start_ns)
+                for change in changes_in(message):
+                    with suppress(MessageError):  # one after a gap comes again
+                        self.check_moment(change)
+                        self._handle(change, now_ns)
 
     def _follow_schedule(self, start_ns: int) -> None:
         """Take the instants of the ticks; the first that are told hold for the whole run."""
@@ -168,19 +187,31 @@ class VehicleNode(Participant):
         """Attend to the autopilot; tell, measure and command what is due."""
         self._autopilot.attend(now_ns)
         told = self._autopilot.state()
+        if self.phase is VehiclePhase.RELEASED:
+            return self._watch(told, now_ns)
         if self._ticking is None or now_ns < self._ticking.due_ns(0):
             return self._prepare(told, now_ns)
         return self._fly(told, self._ticking, now_ns)
 
     def _end(self) -> Sequence[Message]:
-        """Let the autopilot land, or hold its place, by itself: the run has ended."""
+        """Let go: the run has ended, in order where it is completed, or the team has landed before."""
+        is_completed = self.finished is not None and self.finished.outcome == "completed"
+        newest = self._told.targets[-1] if self._told.targets else None
+        has_landed = (
+            newest is not None and newest.lands and self._tick >= rests_at(newest, self._period_s)
+        )
+        self._let_go(is_in_order=is_completed or has_landed)
+        return ()
+
+    def _let_go(self, *, is_in_order: bool) -> None:
+        """Let the autopilot land, or hold its place, by itself."""
+        if self.phase is VehiclePhase.RELEASED:
+            return
         self.phase = VehiclePhase.RELEASED
-        is_in_order = self.finished is not None and self.finished.outcome == "completed"
         if is_in_order and self._vehicles.at_end == "land":
             self._autopilot.land()
         else:
             self._autopilot.hold()
-        return ()
 
     def _prepare(self, told: AutopilotState | None, now_ns: int) -> Sequence[Message]:
         """Check the autopilot, and on a stand arm it and give it the thrust of hover."""
@@ -239,6 +270,12 @@ class VehicleNode(Participant):
             self._setpoint = max(self._setpoint, int(ticking.ticks(now_ns) * rate)) + 1
         self._wakes_ns = min(self._setpoint_ns(ticking), ticking.due_ns(self._tick + 1))
         return out
+
+    def _watch(self, told: AutopilotState | None, now_ns: int) -> Sequence[Message]:
+        """Tell how a UAV is that its autopilot has."""
+        self._wakes_ns = now_ns + _TELL_NS
+        self._source = NONE
+        return [self._status(told, max(self._tick, 0), -1.0, now_ns)]
 
     def _setpoint_ns(self, ticking: Ticking) -> int:
         """Return the instant of the next setpoint."""
@@ -324,7 +361,9 @@ class VehicleNode(Participant):
             passed_s = speed * (arrived_ns - self._last[1]) / 1e9
             moved = passed_s * sensed[state.VELOCITY]
             jump = place - self._last[0] - moved
-            if np.linalg.norm(jump) > self._vehicles.jump_m:
+            # After a silence a UAV may have moved that far: its velocity then says nothing about it.
+            is_next = passed_s <= self._vehicles.stale_s
+            if is_next and np.linalg.norm(jump) > self._vehicles.jump_m:
                 self._shift_I = self._shift_I - jump
         if self._shift_I.any():
             far_m = float(np.linalg.norm(self._shift_I))
@@ -383,4 +422,6 @@ class VehicleNode(Participant):
             heard_at_ns=self._heard[1],
             sent_ns=now_ns + self._wall_offset_ns,
             start_ns=self._schedule_ns,
+            **self._told.counts,
+            changes=self._told.lacking(now_ns),
         )

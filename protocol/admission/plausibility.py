@@ -7,6 +7,7 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.admission.targets_in_plans import check_carried
+from transport.protocol.admission.told_changes import changes_in
 from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import (
     ActualInputs,
@@ -19,6 +20,7 @@ from transport.protocol.wire.messages import (
     StepReport,
     Target,
     Tick,
+    VehicleStatus,
 )
 from transport.protocol.wire.node_interface import RunShape
 
@@ -64,6 +66,9 @@ def check_plausible(message: Message, run: RunShape) -> None:
         case Airtime() if message.receivers != tuple(run.owned):
             text = f"receivers: expected all agents of this run, got {list(message.receivers)}"
             raise MessageError("unknown_agent", text)
+        case VehicleStatus() if message.changes:
+            for change in changes_in(message):
+                check_plausible(change, run)
         case PlantState() if len(message.plan_ticks) != run.uavs:
             text = f"x: expected a state of {run.uavs} UAVs, got one of {len(message.plan_ticks)}"
             raise MessageError("wrong_shape", text)

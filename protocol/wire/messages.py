@@ -371,9 +371,13 @@ class Schedule(Message, tag="schedule", frozen=True, kw_only=True):
     route: ClassVar[Route] = Route(
         sender=COORDINATOR, receivers=(PLANT, VEHICLE, RECORDER, WATCHER)
     )
+    optional: ClassVar[tuple[str, ...]] = ("targets", "links")
 
     sent_ns: Instants  # when the coordinator sent this, by its clock
     start_ns: Instants  # of tick 0; 0 while vehicles are still preparing
+    # Targets and changes of links that the coordinator knows: one that has returned lacks earlier ones.
+    targets: Count = 0
+    links: Count = 0
 
 
 # The control loop
@@ -389,6 +393,7 @@ class VehicleStatus(Message, tag="vehicle", frozen=True, kw_only=True):
         sender=VEHICLE, receivers=(COORDINATOR, PLANT, VEHICLE, RECORDER, WATCHER), each="sender"
     )
     shapes: ClassVar[Mapping[str, ShapeOf]] = {"position": lambda _: (3,)}
+    optional: ClassVar[tuple[str, ...]] = ("targets", "links", "changes")
 
     uav: Agent
     phase: Text  # see `vehicle.phases`
@@ -409,6 +414,10 @@ class VehicleStatus(Message, tag="vehicle", frozen=True, kw_only=True):
     heard_at_ns: Instants
     sent_ns: Instants
     start_ns: Instants  # of the ticks that it follows; 0 before
+    targets: Count = 0  # that it knows
+    links: Count = 0  # changes of them that it knows
+    # `target` and `link` messages that another process lacks (`protocol.admission.told_changes`).
+    changes: Carried = ()
 
 
 class Measurement(Message, tag="measurement", frozen=True, kw_only=True):

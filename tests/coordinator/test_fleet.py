@@ -11,6 +11,7 @@ from transport.coordinator.node import CoordinatorNode
 from transport.coordinator.state_machine import State
 from transport.flight.roles import coordinator_of
 from transport.model.arrays import Array
+from transport.protocol.admission.told_changes import ToldChanges
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import (
@@ -87,9 +88,15 @@ def status(
     )
 
 
+def fleet_of(run: Setup) -> Fleet:
+    """The vehicles as a coordinator knows them that has just begun."""
+    out = Outbox("coordinator", 0)
+    return Fleet(run.scenario.vehicles, places(run), out, WALL_NS, ToldChanges())
+
+
 def problem(run: Setup, **of_two: float | str) -> str:
     """What keeps a team from its first tick whose second vehicle differs."""
-    fleet = Fleet(run.scenario.vehicles, places(run), Outbox("coordinator", 0), WALL_NS)
+    fleet = fleet_of(run)
     for uav in (1, 2, 3, 4):
         told = status(run, uav, **(of_two if uav == 2 else {}))  # type: ignore[arg-type]
         way_ms = float(of_two.get("way_ms", 1.0)) if uav == 2 else 1.0
@@ -120,10 +127,7 @@ def test_what_is_refused(run: Setup, of_two: dict[str, float], text: str) -> Non
 
 def test_a_missing_word_is_named(run: Setup) -> None:
     """Before its first word a vehicle is missing."""
-    assert (
-        Fleet(run.scenario.vehicles, places(run), Outbox("coordinator", 0), WALL_NS).problem()
-        == "vehicle1: no word from it"
-    )
+    assert fleet_of(run).problem() == "vehicle1: no word from it"
 
 
 def ready(node: CoordinatorNode) -> list[Message]:

@@ -104,6 +104,14 @@ app = lazy_group(
             ),
             "target": ("commands.operate:target", "Send the payload of an active run to a target."),
             "land": ("commands.operate:land", "Let the team of an active run come down, and rest."),
+            "abort": (
+                "commands.operate:abort",
+                "Let a team of vehicles come down at once, as fast as it can.",
+            ),
+            "release": (
+                "commands.operate:release",
+                "Say that the vehicles of a team that has landed are off their rods.",
+            ),
             "link": lazy_group(
                 {"Commands": _LINK},
                 help="Change the links of an active run.",

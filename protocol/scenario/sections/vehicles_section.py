@@ -38,6 +38,8 @@ class VehiclesSection(Section):
     """largest offset of the clock of a vehicle's host from the coordinator's before the start"""
     battery: Annotated[float, Interval(ge=0.0, lt=1.0)] = 0.25
     """least share of the battery before the start"""
+    battery_land: Annotated[float, Interval(ge=0.0, lt=1.0)] = 0.15
+    """share of the battery of any UAV below which the whole team lands where it is, as by `transport land`"""
     at_end: Literal["hold", "land"] = "hold"
     """what each autopilot is asked to do by itself once the run has ended in order; after any other
     end it holds its place. UAVs on rods that hold by themselves drift against each other: end a

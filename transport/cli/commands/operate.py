@@ -1,4 +1,4 @@
-"""Commands that act on an active run: `status`, `fault`, `link`, `target` and `metrics`."""
+"""Commands that act on an active run: `status`, `fault`, `link`, `target`, `land`, `abort`, `metrics`."""
 
 import inspect
 import time
@@ -407,10 +407,44 @@ def land(
     if speed is not None:
         given["speed_mps"] = speed
     answer = run.ask(COORDINATOR, "target", given)
+    show(output, answer, _landing_in_words(answer))
+
+
+def _landing_in_words(answer: Mapping[str, Any]) -> str:
+    """Return when and where a landing begins and ends."""
     begin = f"landing from tick {answer['tick']} on (t = {answer['t_s']:.2f} s)"
     x_m, y_m, z_m = answer["point_m"]
-    end = f"at ({x_m:g}, {y_m:g}, {z_m:g}) m at t = {answer['ends_s']:.2f} s"
-    show(output, answer, f"{begin}, {end}")
+    return f"{begin}, at ({x_m:g}, {y_m:g}, {z_m:g}) m at t = {answer['ends_s']:.2f} s"
+
+
+@with_options(ActiveRunOption)
+def abort(run: ActiveRunOption, output: FormatOption = Format.text) -> None:
+    """Let a team of vehicles come down at once, as fast as it can.
+
+    As `transport land` where it is, up to 2 m/s downwards; the run is aborted when it ends. The UAVs
+    are on their rods until `transport release`, or the end of the run: no autopilot takes over before.
+
+    Exit codes: 0 accepted; 2 refused; 4 no answer.
+
+    Example: transport abort
+    """
+    answer = run.ask(COORDINATOR, "abort", {})
+    show(output, answer, _landing_in_words(answer))
+
+
+@with_options(ActiveRunOption)
+def release(run: ActiveRunOption, output: FormatOption = Format.text) -> None:
+    """Say that the vehicles of a team that has landed are off their rods.
+
+    The run ends, and each autopilot holds its UAV, or lands it with `vehicles.at_end` land. Refused
+    until the team is at rest after `transport land` or `transport abort`.
+
+    Exit codes: 0 accepted; 2 refused; 4 no answer.
+
+    Example: transport release
+    """
+    answer = run.ask(COORDINATOR, "release", {})
+    show(output, answer, f"released at tick {answer['tick']} (t = {answer['t_s']:.2f} s)")
 
 
 # A negative coordinate such as -2 is no option.
