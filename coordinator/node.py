@@ -297,7 +297,8 @@ class CoordinatorNode:
             self._clock.restart(now_ns)
 
         members = self._roster.members
-        if len(silent) > 1 and silent == members and members.isdisjoint(self._open.answered):
+        is_all = len(silent) > 1 and silent == members and members.isdisjoint(self._open.answered)
+        if is_all and self._fleet is None:
             # All at once: more likely the plant, on which all depend.
             reason = f"no agent answered tick {self.tick} in time: is the plant alive?"
             return self._stop(EXIT_UNREACHABLE, reason)
@@ -318,8 +319,9 @@ class CoordinatorNode:
             return self._stop(EXIT_UNREACHABLE, reason)
 
         self._roster.remove(agents)
-        if not self._roster.members:
+        if not self._roster.members and self._fleet is None:
             return self._stop(EXIT_UNREACHABLE, f"{reason}; no agent is left")
+        # Without any agent vehicles fly by the laws of UAVs alone, and may be landed so.
         return [self._roster.message(reason, self.tick), *self._advance(now_ns)]
 
     @property

@@ -26,10 +26,12 @@ class AutopilotState:
             frame north, east, down and about forward, right, down; None before all are known.
         position_ns: Time of arrival of position and velocity, ns of a steady clock.
         attitude_ns: The same of attitude and body rates.
+        position_s: Time of position and velocity by the autopilot's own clock.
         armed: Whether the motors run.
         takes_setpoints: Whether it is in the mode in which it obeys `command`.
         is_healthy: Whether its estimate of position and velocity is valid.
         battery: Share of the battery that is left; -1 where it is not known.
+        thrust: Thrust that it commands at the moment, as a share of the largest; -1 where it is not known.
         mode: Name of its mode, for people.
         says: The last text that it sent, for people.
     """
@@ -37,10 +39,12 @@ class AutopilotState:
     sensed: Array | None
     position_ns: int
     attitude_ns: int
+    position_s: float
     armed: bool
     takes_setpoints: bool
     is_healthy: bool
     battery: float
+    thrust: float
     mode: str
     says: str
 

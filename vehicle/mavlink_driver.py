@@ -122,14 +122,18 @@ class MavlinkAutopilot:
             return None
         health, _ = newest.get(self._dialect.health, (None, 0))
         system, _ = newest.get("SYS_STATUS", (None, 0))
+        place, place_ns = newest.get("LOCAL_POSITION_NED", (None, 0))
+        target, _ = newest.get("ATTITUDE_TARGET", (None, 0))
         remaining = -1 if system is None else system.battery_remaining
         return AutopilotState(
             sensed=self._sensed(newest),
-            position_ns=newest.get("LOCAL_POSITION_NED", (None, 0))[1],
+            position_ns=place_ns,
             attitude_ns=newest.get("ATTITUDE", (None, 0))[1],
+            position_s=0.0 if place is None else place.time_boot_ms / 1e3,
             armed=bool(heartbeat.base_mode & messages().MAV_MODE_FLAG_SAFETY_ARMED),
             takes_setpoints=self._dialect.is_guided(heartbeat.custom_mode),
             is_healthy=health is not None and self._dialect.is_healthy(health),
+            thrust=-1.0 if target is None else float(target.thrust),
             battery=-1.0 if remaining < 0 else remaining / 100.0,
             mode=self._dialect.mode_name(heartbeat.custom_mode),
             says=says,
@@ -188,6 +192,7 @@ class MavlinkAutopilot:
             self._dialect.imu: self._settings.stream_hz,
             self._dialect.health: 5.0,
             "SYS_STATUS": 2.0,
+            "ATTITUDE_TARGET": 10.0,
         }
         for kind, hz in wanted.items():
             if now_ns > self._newest.get(kind, (None, 0))[1] + _SILENT_NS:

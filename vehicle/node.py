@@ -43,6 +43,8 @@ from transport.vehicle.autopilot import Autopilot, AutopilotState
 from transport.vehicle.law_by_autopilot_state import OwnLaw
 from transport.vehicle.setpoints import BEFORE_ANY_PLAN, NONE, OWN_LAW, Plans
 
+# Share of the newest thrust of a hover in its mean, over a second of turns.
+_FRESH = 0.02
 # Time between two of its turns before tick 0, and between two of its words there, ns of wall time.
 _TURN_NS = 20_000_000
 _TELL_NS = 200_000_000
@@ -120,12 +122,13 @@ class VehicleNode(Participant):
         self._applied: list[Array] = []  # since the last tick
         self._own_inputs: Array | None = None  # of its own law at this tick
         self._shift_I = np.zeros(3)  # jumps of the estimate until now, m
-        self._last: tuple[Array, int] | None = None  # place and velocity, and their arrival
+        self._last: tuple[Array, float] | None = None  # place, and its time by the autopilot, s
         self._source = BEFORE_ANY_PLAN
         self._answered_tick = -1  # newest plan whose first setpoint has been sent
         self._latency_s = -1.0
         self._late_s = 0.0
         self._problem = ""
+        self._hover_N: float | None = None  # mean of the autopilot's own thrust before tick 0
 
     @property
     def wake_ns(self) -> int:
@@ -250,7 +253,27 @@ class VehicleNode(Participant):
         if 0.0 <= told.battery < self._vehicles.battery:
             wanted = f"expected at least {self._vehicles.battery:.0%}"
             return f"battery: {wanted}, got {told.battery:.0%}"
-        return ""
+        return self._misloaded(told)
+
+    def _misloaded(self, told: AutopilotState) -> str:
+        """Return how the thrust of a hover by the autopilot differs from the weight that is carried."""
+        is_hovering = told.armed and told.takes_setpoints and not self._stands
+        if not is_hovering or not self._vehicles.hover_share:
+            return ""
+        if told.thrust < 0.0:
+            return "the autopilot does not tell its thrust (ATTITUDE_TARGET)"
+        largest_N = self._vehicles.thrust_N or self._setup.settings.limits.thrust_N[1]
+        thrust_N = told.thrust * largest_N
+        before_N = thrust_N if self._hover_N is None else self._hover_N
+        self._hover_N = before_N + _FRESH * (thrust_N - before_N)
+
+        weight_N = float(self._hover[0])
+        if abs(self._hover_N - weight_N) <= self._vehicles.hover_share * weight_N:
+            return ""
+        expected = f"expected {weight_N:.1f} N +- {self._vehicles.hover_share:.0%}"
+        why = "as it carries itself and its part of the load"
+        got = f"got {self._hover_N:.1f} N; see masses, vehicles.thrust_N and the curve of throttle"
+        return f"thrust of its hover: {expected}, {why}, {got}"
 
     def _fly(self, told: AutopilotState | None, ticking: Ticking, now_ns: int) -> Sequence[Message]:
         """Measure at a tick that has come, and send a setpoint that is due."""
@@ -349,26 +372,30 @@ class VehicleNode(Participant):
         self._problem = ""
 
         sensed = told.sensed.copy()
-        self._note_jump(sensed, told.position_ns, speed)
+        self._note_jump(sensed, told.position_s)
         sensed[state.POSITION] += self._shift_I + moved_s * sensed[state.VELOCITY]
         sensed[state.THETA] += turned_s * sensed[state.OMEGA]
         return sensed, max(age_s, 0.0)
 
-    def _note_jump(self, sensed: Array, arrived_ns: int, speed: float) -> None:
-        """Take a change of the position that is no motion out of it, and all positions after it."""
+    def _note_jump(self, sensed: Array, at_s: float) -> None:
+        """Take a change of the position that is no motion out of it, and all positions after it.
+
+        at_s: Time of the measurements by the autopilot's clock: that of their arrival tells nothing
+            about a motion after this process was stopped, or the link silent.
+        """
         place = sensed[state.POSITION].copy()
-        if self._last is not None and arrived_ns > self._last[1]:
-            passed_s = speed * (arrived_ns - self._last[1]) / 1e9
+        if self._last is not None:
+            passed_s = at_s - self._last[1]
             moved = passed_s * sensed[state.VELOCITY]
             jump = place - self._last[0] - moved
             # After a silence a UAV may have moved that far: its velocity then says nothing about it.
-            is_next = passed_s <= self._vehicles.stale_s
+            is_next = 0.0 <= passed_s <= self._vehicles.stale_s
             if is_next and np.linalg.norm(jump) > self._vehicles.jump_m:
                 self._shift_I = self._shift_I - jump
         if self._shift_I.any():
             far_m = float(np.linalg.norm(self._shift_I))
             self._problem = f"the autopilot's position has jumped by {far_m:.1f} m"
-        self._last = place, arrived_ns
+        self._last = place, at_s
 
     def _command(self, ticking: Ticking, now_ns: int) -> None:
         """Send the setpoint of an instant, if there is one."""

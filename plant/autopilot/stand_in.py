@@ -292,6 +292,11 @@ class StandIn:
             case "EKF_STATUS_REPORT":
                 flags = 831 if self._is_ready else 0x80 | 0x01
                 message = m.MAVLink_ekf_status_report_message(flags, *[0.1] * 5)
+            case "ATTITUDE_TARGET":
+                share = sum(self._outputs) / len(self._outputs)
+                message = m.MAVLink_attitude_target_message(
+                    ms, 0, list(own.attitude), 0.0, 0.0, 0.0, share
+                )
             case "SYS_STATUS":
                 charge = round(self.parameters["STAND_BATTERY"])
                 message = m.MAVLink_sys_status_message(*[0] * 4, 16000, 500, charge, *[0] * 6)

@@ -1,8 +1,11 @@
 """Vehicles before the first tick: what keeps the team on the ground, and a coordinator that takes over."""
 
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -14,11 +17,14 @@ from transport.model.arrays import Array
 from transport.protocol.admission.told_changes import ToldChanges
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import (
     Message,
     Presence,
+    Request,
     Roster,
     Schedule,
+    Target,
     Tick,
     VehicleStatus,
 )
@@ -34,10 +40,14 @@ NAMES = (
 )
 
 
+# No plan and no state of the plant comes here.
+PATIENT = "clock.barrier_timeout_s=1000.0"
+
+
 @pytest.fixture(scope="module")
 def run() -> Setup:
     """The ready scenario."""
-    return Setup.of(read_scenario(SCENARIO), str(SCENARIO))
+    return Setup.of(read_scenario(SCENARIO, (PATIENT,)), str(SCENARIO))
 
 
 def places(run: Setup) -> Array:
@@ -59,6 +69,8 @@ def status(
     tick: int = 0,
     heard_ns: int = NOW_NS,
     roster: int = 0,
+    battery: float = 0.9,
+    told: Sequence[Target] = (),
 ) -> VehicleStatus:
     """A vehicle's word, which arrives at `heard_ns` + 2 `way_ms`, of a clock that is off."""
     off_ns = round(off_ms * MS)
@@ -73,7 +85,7 @@ def status(
         problem="battery" if phase == "checking" else "",
         armed=True,
         mode="GUIDED",
-        battery=0.9,
+        battery=battery,
         healthy=True,
         position=places(run)[uav - 1] + [moved_m, 0.0, 0.0],
         age_s=0.0,
@@ -85,6 +97,8 @@ def status(
         heard_at_ns=arrived_ns + off_ns,
         sent_ns=arrived_ns + off_ns,
         start_ns=start_ns,
+        targets=len(told),
+        changes=tuple(encode(target) for target in told),
     )
 
 
@@ -175,6 +189,141 @@ def test_a_coordinator_that_returns_takes_over(run: Setup) -> None:
     assert node.state is State.OPEN
     # The next tick is due at its instant of the same clock.
     assert node.wake_ns == start_ns - WALL_NS + (opened.tick + 1) * 50 * MS
+
+
+def test_it_learns_the_targets_of_an_earlier_coordinator(low_run: Setup) -> None:
+    """It takes over once it knows all that the vehicles know, repeats it, and goes on with the next number."""
+    first = flying(low_run)
+    told = asked(first, "target", points_m=[[0.5, 0.0, -1.3]])[1][0]
+    assert isinstance(told, Target)
+
+    node = coordinator_of(low_run, 1, wall_offset_ns=WALL_NS)
+    ready(node)
+    start_ns = NOW_NS + WALL_NS - 8 * S
+    for uav in (1, 2, 3, 4):
+        knows = status(low_run, uav, phase="flying", tick=159, start_ns=start_ns, told=[told])
+        node.receive(msgspec.structs.replace(knows, changes=()), NOW_NS + 2 * MS)
+    at_ns = node.wake_ns
+    assert at_ns is not None
+    (word,) = node.poll(at_ns)
+    assert isinstance(word, Schedule)
+    assert word.targets == 0  # so that they tell
+    assert node.state is State.PREPARING
+    knows = status(low_run, 3, phase="flying", tick=160, start_ns=start_ns, told=[told], sequence=1)
+    node.receive(knows, at_ns + MS)
+    assert node.wake_ns is not None
+    said = node.poll(node.wake_ns)
+    repeated = next(message for message in said if isinstance(message, Target))
+    assert (repeated.number, repeated.points.tolist()) == (1, told.points.tolist())
+    landing = asked(node, "target", land=True)[1][0]
+    assert isinstance(landing, Target)
+    assert landing.number == 2
+    assert landing.points[0, 0] == pytest.approx(0.5)  # below the first target
+
+
+def flying(run: Setup) -> CoordinatorNode:
+    """A coordinator whose team flies at tick 0."""
+    node = coordinator_of(run, wall_offset_ns=WALL_NS)
+    ready(node)
+    for uav in (1, 2, 3, 4):
+        node.receive(status(run, uav), NOW_NS + 2 * MS)
+    at_ns = node.wake_ns
+    assert at_ns is not None
+    node.poll(at_ns)
+    node.poll(at_ns + S)
+    assert (node.state, node.tick) == (State.OPEN, 0)
+    return node
+
+
+def asked(
+    node: CoordinatorNode, what: str, **given: Any
+) -> tuple[Mapping[str, Any], list[Message]]:
+    """The answer to a request in flight, and what is sent because of it."""
+    replies: list[Mapping[str, Any]] = []
+    sent = list(node.receive(Request(what, given, replies.append), NOW_NS + 2 * S))
+    (reply,) = replies
+    return reply, sent
+
+
+def until(node: CoordinatorNode, tick: int) -> None:
+    """Let ticks open."""
+    while node.tick < tick:
+        assert node.wake_ns is not None
+        node.poll(node.wake_ns)
+
+
+@pytest.fixture(scope="module")
+def low_run() -> Setup:
+    """The ready team, 1 m above the ground for half a minute."""
+    settings = (
+        "maneuver.start_m=[0,0,-1.3]",
+        "maneuver.phase=[{name='hover',duration_s=30,displacement_m=[0,0,0]}]",
+        "clock.on_agent_loss=continue",
+        PATIENT,
+    )
+    return Setup.of(read_scenario(SCENARIO, settings), str(SCENARIO))
+
+
+def test_a_team_that_has_landed_is_released(low_run: Setup) -> None:
+    """The run ends with the release, not before the team is at rest on the ground."""
+    node = flying(low_run)
+    assert "expected a team that has landed" in asked(node, "release")[0]["error"]
+    reply, _ = asked(node, "target", land=True)
+    assert "expected a team at rest" in asked(node, "release")[0]["error"]
+    until(node, round((reply["ends_s"] + 2.0) / 0.05))
+    _, sent = asked(node, "release")
+    assert sent == [node.finished]
+    assert node.finished is not None
+    assert (node.finished.outcome, node.finished.exit_code) == ("completed", 0)
+
+
+def test_an_abort_is_the_fastest_landing(low_run: Setup) -> None:
+    """It is on the ground before `transport land` would be, and the run is aborted, not completed."""
+    slow = asked(flying(low_run), "target", land=True)[0]
+    node = flying(low_run)
+    fast, (target, *_) = asked(node, "abort")
+    assert isinstance(target, Target)
+    assert target.lands
+    assert fast["point_m"] == slow["point_m"]
+    assert fast["ends_s"] < slow["ends_s"]
+    until(node, round((fast["ends_s"] + 2.0) / 0.05))
+    asked(node, "release")
+    assert node.finished is not None
+    assert (node.finished.outcome, node.finished.exit_code) == ("aborted", 130)
+    assert node.finished.reason == "aborted by a person at t = 0.05 s"
+
+
+def test_a_low_battery_lands_the_team_once(low_run: Setup) -> None:
+    """One UAV below `vehicles.battery_land` brings all down, by one message; a fuller one nothing."""
+    node = flying(low_run)
+    at_ns = NOW_NS + 1200 * MS
+    assert not node.receive(status(low_run, 1, phase="flying", battery=0.2), at_ns)
+    said = node.receive(status(low_run, 2, phase="flying", battery=0.1), at_ns)
+    assert [target.lands for target in said if isinstance(target, Target)] == [True]
+    reasons = [roster.reason for roster in said if isinstance(roster, Roster)]
+    assert "battery of UAV2 at 10%: the team lands" in reasons
+    assert not node.receive(status(low_run, 3, phase="flying", battery=0.1), at_ns)
+
+
+def test_without_any_agent_the_vehicles_can_be_landed(low_run: Setup) -> None:
+    """The run goes on, as each UAV has its own law, which follows the landing as well."""
+    node = flying(low_run)
+    for name in ("agent1", "agent2", "agent3", "agent4"):
+        node.receive(Presence(name, 0, alive=False), NOW_NS + 1200 * MS)
+    assert node.state is State.OPEN
+    until(node, 5)
+    assert asked(node, "target", land=True)[0]["point_m"][2] == pytest.approx(-0.275)
+
+
+def test_a_landing_that_does_not_fit_is_told(run: Setup) -> None:
+    """From 10 m the ready maneuver leaves no time at its end: the record has the reason."""
+    node = flying(run)
+    until(node, 460)
+    assert node.wake_ns is not None
+    said = node.receive(status(run, 2, phase="flying", battery=0.1), node.wake_ns - 1)
+    assert [type(message) for message in said] == [Roster]
+    assert isinstance(said[0], Roster)
+    assert "landing refused: expected a target before the end of the run" in said[0].reason
 
 
 def test_vehicles_that_are_never_ready_end_the_run(run: Setup) -> None:

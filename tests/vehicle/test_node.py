@@ -1,5 +1,6 @@
 """The process of one UAV as a state machine, above an autopilot that records what it is told."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -21,6 +22,7 @@ from transport.protocol.wire.messages import (
     Presence,
     Roster,
     Schedule,
+    Target,
     VehicleStatus,
 )
 from transport.vehicle.autopilot import AutopilotState, Finding
@@ -51,10 +53,12 @@ class Recording:
             sensed=hover.copy(),
             position_ns=0,
             attitude_ns=0,
+            position_s=0.0,
             armed=True,
             takes_setpoints=True,
             is_healthy=True,
             battery=0.9,
+            thrust=float(setup.hover.u[4 * (UAV - 1)]) / 34.2,  # vehicles.thrust_N
             mode="GUIDED",
             says="",
         )
@@ -69,7 +73,8 @@ class Recording:
         if self.told is None:
             return None
         heard = self.now_ns if self.is_silent_since is None else self.is_silent_since
-        return replace(self.told, position_ns=heard, attitude_ns=heard)
+        at_s = heard / S  # its clock runs as that of the run, from another zero
+        return replace(self.told, position_ns=heard, attitude_ns=heard, position_s=at_s)
 
     def attend(self, now_ns: int) -> None:
         """Note the time."""
@@ -109,24 +114,26 @@ class Flight:
         self.said: list[Message] = []
         self.now_ns = START_NS - 2 * S
         self.tell(self.schedule(0))
-        self.tell(
-            Roster(
-                sender="coordinator",
-                incarnation=0,
-                sequence=0,
-                tick=0,
-                version=1,
-                agents=(1, 2, 3, 4),
-                incarnations=(0, 0, 0, 0),
-                off=(),
-                released=(),
-                reason="",
-            )
-        )
+        self.tell(self.roster(1))
 
     def tell(self, event: Message | Presence) -> None:
         """Pass an event to the vehicle."""
         self.said += self.node.receive(event, self.now_ns)
+
+    def roster(self, version: int, released: tuple[int, ...] = ()) -> Roster:
+        """A roster of all agents, some of whose UAVs are off their rods."""
+        return Roster(
+            sender="coordinator",
+            incarnation=0,
+            sequence=version,
+            tick=0,
+            version=version,
+            agents=(1, 2, 3, 4),
+            incarnations=(0, 0, 0, 0),
+            off=released,
+            released=released,
+            reason="",
+        )
 
     def begin(self) -> None:
         """Tell tick 0."""
@@ -291,6 +298,8 @@ def test_a_jump_of_the_estimate_is_taken_out() -> None:
     ("change", "problem"),
     [
         ({"battery": 0.1}, "battery: expected at least 25%, got 10%"),
+        ({"thrust": 0.3}, "thrust of its hover: expected 27.0 N [+]- 15%, .*, got 10.3 N"),
+        ({"thrust": -1.0}, "does not tell its thrust"),
         ({"is_healthy": False, "says": "EKF"}, "no valid estimate of its position: EKF"),
         ({"armed": False, "says": "Arm: throttle"}, "not armed in the mode of setpoints"),
     ],
@@ -302,11 +311,12 @@ def test_what_is_missing_before_the_start(change: dict[str, object], problem: st
     assert run.statuses()[-1].phase == "ready"
     assert run.autopilot.told is not None
     run.autopilot.told = replace(run.autopilot.told, **change)  # type: ignore[arg-type]
-    run.until(-1.0)
+    run.tell(run.schedule(0))
+    run.until(8.0)
     assert run.statuses()[-1].phase == "checking"
-    assert problem in run.statuses()[-1].problem
+    assert re.search(problem, run.statuses()[-1].problem)
     run.autopilot.told = None
-    run.until(-0.5)
+    run.until(8.5)
     assert (run.statuses()[-1].phase, run.autopilot.commands) == ("silent", [])
 
 
@@ -383,6 +393,76 @@ def test_at_the_end_the_autopilot_takes_over(at_end: str, outcome: Any, asked: s
     )
     assert run.autopilot.asked == [asked]
     assert run.node.finished is not None
+
+
+def test_off_its_rod_the_autopilot_takes_over() -> None:
+    """A UAV that is released gets no setpoint any more; its process tells on how it is."""
+    run = Flight()
+    run.begin()
+    run.until(0.5)
+    run.tell(run.roster(2, released=(UAV,)))
+    before = len(run.autopilot.commands)
+    run.until(1.5)
+    assert (run.autopilot.asked, len(run.autopilot.commands)) == (["hold"], before)
+    assert run.statuses()[-1].phase == "released"
+
+
+def test_vehicles_tell_each_other_what_one_missed() -> None:
+    """One that returns while there is no coordinator has the targets told before from the others."""
+    run = Flight()
+    run.begin()
+    run.until(0.5)
+    run.tell(
+        Target(
+            sender="coordinator",
+            incarnation=0,
+            sequence=3,
+            tick=11,
+            number=1,
+            points=np.array([[1.0, 0.0, -10.0]]),
+            times=np.zeros(1),
+            approach_s=5.0,
+            approach_ramp_s=2.0,
+            way_s=0.0,
+            way_ramp_s=0.0,
+        )
+    )
+    run.until(0.6)
+    assert (run.statuses()[-1].targets, run.statuses()[-1].changes) == (1, ())
+
+    late = Flight()
+    late.now_ns = run.now_ns
+    late.tell(run.statuses()[-1])
+    late.until(0.7)
+    assert late.statuses()[-1].targets == 0
+    run.tell(late.statuses()[-1])
+    run.until(0.75)
+    late.tell(run.statuses()[-1])
+    late.until(0.8)
+    assert late.statuses()[-1].targets == 1
+    # Both follow the same path by their own laws.
+    run.until(6.0)
+    late.until(6.0)
+    np.testing.assert_allclose(
+        late.autopilot.commands[-1][2], run.autopilot.commands[-1][2], atol=1e-9
+    )
+
+
+def test_a_motion_during_a_silence_is_no_jump() -> None:
+    """A UAV that has drifted by 2 m while nothing was heard of its autopilot is where it says."""
+    run = Flight()
+    run.begin()
+    run.until(0.5)
+    run.autopilot.is_silent_since = run.now_ns
+    run.until(2.5)
+    assert run.autopilot.told is not None
+    assert run.autopilot.told.sensed is not None
+    run.autopilot.told.sensed[0] += 2.0
+    run.autopilot.is_silent_since = None
+    before = run.measured()[-1].uav_states[0, 0]
+    run.until(3.0)
+    assert run.measured()[-1].uav_states[0, 0] - before == pytest.approx(2.0, abs=0.01)
+    assert run.statuses()[-1].problem == ""
 
 
 def test_interpolation_keeps_the_middles() -> None:

@@ -57,7 +57,7 @@ class Recorder:
     Attributes:
         writer: The log.
         setup: The run, with its targets so far.
-        started_s: Monotonic time of the first plant state, None before.
+        started_s: Monotonic time of the first plant state, or without a plant of the first tick, None before.
         control: End of the run, None before.
         error: Why recording ended early, None if it did not.
         received: Number of messages in the log.
@@ -264,6 +264,8 @@ class Recorder:
         """Take note of the newest tick and of the messages of the plant."""
         if header.kind in _TELL_TICK:
             self.tick = max(header.tick, self.tick)
+            if self.started_s is None and not self.setup.rules.has_plant:
+                self.started_s = time.monotonic()
 
         if header.kind in _TELL_STATE:
             self._plant_messages.append(data)

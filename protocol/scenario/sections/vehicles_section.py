@@ -36,6 +36,9 @@ class VehiclesSection(Section):
     """largest difference of the distances between UAVs from those of the hover before the start"""
     clock_offset_s: Annotated[float, Interval(gt=0.0, le=1.0)] = 0.01
     """largest offset of the clock of a vehicle's host from the coordinator's before the start"""
+    hover_share: Annotated[float, Interval(ge=0.0, lt=1.0)] = 0.15
+    """largest difference of the thrust with which each autopilot hovers by itself before the start from
+    the weight that its UAV carries, as a share of it; 0: not compared"""
     battery: Annotated[float, Interval(ge=0.0, lt=1.0)] = 0.25
     """least share of the battery before the start"""
     battery_land: Annotated[float, Interval(ge=0.0, lt=1.0)] = 0.15

@@ -61,11 +61,13 @@ class Vehicle(Section):
     uav: AirframeSection
     controller: dict[str, Any] = {}
     plant: dict[str, Any] = {}
+    vehicles: dict[str, Any] = {}
 
     @property
     def scenario_tree(self) -> dict[str, Any]:
         """The sections of a scenario that the vehicle sets, as a tree of plain data."""
-        return {"controller": self.controller, "plant": self.plant}
+        sections = {"controller": self.controller, "plant": self.plant}
+        return {**sections, "vehicles": self.vehicles} if self.vehicles else sections
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

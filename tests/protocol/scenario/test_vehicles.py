@@ -70,6 +70,26 @@ def test_the_command_writes_a_scenario(tmp_path: Path) -> None:
     assert made.validated.name == "resilient-x500-4"
 
 
+def test_a_vehicle_file_has_its_autopilot(tmp_path: Path) -> None:
+    """Thrust at full throttle, time-outs and parameters, such as its gains, come into the scenario."""
+    file = tmp_path / "own.toml"
+    text = (Path(__file__).resolve().parents[3] / "vehicles" / "x500.toml").read_text()
+    own = "[vehicles]\nthrust_N = 34.2\nsetpoint_timeout_s = 0.3\n"
+    curve = "parameters = {MOT_BAT_VOLT_MAX = 16.8, MOT_BAT_VOLT_MIN = 13.2, ATC_RAT_RLL_P = 0.1}\n"
+    file.write_text(text + own + curve)
+    made = transport.Scenario("flight").resized(4, vehicle=str(file), load_kg=3.0)
+    vehicles = made.validated.vehicles
+    assert (vehicles.thrust_N, vehicles.setpoint_timeout_s) == (34.2, 0.3)
+    assert vehicles.parameters["MOT_BAT_VOLT_MIN"] == 13.2
+    # In a scenario without vehicles they wait for one that has them.
+    assert (
+        transport.Scenario("resilient").resized(4, vehicle=str(file)).validated.vehicles == vehicles
+    )
+    file.write_text(text + "[vehicles]\nthrust = 34.2\n")
+    with pytest.raises(ScenarioError, match=r"own\.toml: vehicles\.thrust: unknown key"):
+        transport.Scenario("flight").resized(4, vehicle=str(file))
+
+
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
