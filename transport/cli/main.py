@@ -110,7 +110,7 @@ app = lazy_group(
             ),
             "release": (
                 "commands.operate:release",
-                "Say that the vehicles of a team that has landed are off their rods.",
+                "End a run whose UAVs have landed and are off their rods.",
             ),
             "link": lazy_group(
                 {"Commands": _LINK},

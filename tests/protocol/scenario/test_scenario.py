@@ -119,6 +119,8 @@ def changed(tree: dict[str, Any], path: tuple[str | int, ...]) -> dict[str, Any]
         "step_s",
         "failed_share",
         "battery",
+        "battery_land",
+        "hover_share",
         "stale_s",
         "clock_offset_s",
     ):

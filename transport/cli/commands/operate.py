@@ -434,7 +434,7 @@ def abort(run: ActiveRunOption, output: FormatOption = Format.text) -> None:
 
 @with_options(ActiveRunOption)
 def release(run: ActiveRunOption, output: FormatOption = Format.text) -> None:
-    """Say that the vehicles of a team that has landed are off their rods.
+    """End a run whose UAVs have landed and are off their rods.
 
     The run ends, and each autopilot holds its UAV, or lands it with `vehicles.at_end` land. Refused
     until the team is at rest after `transport land` or `transport abort`.
