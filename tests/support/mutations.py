@@ -10,6 +10,8 @@ from typing import Any
 
 import tomli_w
 
+from tests.support.drawn_settings import KEYS, choices
+
 # Values that mutations put in place of others.
 _NUMBERS: tuple[Any, ...] = (
     0, 0.0, -0.0, -1, -1.0, 1, 2, 0.5, 1e-3, 1e-6, 1e-9, 1e-11, 1e-13, 1e-30, 5e-324, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6,
@@ -19,13 +21,11 @@ _NUMBERS: tuple[Any, ...] = (
 _STRINGS = (
     "", " ", "\0", "a\0b", "x" * 100_000, "ü", "\U0001d54f", "\u202e", "\x1b[31m", "\n", "a\nb", "..",
     "../../etc/passwd", "/", "/dev/zero", "/dev/null", "/dev/tty", "/proc/self/mem", "no.csv", "agent0",
-    "agent9", "agent1", "plant", "coordinator", "recorder", "uav1", "uav99", "daqp", "clarabel", "riccati",
-    "multiple", "open_loop", "closed_loop", "realtime", "lockstep", "next_tick", "immediate", "direct",
-    "step", "min_jerk", "normal", "exponential", "lognormal", "empirical", "kill", "stop", "restart",
-    "continue", "motor_off", "release", "abort", "hold", "auto", "euler", "held", "as_received", "by_one",
-    "on_change", "absolute", "(" * 5_000, "-" * 5_000, "1+" * 3_000 + "1", "thrust1 <= 40", "r0[2] <= 1e400",
+    "agent9", "agent1", "plant", "coordinator", "recorder", "uav1", "uav99",
+    "(" * 5_000, "-" * 5_000, "1+" * 3_000 + "1", "thrust1 <= 40", "r0[2] <= 1e400",
     "r0[9] <= 1", "1/0 <= 1", "9**9**9**9 <= 1", "sqrt(-1) <= r0[0]", "r0[0] == 0", "__import__('os')", "v0[0]",
     "e1[0]*1e300", "log(r0[0])", "tcp/127.0.0.1:1", "tls/x:99999999", "192.0.2.1", "not a host", "localhost",
+    *dict.fromkeys(word for field in KEYS.values() for word in choices(field.annotation) if isinstance(word, str)),
 )  # fmt: skip
 _OTHERS: tuple[Any, ...] = (
     True,

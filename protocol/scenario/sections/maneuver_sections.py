@@ -75,7 +75,7 @@ class PhaseSection(Section):
             return cls._with_ends_of_curve(value)
         except WayPointError:
             raise
-        except (TypeError, ValueError, AttributeError, IndexError):
+        except (TypeError, ValueError, AttributeError, LookupError):
             return value  # a wrong field is refused by its own check
 
     @classmethod

@@ -3,11 +3,15 @@
 import re
 from pathlib import Path
 
-import numpy as np
+import hypothesis
 import pytest
+from hypothesis import given
 
+from tests.support import drawn_settings
+from tests.support.drawn_settings import KEYS, setting_of
 from tests.support.runs import PAPER
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
+from transport.protocol.scenario.sections.scenario_keys import section_in
 from transport.protocol.scenario.setup.run_setup import Setup
 
 ONE_UAV_ASIDE = (
@@ -17,6 +21,7 @@ ONE_UAV_ASIDE = (
 
 # A setting is repeated in the refusal as far as that fits a line.
 LONGEST_SHOWN = 80
+LONGEST = 500  # of a refusal, letters
 
 ENDS = "expected one of plant, agent1, agent2, agent3, agent4, got "
 GROUND = ("plant.engine=mujoco", "plant.ground_m=0.0")
@@ -617,24 +622,29 @@ def test_toml_that_the_parser_gives_up_on(text: str, tmp_path: Path) -> None:
         read_scenario(PAPER, [f"seed{text[1:]}"])
 
 
-def test_any_value_anywhere() -> None:
-    """Any kind of value at any key is accepted, or refused with a `ScenarioError` on one line."""
-    rng = np.random.default_rng(7)
-    values = ["0", "-1", "x", "true", "[]", "{}", "[[1]]", "inf", "nan", "1e400", "9" * 23, "2024-01-01", "''",
-              "[1,2,3]", "[1,'a']", "{a=1}", "[{}]", "[nan,1,1]", "07:30:00"]  # fmt: skip
-    sections: list[str] = ["", "system.", "system.payload.", "system.uav.1.", "maneuver.", "maneuver.phase.2.",
-                "controller.", "controller.weights.", "controller.limits.", "agents.", "clock.", "plant.",
-                "network."]  # fmt: skip
-    keys = ["schema", "name", "seed", "system", "payload", "uav", "uav.2", "id", "mass_kg", "inertia_kgm2", "rho_m",
-            "rho_m.1", "phase", "phase.1", "duration_s", "displacement_m", "profile", "horizon", "relaxation",
-            "constraint", "separation", "solver", "moments", "moments.2", "thrust_N", "owned", "owned.1", "owned.1.1",
-            "mode", "speed", "actuation", "step_s", "host", "base_port", "penalised_input", "zzz"]  # fmt: skip
-    refusals = []
-    for _ in range(800):
-        setting = f"{rng.choice(sections)}{rng.choice(keys)}={rng.choice(values)}"
-        try:
-            read_scenario(PAPER, [setting])
-        except ScenarioError as error:
-            refusals.append(str(error))
-    assert len(refusals) > 500
-    assert all("\n" not in text and len(text) < 500 for text in refusals)
+def test_each_key_refuses_a_value_of_another_kind() -> None:
+    """Of all keys of the schema: a section for a value, a number for a section or a list of sections.
+
+    The refusal names the key, or another of its section that has to be there.
+    """
+    for key, field in KEYS.items():
+        has_keys = section_in(field.annotation) is not None or "dict" in str(field.annotation)
+        setting = setting_of(key, "3" if has_keys else "{zzz=1}")
+        text = re.sub(r"\.\d+", "", refusal(PAPER, setting))
+        named, _, problem = text.removeprefix("--set ").partition(": expected ")
+        around = key.rpartition(".")[0] if problem == "a value, got nothing" else key
+        assert problem, text
+        assert around in named, text
+
+
+@hypothesis.settings(max_examples=300, derandomize=True)
+@given(drawn_settings.settings())
+def test_any_value_anywhere(setting: str) -> None:
+    """Any value at any key of the schema is accepted, or refused with a `ScenarioError` on one short line."""
+    text = ""
+    try:
+        read_scenario(PAPER, [setting])
+    except ScenarioError as error:
+        text = str(error)
+    assert "\n" not in text
+    assert len(text) < LONGEST
