@@ -1,6 +1,6 @@
 """Report of a run folder: summary.json, steps.csv and figures from its log."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +56,24 @@ def report_run(
         _remove_figures(folder / "figures")
         draw(analysed, folder / "figures", forks=forks, also=also, meanwhile=write_steps)
     return summary
+
+
+def write_for_paper(run: RecordedRun, summary: Mapping[str, Any]) -> list[Path]:
+    """Write the figures of a run for a paper and their captions to its folder paper/; return the files.
+
+    A figure is a column wide (8.5 cm), as PDF and SVG, and as PNG.
+    """
+    from transport.report.figures.captions import captions, text_of
+    from transport.report.figures.run_figures import draw
+
+    folder = run.folder / "paper"
+    _remove_figures(folder)
+    analysed = AnalysedRun.of(run.setup, counted(run.setup, run.log))
+    figures = draw(analysed, folder, also=("svg", "pdf"))
+    made = captions(run.setup, summary, [file.stem for file in figures])
+    folder.mkdir(exist_ok=True)
+    write_whole(folder / "captions.md", text_of(made).encode())
+    return [*figures, folder / "captions.md"]
 
 
 def _remove_figures(folder: Path) -> None:

@@ -19,11 +19,13 @@ from tests.support.log_messages import estimate_note, on_reference, radio_report
 from tests.support.logs import log_of, record_run
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.series import Series
+from transport.analysis.summary_assembly import summarise
 from transport.interface.scenario_builder import Scenario
 from transport.log.run_log import read_log
 from transport.model import state
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import FaultNote, LinkChange
+from transport.report.figures.captions import captions
 from transport.report.figures.column import caption_of, marks_of
 from transport.report.figures.run_figures import FIGURES, draw, fill
 from transport.report.figures.style import COLUMN_IN, CURVES, RC, SMALL, styles_of
@@ -206,7 +208,8 @@ def test_a_sentence_stands_for_flat_curves() -> None:
     moving = replace(analysed.series, u=np.array(analysed.series.u))
     moving.u[:, 1] += 0.1 * np.arange(9)  # roll of the first UAV
     moving.u[:, 0] += np.arange(9)
-    for series, panels in ((moving, 2), (at_rest(analysed.series), 1)):
+    # Each of four UAVs has a strip of its own.
+    for series, panels in ((moving, 8), (at_rest(analysed.series), 4)):
         figure = Figure()
         with mpl.rc_context(RC):
             assert fill(figure, "inputs", replace(analysed, series=series))
@@ -215,6 +218,44 @@ def test_a_sentence_stands_for_flat_curves() -> None:
         texts = [text.get_text() for panel in figure.axes for text in panel.texts]
         assert "pitch moment: 0 N m throughout" in texts
         assert "smallest distance between UAVs: 0.5 m throughout" in texts
+
+
+def test_each_of_few_uavs_has_a_strip() -> None:
+    """Equal curves of four UAVs do not hide each other: each has its own axes, of one range, with its name."""
+    run = runs.setup(runs.SHORT)
+    figure = Figure()
+    with mpl.rc_context(RC):
+        assert fill(
+            figure,
+            "performance",
+            AnalysedRun.of(run, log_of([on_reference(run, k) for k in range(9)])),
+        )
+    by_name = {
+        text.get_text(): panel
+        for panel in figure.axes
+        for text in panel.texts
+        if text.get_text().removeprefix("UAV").isdigit()
+    }
+    strips = list(by_name.values())
+    assert list(by_name) == ["UAV1", "UAV2", "UAV3", "UAV4"]
+    assert [len(strip.lines) for strip in strips] == [1] * 4
+    assert len({strip.get_ylim() for strip in strips}) == 1
+    assert len({strip.get_position().bounds for strip in strips}) == 4
+
+
+def test_captions_have_the_numbers_of_the_summary() -> None:
+    """Every figure has a caption, and that of the performance the numbers of the run; also without any."""
+    run = runs.setup(runs.SHORT)
+    analysed = AnalysedRun.of(run, log_of([on_reference(run, k) for k in range(9)]))
+    summary = summarise(analysed)
+    made = captions(run, summary, FIGURES)
+    assert list(made) == list(FIGURES)
+    assert f"at most {100.0 * summary['uav_tracking']['max_m']:.1f} cm" in made["performance"]
+    assert f"at least {summary['separation_min_m']:.3f} m" in made["inputs"]
+    assert all(f"seed {run.scenario.seed}" in caption for caption in made.values())
+
+    nothing = {**summary, "separation_min_m": None, "agent_step_ms": None, "radio": None}
+    assert "at least unknown" in captions(run, nothing, FIGURES)["inputs"]
 
 
 def test_ten_curves_are_told_apart() -> None:

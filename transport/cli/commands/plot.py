@@ -5,6 +5,7 @@ only prints it imports no more than that takes.
 """
 
 import gc
+from enum import StrEnum
 from pathlib import Path
 
 import orjson
@@ -25,6 +26,12 @@ from transport.protocol.wire.errors_and_exit_codes import (
 from transport.report.summary_table import summary_table, warnings
 
 
+class Purpose(StrEnum):
+    """What figures are written for."""
+
+    paper = "paper"
+
+
 def plot(
     given: RunArgument = None,
     output: FormatOption = Format.text,
@@ -33,6 +40,9 @@ def plot(
     ),
     svg: bool = Option(True, help="Also write the figures as SVG."),
     pdf: bool = Option(False, "--pdf", help="Also write the figures as PDF."),
+    purpose: Purpose | None = Option(
+        None, "--for", help="Also write figures as PDF, SVG and PNG with captions to paper/."
+    ),
 ) -> None:
     """Regenerate metrics and figures of a recorded run.
 
@@ -60,7 +70,8 @@ def plot(
         fail(f"{folder / 'run.mcap'}: {problem}")
     try:
         also = [kind for kind, wanted in (("svg", svg), ("pdf", pdf)) if wanted]
-        reports.report_run(run, forks=True, also=also)
+        summary = reports.report_run(run, forks=True, also=also)
+        written = reports.write_for_paper(run, summary) if purpose is not None else []
     except KeyboardInterrupt:
         hint = f"the report is not complete, make it with: transport plot {folder}"
         fail(f"interrupted; {hint}", EXIT_INTERRUPTED)
@@ -68,6 +79,8 @@ def plot(
         fail(_unwritten(folder, error), EXIT_UNRECORDED)
 
     show_report(folder, output)
+    for file in written:
+        typer.echo(f" {file}", err=output is Format.json)
     if animation is not None:
         with blame("--animate"):
             animate_run(folder, animation)

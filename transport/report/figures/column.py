@@ -35,6 +35,10 @@ CLOSE: Any = {
 }
 # Most entries of a legend beside a title; longer ones are above all panels.
 MOST_BESIDE = 5
+_STRIP = 0.84  # height of one of several strips in place of a panel, in parts of its room
+# Numbers of a strip: distance from its top and from each other at least, in parts of its axis.
+_BELOW_TOP, _TICKS_APART = 0.2, 0.4
+_ROUNDING = 1e-9
 _TITLE_PT = 2.0  # distance of a title from its panel, points
 
 _LIMIT = "#B2182B"
@@ -113,6 +117,37 @@ def column_panels(
     panels[-1].tick_params(labelbottom=True)
     panels[-1].set_xlabel(x_label)
     return panels
+
+
+def strips(panel: Axes, count: int) -> list[Axes]:
+    """Replace a panel by so many of the same width below each other, the last one with its axis of time."""
+    if count == 1:
+        return [panel]
+    place = panel.get_position()
+    height = place.height / count
+    made = []
+    for number in range(count):
+        below = place.y1 - (number + 1) * height
+        strip = panel.figure.add_axes((place.x0, below, place.width, _STRIP * height))
+        strip.tick_params(labelbottom=False)
+        made.append(strip)
+    made[-1].tick_params(labelbottom=panel.xaxis.get_tick_params()["labelbottom"])
+    made[-1].set_xlabel(panel.get_xlabel())
+    panel.remove()
+    return made
+
+
+def label_ends(panel: Axes) -> None:
+    """Label two round values of a low panel, apart from each other and from the panel above."""
+    low, high = panel.get_ylim()
+    span = high - low
+    step = 10.0 ** np.ceil(np.log10(span))
+    for part in (1.0, 0.5, 0.2, 0.1, 0.05, 0.02):
+        first = np.ceil(low / (part * step) - _ROUNDING) * part * step
+        last = np.floor((high - _BELOW_TOP * span) / (part * step)) * part * step
+        if last - first >= _TICKS_APART * span:
+            panel.set_yticks([first, last], [f"{first:g}", f"{last:g}"])
+            return
 
 
 def head(panel: Axes, title: str, *, legend: bool = True) -> None:

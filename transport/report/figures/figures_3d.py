@@ -16,7 +16,8 @@ from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.drawn_parts import BRIGHTEST, UP, frame, line
 from transport.report.figures.column import draw_legend, legend_height_in
 from transport.report.figures.style import COLUMN_IN, PAYLOAD, REFERENCE
-from transport.scene.bodies import obstacles
+from transport.scene.bodies import DARK_GREY, obstacles, payload_points
+from transport.scene.parts import solid
 from transport.scene.uav_and_link_colours import uav_marker, uav_style
 
 # Smallest distance between drawn formations, m.
@@ -27,6 +28,7 @@ _LEFT_IN = 0.15
 _RIGHT_IN = 0.4
 _BELOW_IN = 0.45
 _TICKS = 5  # most numbers of an axis
+_BODY_OPACITY = 0.7
 _OPACITY = 0.25  # of obstacles, behind which the team is seen
 
 
@@ -117,12 +119,15 @@ def _rows_to_draw(setup: Setup, series: Series) -> list[int]:
 
 
 def _formation(axes: Any, setup: Setup, series: Series, k: int) -> None:
-    """Draw rods, UAVs and the outline of the payload in row k."""
+    """Draw payload, rods and UAVs in row k."""
     view = StateView(series.x[k])
+    body = solid("payload", "payload", payload_points(setup.system), DARK_GREY)
+    body_I = view.r0_I + body.vertices @ rotation(view.Theta0).T
+    faces = list(body_I[body.faces] * UP)
+    colour = (*(np.array(body.colour) / BRIGHTEST), _BODY_OPACITY)
+    axes.add_collection3d(Poly3DCollection(faces, facecolors=colour, linewidths=0.0), autolim=False)
     corners = np.array([view.r0_I + rotation(view.Theta0) @ uav.rho for uav in setup.system.uavs])
     for i in np.flatnonzero(series.on_rods[k]):
         line(axes, np.array([series.uavs_I[k, i], corners[i]]), color="#555555", linewidth=0.8)
         style = {"color": uav_style(int(i))["color"], "marker": uav_marker(int(i))}
         line(axes, series.uavs_I[k, i], markersize=4.0, **style)
-    line(axes, np.vstack([corners, corners[:1]]), color=PAYLOAD, linewidth=2.0)
-    line(axes, view.r0_I, marker="s", markersize=4.0, color=PAYLOAD)

@@ -1,6 +1,6 @@
 """Figure of the inputs with their limits, distances of the team, and ages of plans."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -13,13 +13,14 @@ from transport.model.arrays import Array
 from transport.model.state import INPUTS
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import StepReport
-from transport.report.figures.column import head, limits, widen
+from transport.report.figures.column import head, label_ends, limits, widen
 from transport.report.figures.curves_over_time import (
     ANGLES,
     LEAST_INPUT,
     LEAST_M,
     WIDE,
     Panels,
+    height_of_uavs_in,
     long_legend,
     plot_components,
     plot_uavs,
@@ -46,7 +47,8 @@ class _Part:
         values: All values shown.
         least: Changes of the values below it are not shown.
         unit: Their unit.
-        draw: Draws it.
+        draw: Draws it, and returns its panels.
+        height_in: Its height, inches.
         always: Whether it is drawn even if it is flat: a figure has a panel with curves.
     """
 
@@ -54,7 +56,8 @@ class _Part:
     values: Array
     least: float
     unit: str
-    draw: Callable[[Axes], None]
+    draw: Callable[[Axes], Sequence[Axes]]
+    height_in: float = _HEIGHT_IN
     always: bool = False
 
     @property
@@ -83,15 +86,14 @@ def draw_inputs(setup: Setup, log: RunLog, series: Series, panels_of: Panels) ->
     drawn = [part for part in parts if not part.is_flat]
     # The last panel has the axis of time: sentences stand above it.
     order = [*drawn[:-1], *flat, drawn[-1]]
-    heights_in = [_SENTENCE_IN if part in flat else _HEIGHT_IN for part in order]
+    heights_in = [_SENTENCE_IN if part in flat else part.height_in for part in order]
     panels = panels_of(heights_in, legend=long_legend(setup))
-    with_curves = []
+    with_curves: list[Axes] = []
     for part, panel in zip(order, panels, strict=True):
         if part in flat:
             part.write(panel)
         else:
-            part.draw(panel)
-            with_curves.append(panel)
+            with_curves += part.draw(panel)
     return with_curves
 
 
@@ -139,6 +141,7 @@ def _inputs(setup: Setup, series: Series) -> Iterator[_Part]:
             values=series.u[:, k::INPUTS],
             least=LEAST_INPUT,
             unit=units[k],
+            height_in=height_of_uavs_in(setup, _HEIGHT_IN),
             always=is_thrust,
             draw=partial(
                 _draw_limited,
@@ -152,12 +155,16 @@ def _inputs(setup: Setup, series: Series) -> Iterator[_Part]:
 
 def _draw_limited(
     panel: Axes, title: str, series: Series, k: int, ends: tuple[float, float]
-) -> None:
+) -> Sequence[Axes]:
     """Draw an input of the UAVs with its limits."""
-    plot_uavs(panel, series.times_s, series.u[:, k::INPUTS])
-    _widen_about_middle(panel, LEAST_INPUT)
-    limits(panel, *ends)
-    head(panel, title, legend=ends[0] != -ends[1])
+    panels = plot_uavs(panel, series.times_s, series.u[:, k::INPUTS])
+    for one in panels:
+        _widen_about_middle(one, LEAST_INPUT)
+        limits(one, *ends)
+        if len(panels) > 1:
+            label_ends(one)
+    head(panels[0], title, legend=ends[0] != -ends[1])
+    return panels
 
 
 def _distances(setup: Setup, series: Series) -> Iterator[_Part]:
@@ -184,17 +191,19 @@ def _distances(setup: Setup, series: Series) -> Iterator[_Part]:
         )
 
 
-def _draw_separation(panel: Axes, title: str, setup: Setup, series: Series) -> None:
-    """Draw the smallest distance between UAVs, with its limit if there is one."""
+def _draw_separation(panel: Axes, title: str, setup: Setup, series: Series) -> Sequence[Axes]:
+    """Draw the smallest distance between UAVs, from its limit on if there is one, else from contact on."""
     panel.plot(series.times_s, series.separation_m, color="#000000")
     _widen_about_middle(panel, LEAST_M)
     separation = setup.settings.separation
+    widen(panel, 0.0 if separation is None else separation.minimum_m, -np.inf)
     if separation is not None:
         limits(panel, separation.minimum_m)
     head(panel, title)
+    return [panel]
 
 
-def _draw_clearance(panel: Axes, setup: Setup, series: Series) -> None:
+def _draw_clearance(panel: Axes, setup: Setup, series: Series) -> Sequence[Axes]:
     """Draw the smallest distances from obstacles, with their margins."""
     plot_components(panel, series.times_s, series.clearance_m, ("UAVs", "rods", "payload"))
     margins_m = {obstacle.margin_m for obstacle in setup.obstacles}
@@ -204,9 +213,10 @@ def _draw_clearance(panel: Axes, setup: Setup, series: Series) -> None:
     panel.set_ylim(deepest_m, _NEAR * max(margins_m))
     limits(panel, *sorted(margins_m))
     head(panel, "distance from obstacles (m)")
+    return [panel]
 
 
-def _draw_plan_ages(panel: Axes, setup: Setup, plan_ages: _PlanAges) -> None:
+def _draw_plan_ages(panel: Axes, setup: Setup, plan_ages: _PlanAges) -> Sequence[Axes]:
     """Draw the age of the oldest plan that each agent uses."""
     period_s = setup.settings.sampling_period_s
     for i, (agent, entries) in enumerate(sorted(plan_ages.items())):
@@ -217,6 +227,7 @@ def _draw_plan_ages(panel: Axes, setup: Setup, plan_ages: _PlanAges) -> None:
         panel.plot(times_s, ages_s, label=label, **style)
     widen(panel, 0.0, period_s)
     head(panel, "oldest plan used (s)")
+    return [panel]
 
 
 def _widen_about_middle(panel: Axes, least: float) -> None:

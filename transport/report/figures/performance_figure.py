@@ -7,7 +7,7 @@ from transport.analysis.cost_and_tracking_metrics import SWING_S, swing_of
 from transport.analysis.series import Series
 from transport.log.run_log import RunLog
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.report.figures.column import head, widen
+from transport.report.figures.column import head, label_ends, widen
 from transport.report.figures.curves_over_time import (
     ANGLES,
     LEAST_DEG,
@@ -15,6 +15,7 @@ from transport.report.figures.curves_over_time import (
     PLACES,
     WIDER,
     Panels,
+    height_of_uavs_in,
     long_legend,
     plot_components,
     plot_uavs,
@@ -29,13 +30,16 @@ _COST_DECADES = 5
 def draw_performance(setup: Setup, _: RunLog, series: Series, panels_of: Panels) -> list[Axes]:
     """Draw position errors of UAVs and payload, payload attitude and cost over time."""
     swing_m = swing_of(setup, series)
-    panels = panels_of([_HEIGHT_IN] * 4, legend=long_legend(setup))
-    uavs, payload, attitude, cost = panels
+    heights_in = [height_of_uavs_in(setup, _HEIGHT_IN), *[_HEIGHT_IN] * 3]
+    whole, payload, attitude, cost = panels_of(heights_in, legend=long_legend(setup))
 
     errors_m = np.linalg.norm(series.uav_errors_I, axis=2)
     errors_m = np.where(series.on_rods, errors_m, np.nan)  # released ones have left
-    plot_uavs(uavs, series.times_s, errors_m, widest=WIDER)
-    uavs.set_ylim(0.0, max(uavs.get_ylim()[1], LEAST_M))
+    uavs = plot_uavs(whole, series.times_s, errors_m, widest=WIDER)
+    for panel in uavs:
+        panel.set_ylim(0.0, max(panel.get_ylim()[1], LEAST_M))
+        if len(uavs) > 1:
+            label_ends(panel)
 
     plot_components(payload, series.times_s, series.payload_error_I, PLACES)
     widen(payload, -LEAST_M, LEAST_M)
@@ -48,11 +52,11 @@ def draw_performance(setup: Setup, _: RunLog, series: Series, panels_of: Panels)
     scale_cost(cost, float(series.cost.max()), _COST_DECADES)
 
     swing = "" if swing_m is None else f", swing {swing_m:.2f} m"
-    head(uavs, "UAV position error (m)")
+    head(uavs[0], "UAV position error (m)")
     head(payload, f"payload error (m){swing}")
     head(attitude, "payload attitude (deg)")
     head(cost, "stage cost")
-    return panels
+    return [*uavs, payload, attitude, cost]
 
 
 def _draw_swing(panel: Axes, end_s: float, swing_m: float) -> None:
