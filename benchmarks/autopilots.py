@@ -3,7 +3,7 @@
     python -m benchmarks.autopilots --speed 0.35 --write
 
 flies the ready scenario `flight` once for each row, at a speed that the machine bears, and renews the table of
-docs/flight.md in a few minutes. Latency is from the arrival of a plan at its vehicle, or from the plan's first instant
+docs/record/measured.md in a few minutes. Latency is from the arrival of a plan at its vehicle, or its first instant
 where that is later, to its first setpoint; jitter is the delay of setpoints after their instants, the largest
 within each tick. Both are in scenario time. `--autopilot ardupilot` takes ArduCopter, which ARDUCOPTER names.
 """
@@ -24,7 +24,7 @@ from transport.log.run_log import read_log
 from transport.protocol.wire.messages import VehicleStatus
 
 MARKER = "bench: autopilots"
-DOCUMENT = ROOT / "docs" / "flight.md"
+DOCUMENT = ROOT / "docs" / "record" / "measured.md"
 LATE = ("links.delay_s=0.2", "links.loss=0.3")
 VEHICLE = (
     "faults.event=[{at_s=8.0,do='kill',target='vehicle2'},{at_s=10.0,do='restart',target='vehicle2'}]",

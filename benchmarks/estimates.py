@@ -1,6 +1,6 @@
 """Consistency of the estimates: the agents' Kalman filters against the ground truth.
 
-`python -m benchmarks.estimates` renews the table of docs/vehicles.md in a quarter of an hour. The
+`python -m benchmarks.estimates` renews the table of docs/record/measured.md in a quarter of an hour. The
 squared error of an estimate in units of its covariance (NEES) has as many degrees of freedom as the
 state if the covariance is right. Means are over agents and ticks, which are correlated: the band is
 that of a single instant.
@@ -201,7 +201,7 @@ def _step_ms(setup: Setup) -> float:
     return float(np.median(step_times(setup)[:, total]))
 
 
-def main(document: Path = ROOT / "docs" / "vehicles.md") -> None:
+def main(document: Path = ROOT / "docs" / "record" / "measured.md") -> None:
     """Measure all rows and the time of a step, and renew the table of a document."""
     place(document, MARKER)  # refused before minutes are spent
     steps = " and ".join(f"{step_ratio(uavs):.2f} (N = {uavs})" for uavs in (4, 8))

@@ -52,7 +52,7 @@ OTHER_PARTS: list[tuple[str, str, tuple[str, ...]]] = [
     ("docs/record/guarantees.md", "benchmarks/timing.py", ("bench: spread", "bench: clocks")),
     ("docs/record/guarantees.md", "benchmarks/teams.py", ("bench: teams alone", "bench: teams")),
     ("README.md", "benchmarks/teams.py", ("bench: teams",)),
-    ("docs/flight.md", "benchmarks/autopilots.py", ("bench: autopilots",)),
+    ("docs/record/measured.md", "benchmarks/autopilots.py", ("bench: autopilots",)),
     ("docs/record/guarantees.md", "benchmarks/worst.py", ("together", "ready")),
     (
         "docs/record/performance.md",
@@ -60,11 +60,11 @@ OTHER_PARTS: list[tuple[str, str, tuple[str, ...]]] = [
         ("step", "widths", "shares", "start", "solvers", "parts", "loop"),
     ),
     ("docs/record/performance.md", "benchmarks/peers/__main__.py", ("bench: peers",)),
-    ("docs/python.md", "tests/test_getting_started.py", ("series",)),
+    ("docs/reference/series.md", "tests/test_getting_started.py", ("series",)),
     ("docs/record/radio.md", "benchmarks/radio/__main__.py", ("deferral", "validation")),
     ("docs/record/radio.md", "benchmarks/radio/computation.py", ("computation",)),
     ("docs/record/radio.md", "benchmarks/radio/plan_bytes.py", ("bytes",)),
-    ("docs/vehicles.md", "benchmarks/estimates.py", ("bench: estimates",)),
+    ("docs/record/measured.md", "benchmarks/estimates.py", ("bench: estimates",)),
     ("docs/worst.md", "benchmarks/worst.py", ("planted",)),
 ]
 

@@ -127,7 +127,7 @@ def _log_opening(journal: Journal, place: Place) -> None:
     endpoints = place.endpoints
     if endpoints.security is None and endpoints.listen:
         who = "host with access" if first_exposed(endpoints.listen) else "process on this host"
-        journal.log("open", means=f"any {who} can read and send all messages (docs/deploy.md)")
+        journal.log("open", means=f"any {who} can read and send all messages (docs/access.md)")
     journal.log("listening", cpu_s=time.process_time(), at=", ".join(endpoints.listen))
 
 

@@ -188,7 +188,7 @@ class NetworkSection(Section):
     ([deploy.md](../deploy.md#topologies))"""
     keys: Annotated[str, Field(pattern=r"^[^\x00]*$")] | None = None
     """folder of certificates, relative to the current folder: TLS and access control on every link
-    ([deploy.md](../deploy.md#access-control))"""
+    ([access.md](../access.md#access-control))"""
     insecure: bool = False
     """true: listen unencrypted on an address that other hosts can reach"""
     vehicle_port: Annotated[int, Interval(ge=1024, le=65_000)] | None = None
@@ -196,7 +196,7 @@ class NetworkSection(Section):
     free ports, or 14550 with processes started by hand"""
     secret: bool = True
     """false: any local process can connect to a run without `keys` and `router`, also without its
-    random secret ([deploy.md](../deploy.md#a-run-on-one-host))"""
+    random secret ([access.md](../access.md#a-run-on-one-host))"""
 
 
 class Scenario(Section):
