@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from transport.agent.communication.announced_inputs import AnnouncedInputs, SharedLaw
+from transport.agent.communication.announced_inputs import AnnouncedInputs
+from transport.agent.communication.unannounced_inputs import SharedLaw
 from transport.agent.estimation.estimator import estimator_of
 from transport.agent.estimation.law_inputs import LawInputs
 from transport.agent.estimation.predicted_motion import Failure

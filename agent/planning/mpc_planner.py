@@ -1,8 +1,4 @@
-"""One tick's work of an agent: estimate, form the problem, solve it, negotiate, conclude.
-
-`lap(name)` counts the time since the lap before, or since `resume`, as that of a stage. Time after the
-last lap counts nowhere.
-"""
+"""One tick's work of an agent: estimate, form the problem, solve it, negotiate, conclude."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -12,9 +8,14 @@ import numpy as np
 
 from transport.agent.communication.event_triggered_sharing import Corrections, Sharing
 from transport.agent.estimation.filter.belief import Belief
-from transport.agent.estimation.predicted_motion import STEPS
 from transport.agent.estimation.team_estimate import Expected, TeamEstimate
 from transport.agent.planning.hand_over_inputs import HandOver
+from transport.agent.planning.step_problem import (
+    StepProblem,
+    horizon_start,
+    integrated,
+    step_problem,
+)
 from transport.agent.planning.step_report import (
     NO_AGE,
     StageTimes,
@@ -24,14 +25,9 @@ from transport.agent.planning.step_report import (
 )
 from transport.agent.received import Received
 from transport.agent.silence.failed_or_repeated_steps import Freshness
-from transport.model.arrays import Array, ShapeError, frozen
-from transport.model.linear import motor_lag as motors
-from transport.model.linear.discretisation import Discrete
+from transport.model.arrays import Array, frozen
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller, Horizon, StepResult
-from transport.mpc.program.feedback_law import FeedbackLaw
-from transport.mpc.program.horizon_and_terminal_cost import CostToGo
-from transport.mpc.program.prediction import Linear
 from transport.mpc.program.qp_solvers import unsolved
 from transport.mpc.program.softened_user_constraints import softened_problem
 from transport.protocol.scenario.setup.team_run import TeamRun
@@ -46,27 +42,6 @@ _ALONE = "alone"
 _NO_NUMBER = -1.0
 _NO_FORCE = np.zeros(3)
 frozen(_NO_FORCE)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HorizonStart:
-    """Begin of the horizon."""
-
-    tick: int  # first tick that the plan is for
-    x0: Array  # state there, (n,), with motor lag (n + m,)
-    u0: Array  # inputs in force just before, (m,)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StepProblem:
-    """Problem of an agent at a tick: the same in all iterations but for the announced plans."""
-
-    y_ref: Array  # reference outputs at steps 0..N_p, (N_p + 1, p)
-    U: Array  # announced inputs of all UAVs, (N_p, m); the owned columns hold the previous plan
-    law: FeedbackLaw | None  # shared control law with the announced corrections
-    end: CostToGo | None  # cost after the horizon
-    linear: Linear
-    discrete: Discrete | None  # None if out-of-range states have no discrete model
 
 
 @dataclass(slots=True, kw_only=True)
@@ -152,7 +127,7 @@ class Planner:
         law = controller.law(x0, x_ref, np.zeros_like(U), forces)
         end = controller.end(x0, hover.x, forces)
         controller.step(x0, hover.u, Horizon(U=U, y_ref=y_ref, law=law, end=end), forces)
-        self._integrated(x0, hover.u, None)
+        integrated(settings, controller.model, x0, hover.u, None)
         controller.regulation.fail_safe.warm_up()
 
     def begin(self, received: Received) -> MpcStep:
@@ -161,8 +136,8 @@ class Planner:
         k = received.tick
         x = self._team.update(received)
         self._handover.advance(k)
-        start = self._horizon_start(k, x)
-        problem = self._problem(k, start)
+        start = horizon_start(self._setup, self._controller, self._team, k, x)
+        problem = step_problem(self._setup, self._controller, self._team, start, k, self._times)
         return MpcStep(
             received=received,
             uav_states=self._team.estimator.reported(k, x),
@@ -170,61 +145,6 @@ class Planner:
             problem=problem,
             negotiation=self._setup.settings.negotiation_iterations,
         )
-
-    def _horizon_start(self, k: int, x: Array) -> HorizonStart:
-        """Return the begin of the horizon: the tick of the estimate, or one later by prediction."""
-        announced = self._team.announced
-        if not self._setup.rules.clock.next_tick:
-            u0 = self._team.estimator.inputs_until(k, announced)
-            return HorizonStart(tick=k, x0=x, u0=u0)
-        u0 = announced.in_force(k, before=k, x=x)
-        x0 = self._integrated(x, u0, self._team.forces)
-        return HorizonStart(tick=k + 1, x0=x0, u0=u0)
-
-    def _integrated(self, x: Array, u: Array, forces: Array | None) -> Array:
-        """Return the state one sampling period later under constant inputs."""
-        settings = self._setup.settings
-        period = motors.Period(
-            duration_s=settings.sampling_period_s, steps=STEPS, lag_s=settings.motor_lag_s
-        )
-        return motors.integrate(self._controller.model, x, u, period, forces)
-
-    def _problem(self, k: int, start: HorizonStart) -> StepProblem:
-        """Return the problem of tick k, about the begin of its horizon."""
-        controller = self._controller
-        setup = self._setup
-        forces = self._team.forces
-        announced = self._team.announced
-        steps = setup.settings.horizon
-        first = start.tick
-
-        # U(j) = U_a(min(s + j - s_a, N_p - 1)), each agent's newest plan shifted by its age: (32).
-        U = announced.sequence(first, steps, before=k)
-
-        # u(j) = u_hov + K (x(j) - x_ref(j)) + c_ff(j) + c(j): (35), along a flat reference (71).
-        c = announced.corrections(first, steps, before=k)
-        law = controller.law(start.x0, setup.X_ref[first : first + steps], c, forces, first)
-
-        # The cost of all later steps under that law: (36d).
-        end = controller.end(start.x0, setup.X_ref[first + steps], forces, first + steps)
-        self._times.lap("estimate")
-
-        # dx' = A_c dx + B_c du + f(x0, u0): (15).
-        linear = controller.linearise(start.x0, start.u0, forces)
-        self._times.lap("linearise")
-
-        # dx(j + 1) = A dx(j) + B du(j) + f_d: (16), (17).
-        discrete = self._discrete(linear)
-        self._times.lap("discretise")
-        y_ref = setup.Y_ref[first : first + steps + 1]
-        return StepProblem(y_ref=y_ref, U=U, law=law, end=end, linear=linear, discrete=discrete)
-
-    def _discrete(self, linear: Linear) -> Discrete | None:
-        """Return the difference equation; None if out-of-range states have none."""
-        try:
-            return self._controller.discretise(linear)
-        except ShapeError:
-            return None
 
     def plan(self, step: MpcStep, out: Outbox, publish_ns: int) -> list[Message]:
         """Solve a step's problem; return a proposal, or at the end the tick's plan and report.

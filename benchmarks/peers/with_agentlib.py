@@ -28,7 +28,9 @@ from agentlib_mpc.models.casadi_model import (
 
 from transport.model.arrays import Array
 from transport.model.linear.linearisation import Model
-from transport.model.physics.dynamics import Symbols, motion, outputs
+from transport.model.physics.dynamics import motion
+from transport.model.physics.outputs_and_sensors import outputs
+from transport.model.physics.symbols import Symbols
 from transport.model.state import INPUTS
 from transport.mpc.program.stage_cost import Cost
 from transport.protocol.scenario.setup.run_setup import Setup

@@ -21,7 +21,9 @@ import numpy as np
 import transport
 from transport.agent.user_class.run_for_user import Run
 from transport.model.arrays import Array
-from transport.model.physics.dynamics import Symbols, motion, outputs
+from transport.model.physics.dynamics import motion
+from transport.model.physics.outputs_and_sensors import outputs
+from transport.model.physics.symbols import Symbols
 from transport.mpc.program.stage_cost import Cost
 from transport.protocol.wire.messages import Measurement, Plan
 

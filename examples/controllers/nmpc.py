@@ -26,7 +26,9 @@ import numpy as np
 with warnings.catch_warnings(action="ignore"):  # of parts of do-mpc that are not used
     import do_mpc
 
-from transport.model.physics.dynamics import Symbols, motion, outputs
+from transport.model.physics.dynamics import motion
+from transport.model.physics.outputs_and_sensors import outputs
+from transport.model.physics.symbols import Symbols
 
 IPOPT = {
     "ipopt.tol": 1e-5,

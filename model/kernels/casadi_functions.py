@@ -12,9 +12,15 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.kernels import compiler
-from transport.model.physics import dynamics, rotations
-from transport.model.physics.dynamics import Symbols
+from transport.model.physics import (
+    dynamics,
+    outputs_and_sensors,
+    projection_of_rods,
+    rotations,
+    symbols,
+)
 from transport.model.physics.parameters import Kind
+from transport.model.physics.symbols import Symbols
 
 # No contraction of products and sums: the same bits as CasADi's interpreter.
 # Functions of the library call each other directly, and short ones are inlined.
@@ -186,7 +192,8 @@ def _flags() -> tuple[str, ...]:
 @lru_cache
 def _digest() -> bytes:
     """Return a hash of all code that determines the functions, as this process first finds it."""
-    files = __file__, dynamics.__file__, rotations.__file__, state.__file__
+    modules = dynamics, outputs_and_sensors, projection_of_rods, rotations, symbols, state
+    files = [__file__, *(module.__file__ for module in modules)]
     sources = [Path(str(file)).read_bytes() for file in files]
     return hashlib.sha256(b"".join([ca.CasadiMeta.version().encode(), *sources])).digest()
 
@@ -207,7 +214,7 @@ def _build(N: int, rates: bool, drag: bool) -> dict[str, ca.Function]:
     s = Symbols.of(N, rates, drag)
     arguments = [s.x, s.u, s.p, s.F]
     motion = dynamics.motion(s)
-    y = dynamics.outputs(s)
+    y = outputs_and_sensors.outputs(s)
     derivative = ca.Function("derivative", arguments, [motion.derivative])
     sense = _sense(s, motion)
     # Inlined, so that the derivatives are left out; the first output is the measurements.
@@ -215,7 +222,7 @@ def _build(N: int, rates: bool, drag: bool) -> dict[str, ca.Function]:
     return {
         "derivative": derivative,
         "tensions": ca.Function("tensions", arguments, [motion.tensions]),
-        "velocities": ca.Function("velocities", [s.x, s.p], [dynamics.velocities(s)]),
+        "velocities": ca.Function("velocities", [s.x, s.p], [outputs_and_sensors.velocities(s)]),
         "outputs": ca.Function("outputs", [s.x, s.p], [y]),
         "linearise": _linearise(s, motion, y),
         **_steps(s, derivative),
@@ -232,7 +239,7 @@ def _sense(s: Symbols, motion: dynamics.Motion) -> ca.Function:
     a = ca.SX.sym("a", 6)
     wrt = ca.vertcat(s.x, s.F)
     given = dynamics.motion(s, a)
-    y = dynamics.sensed(s, given.tensions)
+    y = outputs_and_sensors.sensed(s, given.tensions)
 
     # da/d(x, F) = M^-1 d(b - M a)/d(x, F), a held.
     unbalanced = ca.jacobian(given.unbalanced, wrt)
@@ -261,7 +268,7 @@ def _factors(s: Symbols, motion: dynamics.Motion) -> list[ca.SX]:
     g(x, u, a) is the derivative under a given acceleration a of the payload, which solves M a = b.
     """
     a = ca.SX.sym("a", 6)
-    Pi = dynamics.projection(s.x, s.N)
+    Pi = projection_of_rods.projection(s.x, s.N)
     given = dynamics.motion(s, a)
     g = given.derivative
 
@@ -301,7 +308,7 @@ def _steps(s: Symbols, f: ca.Function) -> dict[str, ca.Function]:
     differences = [b5 - b4 for b5, b4 in zip(_DP_FIFTH, _DP_FOURTH, strict=True)]
     error = _weighted(h, differences, slopes)
 
-    project = ca.Function("project", [s.x], [dynamics.project(s.x, s.N)])
+    project = ca.Function("project", [s.x], [projection_of_rods.project(s.x, s.N)])
     arguments = [x, u, p, F, h]
     return {
         "step": ca.Function("step", arguments, [project(fifth), error]),

@@ -4,105 +4,12 @@ A 6 x 6 system in the payload's acceleration (docs/equations.md).
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import casadi as ca
 
 from transport.model import state
 from transport.model.physics.rotations import euler_rates, rotation
-
-
-class PayloadSymbols(NamedTuple):
-    """Parameters of the payload."""
-
-    mass: ca.SX  # m_0, kg
-    inertia: ca.SX  # J_0, (3, 3), payload frame, kg m^2
-
-
-class UavSymbols(NamedTuple):
-    """Parameters of a UAV and its rod."""
-
-    mass: ca.SX  # m_i, kg
-    inertia: ca.SX  # J_i, (3, 3), body frame, kg m^2
-    rho: ca.SX  # attachment point, (3,), payload frame, m
-    length: ca.SX  # l_i of the rod, m
-
-
-class DragSymbols(NamedTuple):
-    """Drag coefficients of a UAV, kg/s."""
-
-    across: ca.SX  # d_i, in the plane of its rotors
-    along: ca.SX  # d_i^z, along their axis
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Symbols:
-    """The symbols of a system of N UAVs.
-
-    State x, input u, parameters p and external forces F (payload, UAVs), N.
-
-    p holds g, m0, the upper triangle of J0, and for each UAV m_i, the upper triangle of J_i, rho_i,
-    l_i (`System.vector`), then the gains of inner loops on body rates, then d0 and d_i, d_i^z of each
-    UAV.
-    """
-
-    N: int
-    x: ca.SX
-    u: ca.SX
-    p: ca.SX
-    F: ca.SX
-    rates: bool
-    drag: bool
-
-    @staticmethod
-    def of(N: int, rates: bool = False, drag: bool = False) -> "Symbols":
-        """Return new symbols for N UAVs, with or without drag.
-
-        Their inputs are thrust and moments, or thrust and commanded body rates.
-        """
-        return Symbols(
-            N=N,
-            x=ca.SX.sym("x", 12 + 12 * N),
-            u=ca.SX.sym("u", 4 * N),
-            p=ca.SX.sym("p", 8 + 11 * N + 3 * rates + (1 + 2 * N) * drag),
-            F=ca.SX.sym("F", 3 + 3 * N),
-            rates=rates,
-            drag=drag,
-        )
-
-    @property
-    def gravity(self) -> ca.SX:
-        """g, m/s^2."""
-        return self.p[0]
-
-    def payload(self) -> PayloadSymbols:
-        """Return the parameters of the payload."""
-        return PayloadSymbols(mass=self.p[1], inertia=_symmetric(self.p[2:8]))
-
-    def uav(self, i: int) -> UavSymbols:
-        """Return the parameters of UAV i (0-based)."""
-        q = self.p[8 + 11 * i : 8 + 11 * (i + 1)]
-        return UavSymbols(mass=q[0], inertia=_symmetric(q[1:7]), rho=q[7:10], length=q[10])
-
-    @property
-    def payload_drag(self) -> ca.SX:
-        """Drag coefficient d0 of the payload, kg/s; zero without drag."""
-        return self.p[-1 - 2 * self.N] if self.drag else ca.SX(0)
-
-    def uav_drag(self, i: int) -> DragSymbols:
-        """Return the drag coefficients of UAV i (0-based)."""
-        first = self.p.numel() - 2 * (self.N - i)
-        return DragSymbols(across=self.p[first], along=self.p[first + 1])
-
-    @property
-    def rate_gains(self) -> ca.SX:
-        """K of the inner loops on body rates, (3,), 1/s; only where `rates`."""
-        first = 8 + 11 * self.N
-        return self.p[first : first + 3]
-
-    def force(self, body: int) -> ca.SX:
-        """External force on the payload (0) or on UAV 1..N, (3,), inertial frame, N."""
-        return self.F[3 * body : 3 * (body + 1)]
+from transport.model.physics.symbols import Symbols
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -236,7 +143,7 @@ def _rod(symbols: Symbols, i: int, R0: ca.SX, g_P: ca.SX) -> _Rod:
     lift = thrust / m * (R0.T @ rotation(block[state.THETA])[:, 2])
     s_P = g_P - lift + R0.T @ symbols.force(i + 1) / m
     if symbols.drag:
-        s_P = s_P + _uav_drag(symbols, i, R0) / m
+        s_P = s_P + uav_drag(symbols, i, R0) / m
     centripetal = ca.cross(omega0, ca.cross(omega0, rho))
     return _Rod(
         m=m,
@@ -251,21 +158,21 @@ def _rod(symbols: Symbols, i: int, R0: ca.SX, g_P: ca.SX) -> _Rod:
     )
 
 
-def _uav_drag(symbols: Symbols, i: int, R0: ca.SX) -> ca.SX:
+def uav_drag(symbols: Symbols, i: int, R0: ca.SX) -> ca.SX:
     """Return the drag of a UAV in still air, 0-based, (3,), payload frame, N.
 
     F = -d v - (d^z - d) (b . v) b,  b = R0' R_i k: the rotors' plane and their axis. Source:
     docs/equations.md (42).
     """
     drag = symbols.uav_drag(i)
-    v_P = _uav_velocity(symbols, i)
+    v_P = uav_velocity(symbols, i)
     b_P = R0.T @ rotation(symbols.x[state.uav_slice(i)][state.THETA])[:, 2]
     along = (drag.along - drag.across) * ca.dot(b_P, v_P)
     force: ca.SX = -drag.across * v_P - along * b_P
     return force
 
 
-def _uav_velocity(symbols: Symbols, i: int) -> ca.SX:
+def uav_velocity(symbols: Symbols, i: int) -> ca.SX:
     """Return the velocity of a UAV, 0-based: v0 + omega0 x rho - l Omega x e, payload frame."""
     uav = symbols.uav(i)
     block = symbols.x[state.uav_slice(i)]
@@ -299,107 +206,6 @@ def _uav_derivative(symbols: Symbols, i: int, rod: _Rod, acceleration: ca.SX) ->
         euler_rates(block[state.THETA]) @ omega,
         omega_dot,
     ]
-
-
-def uav_positions(symbols: Symbols) -> list[ca.SX]:
-    """Return r_i = r0 + R0 (rho_i - l_i e_i) for each UAV, (3,), inertial frame, m.
-
-    Source: docs/equations.md (14); paper (1).
-    """
-    x = symbols.x
-    R0 = rotation(x[state.THETA0])
-    positions = []
-    for i in range(symbols.N):
-        uav = symbols.uav(i)
-        e = x[state.uav_slice(i)][state.E]
-        positions.append(x[state.R0] + R0 @ (uav.rho - uav.length * e))
-    return positions
-
-
-def velocities(symbols: Symbols) -> ca.SX:
-    """Return the velocities of the centres of mass, (1 + N, 3), inertial frame, m/s.
-
-    Source: docs/equations.md (39).
-    """
-    x = symbols.x
-    R0 = rotation(x[state.THETA0])
-    # R0 v0, and R0 (v0 + omega0 x rho_i - l_i Omega_i x e_i) of each UAV.
-    rows: list[ca.SX] = [(R0 @ x[state.V0]).T]
-    for i in range(symbols.N):
-        rows.append((R0 @ _uav_velocity(symbols, i)).T)
-    return ca.vertcat(*rows)
-
-
-def outputs(symbols: Symbols) -> ca.SX:
-    """Return y = h(x) = [r_1..r_N, Theta_0, yaw rates of UAVs, r_0, r_0'], (4 N + 9), SI, inertial.
-
-    Source: docs/equations.md (14); paper (12).
-    """
-    x = symbols.x
-    yaw_rates = [x[state.uav_slice(i)][state.OMEGA][2] for i in range(symbols.N)]
-    payload = [x[state.R0], rotation(x[state.THETA0]) @ x[state.V0]]
-    return ca.vertcat(*uav_positions(symbols), x[state.THETA0], *yaw_rates, *payload)
-
-
-def sensed(symbols: Symbols, tensions: ca.SX) -> ca.SX:
-    """Return the measurements of the UAVs' own sensors under tensions, (15 N,).
-
-    In the order of `model.state`.
-    Source: docs/equations.md (61).
-    """
-    x = symbols.x
-    R0 = rotation(x[state.THETA0])
-    velocity = velocities(symbols)
-    measured: list[ca.SX] = []
-    for i, position in enumerate(uav_positions(symbols)):
-        block = x[state.uav_slice(i)]
-
-        # Specific force (R_i'(T_i R0 e_i + F_i + drag) - f_i b3) / m_i, body frame.
-        pull = R0 @ block[state.E] * tensions[i] + symbols.force(i + 1)
-        if symbols.drag:
-            pull = pull + R0 @ _uav_drag(symbols, i, R0)
-        lift = ca.vertcat(0.0, 0.0, symbols.u[state.INPUTS * i])
-        specific_force = (rotation(block[state.THETA]).T @ pull - lift) / symbols.uav(i).mass
-
-        measured += [position, velocity[i + 1, :].T, block[state.THETA], block[state.OMEGA]]
-        measured.append(specific_force)
-    return ca.vertcat(*measured)
-
-
-def project(x: ca.SX, N: int) -> ca.SX:
-    """Return the state with the rods projected back onto |e_i| = 1 and e_i . Omega_i = 0: (13a)."""
-    parts = [x[: state.PAYLOAD]]
-    for i in range(N):
-        block = x[state.uav_slice(i)]
-        # e <- e / |e|,  Omega <- Omega - e (e . Omega)
-        e = block[state.E] / ca.norm_2(block[state.E])
-        Omega = block[state.ROD_RATE]
-        parts += [e, Omega - e * ca.dot(e, Omega), block[state.THETA], block[state.OMEGA]]
-    return ca.vertcat(*parts)
-
-
-def projection(x: ca.SX, N: int) -> ca.SX:
-    """Return the derivative of `project` on the manifold, (n, n), sparse.
-
-    Source: docs/equations.md (15a).
-    """
-    parts = [ca.SX.eye(state.PAYLOAD)]
-    for i in range(N):
-        block = x[state.uav_slice(i)]
-        e = block[state.E]
-        Omega = block[state.ROD_RATE]
-
-        # Pi_i = [I - e e', 0; -e Omega', I - e e']
-        across = ca.SX.eye(3) - e @ e.T
-        rod = ca.vertcat(ca.horzcat(across, ca.SX(3, 3)), ca.horzcat(-e @ Omega.T, across))
-        parts += [rod, ca.SX.eye(state.PER_UAV - 6)]
-    return ca.diagcat(*parts)
-
-
-def _symmetric(upper: ca.SX) -> ca.SX:
-    """Return a symmetric matrix, (3, 3), by its upper triangle, (6,)."""
-    xx, xy, xz, yy, yz, zz = ca.vertsplit(upper)
-    return ca.vertcat(ca.horzcat(xx, xy, xz), ca.horzcat(xy, yy, yz), ca.horzcat(xz, yz, zz))
 
 
 def solve_positive_definite(M: ca.SX, b: ca.SX) -> ca.SX:

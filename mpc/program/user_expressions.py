@@ -22,8 +22,9 @@ import numpy.typing as npt
 from transport.model import state
 from transport.model.arrays import Array, frozen
 from transport.model.kernels.casadi_functions import Compiled
-from transport.model.physics.dynamics import Symbols, uav_positions
+from transport.model.physics.outputs_and_sensors import uav_positions
 from transport.model.physics.parameters import Kind, System
+from transport.model.physics.symbols import Symbols
 from transport.mpc.settings import ConstraintSection, CostTerm, SettingsError
 
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {

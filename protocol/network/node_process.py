@@ -15,7 +15,8 @@ from types import FrameType
 import threadpoolctl
 
 from transport.protocol.admission.acceptance_and_refusals import Gate, Sample
-from transport.protocol.network.bus import Bus, BusOptions, Departed, Interrupted, Place
+from transport.protocol.network.bus import Bus
+from transport.protocol.network.bus_events import BusOptions, Departed, Interrupted, Place
 from transport.protocol.network.endpoints import first_exposed
 from transport.protocol.network.exchange import Exchange, exchange_of
 from transport.protocol.network.parent import PARENT_PIPE, ending_signals

@@ -11,9 +11,9 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.linear.linearisation import Linearisation, Model
-from transport.model.physics.dynamics import Symbols
 from transport.model.physics.parameters import System
 from transport.model.physics.rotations import euler_rates, rotation
+from transport.model.physics.symbols import Symbols
 
 K = ca.DM([0.0, 0.0, 1.0])  # direction of gravity, inertial frame
 

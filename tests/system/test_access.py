@@ -15,7 +15,8 @@ from tests.support.keyrings import keyring
 from tests.support.messages import sample
 from tests.support.runs import setup
 from transport.protocol.admission.acceptance_and_refusals import Gate
-from transport.protocol.network.bus import Bus, BusOptions, Place
+from transport.protocol.network.bus import Bus
+from transport.protocol.network.bus_events import BusOptions, Place
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.security import Security, access_control
 from transport.protocol.wire.codec import VERSION, encode

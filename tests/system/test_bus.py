@@ -15,7 +15,8 @@ from tests.support import runs
 from tests.support.commands import free_base
 from tests.support.runs import setup
 from transport.protocol.admission.acceptance_and_refusals import Gate
-from transport.protocol.network.bus import Bus, BusOptions, Place
+from transport.protocol.network.bus import Bus
+from transport.protocol.network.bus_events import BusOptions, Place
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.session import BusError
 from transport.protocol.wire.codec import MAX_BYTES, VERSION, encode

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import threadpoolctl
 
-from transport.agent.user_class.user_planner import controller_versions
+from transport.agent.user_class.user_controllers import controller_versions
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.summary_assembly import summarise
 from transport.flight import memory

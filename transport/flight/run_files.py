@@ -209,7 +209,7 @@ def checked(setup: Setup, external: Collection[str] = ()) -> dict[str, str]:
         controller = "external"
     elif any(map(is_class, setup.scenario.controllers)):
         # Imports all of an agent, which this process does not need otherwise.
-        from transport.agent.user_class.user_planner import checked_controller
+        from transport.agent.user_class.user_controllers import checked_controller
 
         controller = checked_controller(setup.run)
     return {

@@ -15,13 +15,10 @@ import numpy.typing as npt
 
 from transport.agent.estimation.filter import kalman
 from transport.agent.estimation.filter.belief import Belief, Covariance, SavedGain
+from transport.agent.estimation.filter.filter_interface import FilterPeriod, Sensed
+from transport.agent.estimation.filter.innovations import Innovation
 from transport.agent.estimation.filter.kalman import Correction
-from transport.agent.estimation.filter.team_filter import (
-    FilterPeriod,
-    Innovation,
-    Sensed,
-    TeamFilter,
-)
+from transport.agent.estimation.filter.team_filter import TeamFilter
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.linear.linearisation import Model

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from transport.agent.communication.announced_inputs import Silent, Unannounced
+from transport.agent.communication.unannounced_inputs import Silent, Unannounced
 from transport.model import state
 from transport.model.arrays import Array, padded
 from transport.mpc.alone.fail_safe import FailSafe

@@ -9,15 +9,12 @@ their own estimates.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from itertools import product
-from typing import Protocol
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from transport.agent.communication.announced_inputs import Silent, Unannounced
+from transport.agent.communication.unannounced_inputs import Silent
 from transport.agent.estimation.filter import kalman
 from transport.agent.estimation.filter import unknown_forces as forces
 from transport.agent.estimation.filter.assumed_noise import (
@@ -27,12 +24,18 @@ from transport.agent.estimation.filter.assumed_noise import (
     ModelNoise,
 )
 from transport.agent.estimation.filter.belief import Belief, Covariance, Postponed, SavedGain
+from transport.agent.estimation.filter.filter_interface import FilterPeriod, Sensed
 from transport.agent.estimation.filter.innovation_level import (
     EXACT,
     WIND,
     Level,
     LevelRule,
     followed,
+)
+from transport.agent.estimation.filter.innovations import (
+    Innovation,
+    innovation_of,
+    observation_of,
 )
 from transport.agent.estimation.filter.kalman import Correction, Observation
 from transport.agent.estimation.filter.manifold import Manifold
@@ -52,89 +55,6 @@ _LARGEST_VARIANCE = 1e4
 # Squared innovation per measurement, in units of its covariance, beyond which measurements deny an
 # estimate. Gusts and masses that the model does not know stay below 15.
 _LARGEST_NIS = 100.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class FilterPeriod:
-    """A sampling period of the team, as it is understood when its end is predicted."""
-
-    model: Model  # equations of motion
-    end: Array  # state predicted at its end, (n,), with motor lag (n + m,)
-    u: Array  # commanded inputs, (m,)
-    # Forces estimated at its beginning, as `Model` takes them; None if they are not estimated.
-    forces: Array | None
-    unannounced: Unannounced  # which of them follow the control law or the fail-safe
-    # Derivative of these inputs by the state, (m, n), with motor lag (m, n + m); None if all
-    # inputs have been told.
-    K: Array | None
-    correlation: float  # c, of the errors of the other agents' estimates with the own ones
-    # Where information about the others is overdue: how much they act alone, and c by input; else None.
-    silent: Silent | None = None
-
-    @cached_property
-    def alone(self) -> float:
-        """Mean share of the law alone in the unannounced inputs, 0 to 1."""
-        by_law = self.unannounced.by_law
-        if self.silent is None or not by_law.any():
-            return 0.0
-        return float(self.silent.alone[by_law].mean())
-
-    @property
-    def is_alone(self) -> bool:
-        """Return whether an unannounced input is partly that of a UAV alone."""
-        return self.alone > 0.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sensed:
-    """Measurements of some sensors of a UAV."""
-
-    uav: int  # 0-based
-    sensors: tuple[int, ...]  # 0 position, 1 velocity, 2 attitude, 3 body rates, 4 specific force
-    values: Array  # of all its sensors, (15,), SI; those of other sensors are ignored
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Entries:
-    """Places of measurements, (k,) each."""
-
-    within: npt.NDArray[np.intp]  # in the measurements of one UAV, 0 .. 14
-    all: npt.NDArray[np.intp]  # in those of all UAVs, 0 .. 15 N - 1
-    source: npt.NDArray[np.intp]  # index of the `Sensed` with the measurement
-    angles: npt.NDArray[np.intp]  # indices of attitudes among the k measurements
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Innovation:
-    """Measurements of a tick against their prediction by an estimate."""
-
-    place: Situation
-    entries: Entries
-    uavs: tuple[int, ...]  # sources of the measurements, 0-based
-    error: Array  # z - h(x), (k,)
-    R: Array  # variances of the sensors, (k,)
-
-
-class Filter(Protocol):
-    """Kalman filter of the team: a pure function from belief to belief."""
-
-    def first(self, x: Array) -> Belief:
-        """Return the belief without any measurement, about a state."""
-
-    def predict(self, belief: Belief, period: FilterPeriod) -> Belief:
-        """Return the belief at the end of a sampling period."""
-
-    def correct(self, belief: Belief, model: Model, sensed: Sequence[Sensed]) -> Belief:
-        """Return the belief with measurements of its tick."""
-
-    def certain(self, belief: Belief, entries: npt.NDArray[np.intp]) -> Belief:
-        """Return the belief with some entries of the state certain."""
-
-    def forces(self, belief: Belief) -> Array | None:
-        """Return the estimated forces and mass error; None where they are not estimated."""
-
-    def is_plausible(self, belief: Belief) -> bool:
-        """Return whether a belief can be that of a team in flight."""
 
 
 class TeamFilter:
@@ -390,38 +310,12 @@ class TeamFilter:
         sensed = [one for one in sensed if one.uav not in model.released]
         if not sensed:
             return None
-
         place = self._situation(belief, model, belief.u, self.forces(belief))
-        entries = _entries(tuple((one.uav, one.sensors) for one in sensed))
-        values = np.array([one.values for one in sensed])
-
-        z = values[entries.source, entries.within]
-        h = model.sensed(place.x, place.actual, forces=place.forces)[entries.all]
-        error = z - h
-        error[entries.angles] -= 2.0 * np.pi * np.round(error[entries.angles] / (2.0 * np.pi))
-        return Innovation(
-            place=place,
-            entries=entries,
-            uavs=tuple(one.uav for one in sensed),
-            error=error,
-            R=self._R[entries.within],
-        )
+        return innovation_of(sensed, place, self._R)
 
     def observation(self, belief: Belief, innovation: Innovation) -> Observation:
         """Return an innovation with the derivative H = dh/dxi of its measurements."""
-        place = innovation.place
-        rows = innovation.entries.all
-        T = belief.covariance.basis.T
-        n = len(place.x)
-        s = T.shape[1]
-
-        #   H = [ dh/dx T,  dh/dF dF/d unknowns ]
-        _, slopes = place.model.sense(place.x, place.actual, forces=place.forces)
-        H = np.empty((len(rows), s + self._unknowns))
-        H[:, :s] = slopes[rows, :n] @ T[:n]
-        if self._unknown_forces is not None:
-            H[:, s:] = slopes[rows, n:] @ self._unknown_forces.derivative(place)
-        return Observation(error=innovation.error, H=H, R=innovation.R)
+        return observation_of(innovation, belief.covariance.basis.T, self._unknown_forces)
 
     def corrected(
         self,
@@ -488,21 +382,3 @@ class TeamFilter:
         P[:, coordinates] = 0.0
         P[coordinates, coordinates] = deviation**2
         return replace(belief, source=replace(covariance, P=P))
-
-
-@lru_cache  # one set of measurements is that of nearly all ticks
-def _entries(sensed: tuple[tuple[int, tuple[int, ...]], ...]) -> Entries:
-    """Return the places of measurements, from UAV and sensors of each source."""
-    places = [
-        (3 * sensor + axis, uav, source)
-        for source, (uav, sensors) in enumerate(sensed)
-        for sensor, axis in product(sensors, range(3))
-    ]
-    within, uavs, source = np.array(places, dtype=np.intp).T
-    is_angle = (within >= state.THETA.start) & (within < state.THETA.stop)
-    return Entries(
-        within=within,
-        all=within + state.SENSED * uavs,
-        source=source,
-        angles=np.flatnonzero(is_angle),
-    )

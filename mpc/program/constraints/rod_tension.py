@@ -6,8 +6,9 @@ from typing import ClassVar
 import casadi as ca
 import numpy as np
 
-from transport.model.physics.dynamics import Symbols, motion
+from transport.model.physics.dynamics import motion
 from transport.model.physics.parameters import System
+from transport.model.physics.symbols import Symbols
 from transport.mpc.program.constraints.block import Block
 from transport.mpc.program.decision import Decision
 from transport.mpc.program.trajectory import Trajectory

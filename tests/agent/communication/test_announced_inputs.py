@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from transport.agent.communication.announced_inputs import Alignment, AnnouncedInputs, SharedLaw
+from transport.agent.communication.announced_inputs import Alignment, AnnouncedInputs
+from transport.agent.communication.unannounced_inputs import SharedLaw
 from transport.agent.silence.heard_others import HeardOthers
 from transport.agent.silence.silence_thresholds import Silence
 from transport.model.arrays import Array

@@ -10,8 +10,9 @@ from tests.support.runs import VEHICLE, measurement, plan, setup
 from transport.agent.communication.announced_inputs import AnnouncedInputs
 from transport.agent.estimation.estimator import sensor_estimator
 from transport.agent.estimation.filter.belief import Belief
+from transport.agent.estimation.filter.filter_interface import Sensed
 from transport.agent.estimation.filter.gain_reuse import MOST_TICKS
-from transport.agent.estimation.filter.team_filter import Sensed, TeamFilter
+from transport.agent.estimation.filter.team_filter import TeamFilter
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.scenario.setup.run_setup import Setup

@@ -6,8 +6,9 @@ import pytest
 from tests.agent.estimation.swing import TICKS, filtered, in_time, moving, sensed
 from tests.agent.estimation.test_team_filter import told_period
 from transport.agent.estimation.filter.belief import Belief, Covariance
+from transport.agent.estimation.filter.filter_interface import Filter
 from transport.agent.estimation.filter.gain_reuse import MOST_TICKS, Deferred, GainReuse
-from transport.agent.estimation.filter.team_filter import Filter, TeamFilter
+from transport.agent.estimation.filter.team_filter import TeamFilter
 from transport.model.arrays import Array
 
 DELAY = 4  # ticks

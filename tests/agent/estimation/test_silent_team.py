@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support import runs
-from transport.agent.communication.announced_inputs import Silent, Unannounced
+from transport.agent.communication.unannounced_inputs import Silent, Unannounced
 from transport.agent.estimation.filter.silent_agents import SilentTeam
 from transport.model.arrays import Array
 from transport.mpc.alone.fail_safe import FailSafe

@@ -9,7 +9,8 @@ import pytest
 from msgspec.structs import replace
 
 from tests.support.runs import SHORT, measurement, plan, setup
-from transport.agent.communication.announced_inputs import AnnouncedInputs, SharedLaw
+from transport.agent.communication.announced_inputs import AnnouncedInputs
+from transport.agent.communication.unannounced_inputs import SharedLaw
 from transport.agent.estimation.disturbance import DisturbanceEstimator, MeasuredTeam
 from transport.agent.estimation.predicted_motion import Failure, PredictedMotion
 from transport.agent.estimation.state_estimator import StateEstimator

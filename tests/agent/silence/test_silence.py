@@ -11,16 +11,13 @@ from msgspec import structs
 
 from tests.support import runs
 from tests.support.runs import VEHICLE, completed, measurement
-from transport.agent.communication.announced_inputs import (
-    AnnouncedInputs,
-    SharedLaw,
-    Silent,
-    Unannounced,
-)
+from transport.agent.communication.announced_inputs import AnnouncedInputs
+from transport.agent.communication.unannounced_inputs import SharedLaw, Silent, Unannounced
 from transport.agent.estimation.estimator import sensor_estimator
 from transport.agent.estimation.filter.belief import Belief
+from transport.agent.estimation.filter.filter_interface import FilterPeriod, Sensed
 from transport.agent.estimation.filter.gain_reuse import GainReuse
-from transport.agent.estimation.filter.team_filter import FilterPeriod, Sensed, TeamFilter
+from transport.agent.estimation.filter.team_filter import TeamFilter
 from transport.agent.estimation.predicted_motion import Failure, PredictedMotion
 from transport.agent.estimation.sensor_estimator import SensorEstimator
 from transport.agent.node import AgentNode

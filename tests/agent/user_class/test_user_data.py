@@ -24,7 +24,7 @@ from tests.support.runs import (
     roster,
     setup,
 )
-from transport.agent.user_class.user_planner import checked_controller, plan_shapes
+from transport.agent.user_class.user_controllers import checked_controller, plan_shapes
 from transport.analysis.replay.replay_difference import Comparison
 from transport.analysis.replay.replay_of_agent import Replay
 from transport.model.state import INPUTS, REPORTED, REPORTS

@@ -28,7 +28,7 @@ from tests.support.runs import (
     setup,
 )
 from transport.agent.user_class.run_for_user import Run, run_of
-from transport.agent.user_class.user_planner import checked_controller
+from transport.agent.user_class.user_controllers import checked_controller
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.summary_assembly import summarise
 from transport.flight.memory import simulate

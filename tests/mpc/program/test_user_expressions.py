@@ -9,7 +9,7 @@ import pytest
 from tests.support.systems import disturbed, paper_setup
 from transport.model import state
 from transport.model.arrays import Array
-from transport.model.physics.dynamics import Symbols
+from transport.model.physics.symbols import Symbols
 from transport.mpc.program.user_expressions import (
     Relation,
     check_constraints,

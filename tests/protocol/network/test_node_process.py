@@ -12,7 +12,7 @@ import pytest
 
 from tests.support import runs
 from transport.protocol.admission.acceptance_and_refusals import Gate
-from transport.protocol.network.bus import Arrival, BusEvent, BusOptions, Interrupted, Place
+from transport.protocol.network.bus_events import Arrival, BusEvent, BusOptions, Interrupted, Place
 from transport.protocol.network.node_process import run_node
 from transport.protocol.network.parent import PARENT_PIPE, ending_signals
 from transport.protocol.wire.codec import decode

@@ -13,7 +13,7 @@ from tests.support.runs import setup
 from transport.flight.recorder import Recorder
 from transport.log.run_log import read_log
 from transport.log.writer import LogWriter
-from transport.protocol.network.bus import Arrival
+from transport.protocol.network.bus_events import Arrival
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import Control, Message, Presence
 

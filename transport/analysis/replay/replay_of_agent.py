@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import threadpoolctl
 
 from transport.agent.node import AgentNode
-from transport.agent.user_class.user_planner import checked_controller
+from transport.agent.user_class.user_controllers import checked_controller
 from transport.analysis.replay.replayed_processes import (
     AgentProcess,
     in_order_of_need,

@@ -12,7 +12,7 @@ import tomli_w
 import typer
 from typer import Argument, Option
 
-from transport.agent.user_class.user_planner import plan_shapes
+from transport.agent.user_class.user_controllers import plan_shapes
 from transport.cli.options import FormatOption, LargeOption, ScenarioArgument, SetOption, read_setup
 from transport.cli.output import Format, blame, fail, show
 from transport.flight.run_files import checked

@@ -34,7 +34,7 @@ from transport.cli.options import (
 from transport.cli.output import Format, blame, fail
 from transport.flight.fork_server import serve
 from transport.model.kernels.casadi_functions import needs_compilation
-from transport.protocol.network.bus import Place
+from transport.protocol.network.bus_events import Place
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.mesh import endpoints_of, process_names, security_of
 from transport.protocol.network.node_process import Journal, run_node, use_one_thread
