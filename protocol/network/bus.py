@@ -17,6 +17,7 @@ from transport.protocol.network.bus_events import (
     Departed,
     Interrupted,
     Place,
+    SteadyClock,
 )
 from transport.protocol.network.joining import ASK_EVERY_S, Joining
 from transport.protocol.network.presence import ANSWER_S, OtherPresences, OwnPresence
@@ -28,7 +29,6 @@ from transport.protocol.network.session import (
     log_errors,
     open_session,
 )
-from transport.protocol.network.steady_clock import SteadyClock
 from transport.protocol.wire.key_expressions import RECORDER, Keys
 from transport.protocol.wire.messages import Presence, Request
 from transport.protocol.wire.names import COORDINATOR, PLANT, VEHICLE, agent_name, role_of

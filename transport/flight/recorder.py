@@ -16,9 +16,15 @@ from transport.protocol.admission.acceptance_and_refusals import Gate, Sample
 from transport.protocol.admission.participant import check_target
 from transport.protocol.admission.plausibility import check_plausible
 from transport.protocol.network.bus import Bus
-from transport.protocol.network.bus_events import Arrival, BusOptions, Departed, Interrupted, Place
+from transport.protocol.network.bus_events import (
+    Arrival,
+    BusOptions,
+    Departed,
+    Interrupted,
+    Place,
+    SteadyClock,
+)
 from transport.protocol.network.session import BusError
-from transport.protocol.network.steady_clock import SteadyClock
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import messages as wire
 from transport.protocol.wire.codec import Header, decode, encode

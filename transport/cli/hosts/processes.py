@@ -34,12 +34,11 @@ from transport.cli.options import (
 from transport.cli.output import Format, blame, fail
 from transport.flight.fork_server import serve
 from transport.model.kernels.casadi_functions import needs_compilation
-from transport.protocol.network.bus_events import Place
+from transport.protocol.network.bus_events import Place, wall_offset_ns
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.mesh import endpoints_of, process_names, security_of
 from transport.protocol.network.node_process import Journal, run_node, use_one_thread
 from transport.protocol.network.parent import wake_with_its_end
-from transport.protocol.network.steady_clock import wall_offset_ns
 from transport.protocol.scenario.sections.clock_section import LONGEST_WAIT_S
 from transport.protocol.scenario.setup.model_objects import kinds_of
 from transport.protocol.scenario.setup.run_setup import Setup
