@@ -27,7 +27,7 @@ from tests.support.keyrings import keyring
 from tests.support.logs import record_run
 from tests.support.results import here
 from tests.support.runs import ready
-from transport.cli.commands.operate import Exporter, process_endpoints
+from transport.cli.hosts.prometheus_metrics import Exporter, process_endpoints
 from transport.cli.main import app
 from transport.protocol.network.mesh import process_names
 from transport.protocol.wire.key_expressions import Keys

@@ -81,3 +81,8 @@ class ActiveRunOption:
         if name not in active.endpoints:
             fail(f"--process: expected one of {', '.join(active.endpoints)}, got {name!r}")
         return active.ask(name, what, arguments, self.keys)
+
+
+def process_name(end: str) -> str:
+    """Return the name of a process given as 2, agent2 or plant."""
+    return f"agent{end}" if end.isdecimal() else end

@@ -36,9 +36,9 @@ _LOG = {
     "export": ("commands.log:export", "Write a log as tables, or as a bag for ROS 2 and Foxglove."),
 }
 _LINK = {
-    "set": ("commands.operate:set_links", "Impair or repair links from the next tick on."),
+    "set": ("commands.link:set_links", "Impair or repair links from the next tick on."),
     "clear": (
-        "commands.operate:clear_links",
+        "commands.link:clear_links",
         "Remove all impairments, also from the plant's links.",
     ),
 }
@@ -99,17 +99,23 @@ app = lazy_group(
         "Act on an active run": {
             "top": ("commands.top:top", "Watch the agents of an active run."),
             "status": (
-                "commands.operate:status",
+                "commands.status_target_and_fault:status",
                 "Show the progress of a run, or the health of one process.",
             ),
-            "target": ("commands.operate:target", "Send the payload of an active run to a target."),
-            "land": ("commands.operate:land", "Let the team of an active run come down, and rest."),
+            "target": (
+                "commands.status_target_and_fault:target",
+                "Send the payload of an active run to a target.",
+            ),
+            "land": (
+                "commands.status_target_and_fault:land",
+                "Let the team of an active run come down, and rest.",
+            ),
             "abort": (
-                "commands.operate:abort",
+                "commands.status_target_and_fault:abort",
                 "Let a team of vehicles come down at once, as fast as it can.",
             ),
             "release": (
-                "commands.operate:release",
+                "commands.status_target_and_fault:release",
                 "End a run whose UAVs have landed and are off their rods.",
             ),
             "link": lazy_group(
@@ -117,7 +123,7 @@ app = lazy_group(
                 help="Change the links of an active run.",
             ),
             "fault": (
-                "commands.operate:fault",
+                "commands.status_target_and_fault:fault",
                 "Kill, stop, continue or restart a process of an active run.",
             ),
         },
@@ -149,7 +155,10 @@ app = lazy_group(
                 "hosts.processes:router",
                 "Route messages between hosts without a direct connection.",
             ),
-            "metrics": ("commands.operate:metrics", "Export process metrics to Prometheus."),
+            "metrics": (
+                "hosts.prometheus_metrics:metrics",
+                "Export process metrics to Prometheus.",
+            ),
             "ros2": ("commands.ros2:ros2", "Publish an active run for ROS 2 over rmw_zenoh."),
         },
     },

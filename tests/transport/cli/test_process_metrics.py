@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from prometheus_client import CollectorRegistry, generate_latest
 
-from transport.cli.commands import operate
-from transport.cli.commands.operate import Exporter
+from transport.cli.hosts import prometheus_metrics  # XXX
+from transport.cli.hosts.prometheus_metrics import Exporter
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.session import BusError, Reach
 
@@ -86,7 +86,7 @@ def test_the_numbers_of_all_processes(monkeypatch: pytest.MonkeyPatch) -> None:
             raise BusError("not reachable")
         return HEALTH[name]
 
-    monkeypatch.setattr(operate, "ask", answer)
+    monkeypatch.setattr(prometheus_metrics, "ask", answer)
     registry = CollectorRegistry()
     registry.register(exporter())
     assert generate_latest(registry).decode() == EXPECTED.lstrip()
@@ -101,6 +101,6 @@ def test_processes_are_asked_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -
         all_are_asked.wait()
         raise BusError("not reachable")
 
-    monkeypatch.setattr(operate, "ask", answer)
+    monkeypatch.setattr(prometheus_metrics, "ask", answer)
     up, *_ = exporter().collect()
     assert [sample.value for sample in up.samples] == [0.0] * len(NAMES)
