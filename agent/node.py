@@ -6,6 +6,7 @@ next exchanges proposals with the others, and only then sends its plan. In real 
 wait: when it is free it uses the messages that are here, and of several measurements the newest.
 """
 
+import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from operator import itemgetter
@@ -21,14 +22,15 @@ from transport.agent.estimation.filter.belief import Belief
 from transport.agent.planner import AgentPlanner, OpenStep
 from transport.agent.planning.alone_planner import ALONE, AlonePlanner
 from transport.agent.planning.mpc_planner import Planner
+from transport.agent.planning.sight import Sight
 from transport.agent.planning.step_report import numbers_note
 from transport.agent.received import Received
 from transport.agent.user_class.user_planner import PROJECT, OwnPlanner
 from transport.protocol.admission.delayed_messages import Arrivals
-from transport.protocol.admission.known_targets import KnownTargets
+from transport.protocol.admission.known_targets import KnownTargets, braking_only
 from transport.protocol.admission.participant import Participant
 from transport.protocol.admission.stop_in_silence import MOSTLY, Stopping
-from transport.protocol.admission.targets_in_plans import Place, carried_by, place_of
+from transport.protocol.admission.targets_in_plans import Place, carried_by, is_of_sight, place_of
 from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import (
@@ -80,6 +82,8 @@ class AgentNode(Participant):
         self._own_targets: set[Place] = set()  # those of them that have begun
         self._confirms = setup.settings.targets == "confirmed"
         self._unconfirmed = Unconfirmed(agent)
+        self._sight = Sight(agent)
+        self._is_path_new = False  # since what has been seen was compared with it
         self._stopping: Stopping | None = None
         if setup.settings.silence == "stop":
             self._stopping = Stopping(setup.settings.sampling_period_s, setup.ticks)
@@ -213,8 +217,9 @@ class AgentNode(Participant):
         notes = self._hear_targets(received.plans)
         since = self._membership.since
         for target in self._unconfirmed.confirmed(self._tick, received.agents, since):
-            self._learn(target)
+            self._learn(self._begun(target))
         self._keep_pace(received)
+        notes += self._look(measurement)
         self._step = self._planner.begin(received)
         return notes
 
@@ -232,21 +237,60 @@ class AgentNode(Participant):
             speed_mps=float(np.linalg.norm(v_I)),
         )
         if loss is not None:
+            self._is_path_new = True
             self._targets.slow(loss)
             self._planner.follow(self._targets.setup)
 
+    def _look(self, measurement: Measurement) -> list[Message]:
+        """Make a target that keeps clear of what has been seen, where the path does not; return a note."""
+        sees_more = self._sight.take(measurement)
+        if not self._sight.seen or not (sees_more or self._is_path_new):
+            return []
+        period_s = self._setup.settings.sampling_period_s
+        now_s = self._tick * period_s
+        left_s = (self._setup.ticks - 1) * period_s - now_s
+        maneuver = self._targets.setup.maneuver
+        along_s = maneuver.progress(now_s)
+        avoidance = self._sight.avoid(self._targets.without_stops, along_s, left_s)
+        if avoidance is not None:
+            self._own_targets.add(place_of(avoidance.target))
+            self._learn(avoidance.target)
+        self._is_path_new = False
+        if avoidance is None:
+            return []
+        return [numbers_note(self._tick, self._agent, {}, self._out, avoidance.text)]
+
+    def _begun(self, target: Target) -> Target:
+        """Return a target that all have; one because of an obstacle begins by the own progress."""
+        if not is_of_sight(target):
+            return target
+        period_s = self._setup.settings.sampling_period_s
+        progress_s = self._targets.setup.maneuver.progress(self._tick * period_s)
+        begins = max(math.ceil(progress_s / period_s - 1e-6), target.tick, 1)
+        return replace(target, begins=begins)
+
     def _learn(self, target: Target) -> None:
-        """Follow a target unless it is known, or keep it until all on the roster have it."""
+        """Follow a target unless it is known, or keep it until all on the roster have it.
+
+        One because of an obstacle is followed up to its rest at once.
+        """
+        place = place_of(target)
         if self._confirms and target.to and not target.begins:
-            if place_of(target) > self._targets.newest and self._unconfirmed.take(
-                target, self._tick
-            ):
+            is_new = place > self._targets.newest or self._unconfirmed.has(place)
+            if is_new and self._unconfirmed.take(target, self._tick):
                 self._planner.announce()
+            if is_of_sight(target) and self._unconfirmed.has(place):
+                self._follow(braking_only(target))
             return
-        if self._targets.add(target):
-            self._planner.follow(self._targets.setup)
+        self._follow(target)
         self._unconfirmed.forget(place_of(target))
         self._unconfirmed.forget_before(self._targets.newest)
+
+    def _follow(self, target: Target) -> None:
+        """Lead the path to a target, unless it does already."""
+        if self._targets.add(target):
+            self._is_path_new = True
+            self._planner.follow(self._targets.setup)
 
     def _hear_targets(self, plans: Sequence[Plan]) -> list[Message]:
         """Follow the targets that plans carry; return a note for each that is refused."""
@@ -255,7 +299,8 @@ class AgentNode(Participant):
             (place_of(target), plan.agent, target) for plan in plans for target in carried_by(plan)
         ]
         for place, sender, target in sorted(carried, key=itemgetter(0, 1)):
-            if self._targets.knows(target) or (sender, place) in self._refused:
+            is_known = self._targets.knows(target) and not self._unconfirmed.has(place)
+            if is_known or (sender, place) in self._refused:
                 continue
             try:
                 self._check_heard(target)

@@ -22,12 +22,13 @@ from transport.plant.engines import UNKNOWN_ERROR, Engine
 from transport.plant.inner_loops import INNER_STEP_S, inner_loop
 from transport.plant.plant_run import PlantRun
 from transport.plant.rotors_and_motors import Motors
+from transport.plant.solids_in_sight import seen_from
 from transport.plant.vehicle_sensors import Sensors
 from transport.plant.wind_and_noise import Environment
 from transport.protocol.admission.known_targets import KnownTargets
 from transport.protocol.admission.participant import Participant
 from transport.protocol.admission.stop_in_silence import Stopping
-from transport.protocol.admission.targets_in_plans import Place, carried_by, place_of
+from transport.protocol.admission.targets_in_plans import Place, carried_by, is_of_sight, place_of
 from transport.protocol.scenario.faults.scripted_faults import OF_PLANT, Fault
 from transport.protocol.wire.messages import (
     ActualInputs,
@@ -159,9 +160,13 @@ class PlantNode(Participant):
             self._lead_team(target)
 
     def _lead_team(self, target: Target) -> None:
-        """Let the fail-safe follow a target that the team knows."""
+        """Let the fail-safe follow a target that the team knows; one that agents made is its path as well."""
         if self._targets.add(target):
             self._renew_team()
+            if is_of_sight(target):
+                instants = np.arange(self._k, len(self._path_I), dtype=np.float64)
+                maneuver = self._targets.setup.maneuver
+                self._path_I[self._k :], _ = maneuver.path(self._period_s * instants)
 
     def _renew_team(self) -> None:
         """Let the fail-safe follow the newest path that the team knows."""
@@ -236,10 +241,17 @@ class PlantNode(Participant):
         if self._sensors is not None:
             x = self.environment.of_centre(self._x)
             self._sensors.observe(self.environment.model, x, self._actual, self._forces)
-        return [self._measurement(tick, agent) for agent in sorted(self._membership.incarnations)]
+        places_I = self._setup.run.positions_I(self._x) if self._setup.hidden else None
+        return [
+            self._measurement(tick, agent, places_I)
+            for agent in sorted(self._membership.incarnations)
+        ]
 
-    def _measurement(self, tick: Tick, agent: int) -> Measurement:
-        """Return the measurement of an agent, 1-based: UAVs and, unless by sensors, payload."""
+    def _measurement(self, tick: Tick, agent: int, places_I: Array | None) -> Measurement:
+        """Return the measurement of an agent, 1-based: UAVs and, unless by sensors, payload.
+
+        With obstacles to see, by the places of all UAVs, (N, 3), m, those that its own see.
+        """
         owned = list(self._setup.run.owned[agent - 1])
         missing: tuple[int, ...] = ()
         if self._sensors is not None:
@@ -262,6 +274,9 @@ class PlantNode(Participant):
             uav_states=uav_states,
             inputs=self._u.reshape(-1, state.INPUTS)[owned],
             missing=missing if any(missing) else (),
+            **(
+                {} if places_I is None else {"seen": seen_from(places_I[owned], self._setup.hidden)}
+            ),
         )
 
     def _fail_uavs(self, tick: int) -> None:

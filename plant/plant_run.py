@@ -2,11 +2,21 @@
 
 from dataclasses import dataclass, replace
 
+from transport.model.physics.obstacles import Obstacle
 from transport.protocol.scenario.sections.plant_sections import PlantSection
 from transport.protocol.scenario.sections.schema import SystemSection
 from transport.protocol.scenario.sections.vehicles_section import VehiclesSection
 from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import Target
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HiddenObstacle:
+    """An obstacle that agents do not know before a UAV of their own is near."""
+
+    number: int  # in the scenario, from 1
+    obstacle: Obstacle
+    seen_within_m: float  # distance of its surface from the UAV
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,6 +30,7 @@ class PlantRun:
     section: PlantSection  # integration, mismatch, wind, noise, motors
     bodies: SystemSection  # with their actual drag, which controllers need not know
     vehicles: VehiclesSection  # settings of autopilots
+    hidden: tuple[HiddenObstacle, ...] = ()
 
     def led_to(self, message: Target) -> "PlantRun":
         """Return the run with the target of a message."""

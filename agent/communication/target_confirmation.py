@@ -22,6 +22,10 @@ class Unconfirmed:
         # By target and agent, the tick at which the agent got it: the newest known one.
         self._got: dict[Place, dict[int, int]] = {}
 
+    def has(self, place: Place) -> bool:
+        """Return whether a target is here."""
+        return place in self._targets
+
     def take(self, target: Target, tick: int) -> bool:
         """Take in a target that is told or heard at a tick; return whether that is news."""
         place = place_of(target)

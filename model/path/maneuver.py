@@ -133,6 +133,10 @@ class Maneuver:
         """Return the times that the clock shows at times t_s, from the beginning on."""
         return np.maximum(t_s + self.ahead_s, 0.0) if self.ahead_s else t_s
 
+    def progress(self, t_s: float) -> float:
+        """Return the time along the path without losses of time at which the payload is at a time, s."""
+        return float(self._warped(self._by_clock(np.array([t_s])), 1)[0, 0]) - self.ahead_s
+
     def path(self, t_s: Array) -> tuple[Array, Array]:
         """Return r0 and r0' at times t_s, (k,), s.
 
@@ -208,18 +212,33 @@ class Maneuver:
     def _path_jets(self, t_s: Array, orders: int) -> Array:
         """Return the jets of the path, (orders, k, 3), SI: (20), (75), (77)."""
         if self.slowings:
-            w = self._warped(t_s, orders)
-            return jets.composed(replace(self, slowings=())._path_jets(w[0], orders), w)
-        r = np.zeros((orders, len(t_s), 3))
+            along = self._warped(t_s, orders)
+            return jets.composed(replace(self, slowings=())._path_jets(along[0], orders), along)
+        # From the newest target back: the times along the path before it, and where it brakes, also that
+        # of its rest.
+        steps = []
+        times_s = t_s
+        w: Array | None
+        for target in reversed(self.targets):
+            w = target.braking.warped(times_s, orders) if target.brakes else None
+            steps.append((target, times_s, w))
+            if w is not None:
+                times_s = np.append(w[0], target.rest_s)
+
+        r = np.zeros((orders, len(times_s), 3))
         r[0] = self.start_I
-
         for phase, begin_s in self._timed_phases():
-            r += phase.jets(self.profile, t_s - begin_s, orders)
+            r += phase.jets(self.profile, times_s - begin_s, orders)
 
-        for target in self.targets:
-            is_led = t_s >= target.since_s
+        for target, times_s, w in reversed(steps):
+            is_led = times_s >= target.since_s
+            rest_I = None
+            if w is not None:
+                rest_I = r[0, -1]
+                r = r[:, :-1]
+                r[:, is_led] = jets.composed(r[:, is_led], w[:, is_led])
             if is_led.any():
-                r[:, is_led] = target.joined(t_s[is_led], r[:, is_led])
+                r[:, is_led] = target.joined(times_s[is_led], r[:, is_led], rest_I)
         return r
 
     def _warped(self, t_s: Array, orders: int) -> Array:

@@ -8,6 +8,7 @@ from transport.model.arrays import Array
 from transport.model.path import taylor_jets as jets
 from transport.model.path.curves import Curve
 
+_FOR_GOOD_S = 1e6  # longer than any run
 LOAD_S = 2.0  # time in which the weight of a load that has landed is handed over to the ground, s
 STOP_S = 1.0  # least time of slowing to a rest in silence, and of speeding up again, s
 
@@ -23,6 +24,10 @@ class PathTarget:
     point_I: Array  # position of the target, (3,), inertial frame, m
     approach: Curve  # straight, of length 1, whose share is that of the target in the path
     way: Curve | None = None  # from the target on; None: the target is the end
+    # Whether the payload comes to a rest along the path before, within the time of the approach, in place
+    # of going on along it.
+    brakes: bool = False
+    way_since_s: float = 0.0  # time before which the way does not begin, s
     lands: bool = False  # whether the end is on the ground, which then carries the payload
 
     @property
@@ -31,10 +36,14 @@ class PathTarget:
         return self.since_s + self.approach.duration_s
 
     @property
+    def leaves_s(self) -> float:
+        """Time at which the way begins, s."""
+        return max(self.reached_s, self.way_since_s)
+
+    @property
     def ends_s(self) -> float:
         """Time from which on the reference is at rest, s."""
-        way_s = 0.0 if self.way is None else self.way.duration_s
-        return self.reached_s + way_s
+        return self.reached_s if self.way is None else self.leaves_s + self.way.duration_s
 
     @property
     def rests_s(self) -> float:
@@ -65,21 +74,34 @@ class PathTarget:
         """
         p = np.zeros((orders, len(t_s), 3))
         if self.way is not None:
-            p = self.way.path(t_s - self.reached_s, orders)
+            p = self.way.path(t_s - self.leaves_s, orders)
         p[0] += self.point_I
         return p
 
-    def joined(self, t_s: Array, r: Array) -> Array:
-        """Return the jets of a path since then led to the target, as smooth, (orders, k, 3): (75).
+    @property
+    def braking(self) -> "Slowing":
+        """The loss of time along the path before with which it comes to a rest within the approach."""
+        ramp_s = self.approach.duration_s
+        return Slowing(since_s=self.since_s, lost_s=_FOR_GOOD_S, ramp_s=ramp_s)
 
-        r: the jets of the path before, (orders, k, 3), at times of the maneuver, (k,), s.
+    @property
+    def rest_s(self) -> float:
+        """Time along the path before at which a target that brakes ends it, s."""
+        return self.since_s + self.approach.duration_s / 2.0
+
+    def joined(self, t_s: Array, r: Array, rest_I: Array | None = None) -> Array:
+        """Return the jets of a path since then led to the target, as smooth, (orders, k, 3): (75), (78).
+
+        r: the jets of the path before, (orders, k, 3), at times of the maneuver, (k,), s; of a target that
+        brakes, along it with `braking`, and `rest_I` its end, (3,), m.
         """
         orders = len(r)
         p = self.goal(t_s, orders)
         s = self.approach.covered(t_s - self.since_s, orders)[..., None]
 
-        # r' = r + s (p - r), and p itself once it is reached.
-        mean = r + jets.product(s, p - r)
+        # r' = r + s (p - r), and p itself once it is reached; along a braked path r + s (p - r_rest).
+        off = p - r if rest_I is None else p[:1] - rest_I
+        mean = r + (jets.product(s, off) if rest_I is None else s * off)
         is_reached = (t_s >= self.reached_s)[:, None]
         return np.asarray(np.where(is_reached, p, mean))
 

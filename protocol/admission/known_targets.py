@@ -6,14 +6,36 @@ import numpy as np
 from msgspec.structs import replace
 
 from transport.model.path.target_and_stop import Slowing
-from transport.protocol.admission.targets_in_plans import Place, place_of
+from transport.protocol.admission.targets_in_plans import Place, is_of_sight, place_of
 from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.errors_and_exit_codes import MessageError
-from transport.protocol.wire.messages import MAX_CARRIED, MAX_TARGETS, Target
+from transport.protocol.wire.messages import MAX_CARRIED, MAX_TARGETS, MAX_TICK, Target
 
 # No team flies faster: a target that takes the payload there at more is an error, not a motion, m/s.
 _FASTEST_MPS = 100.0
+
+
+def braking_only(target: Target) -> Target:
+    """Return a target because of an obstacle as it is followed before all have it: up to its rest."""
+    return replace(
+        target,
+        points=target.points[:1],
+        times=target.times[:1],
+        way_s=0.0,
+        way_ramp_s=0.0,
+        informed=(),
+        got=(),
+        begins=MAX_TICK,
+    )
+
+
+def _whole_since(target: Target) -> int:
+    """Return the tick from which on all of a target is followed, the later the less of it is known."""
+    if not is_of_sight(target):
+        return target.first_tick
+    is_waiting = target.informed and not target.begins
+    return MAX_TICK if is_waiting else target.begins
 
 
 class KnownTargets:
@@ -37,7 +59,7 @@ class KnownTargets:
         """
         place = place_of(target)
         known = self._known.get(place)
-        if known is not None and target.first_tick >= known.first_tick:
+        if known is not None and _whole_since(target) >= _whole_since(known):
             return False
         if known is None and len(self._known) == MAX_TARGETS:
             return False
@@ -45,11 +67,11 @@ class KnownTargets:
 
         before = self._followed
         self._followed = self._not_replaced()
-        firsts = [(place_of(one), one.first_tick) for one in self._followed]
-        firsts_before = [(place_of(one), one.first_tick) for one in before]
+        firsts = [(place_of(one), _whole_since(one)) for one in self._followed]
+        firsts_before = [(place_of(one), _whole_since(one)) for one in before]
         if firsts == firsts_before:
             return False
-        if firsts == [*firsts_before, (place, target.first_tick)] and not self._slowings:
+        if firsts == [*firsts_before, (place, _whole_since(target))] and not self._slowings:
             self.setup = self.setup.led_to(target)
         else:
             self._renew()
@@ -78,6 +100,14 @@ class KnownTargets:
         return targets[::-1]
 
     @property
+    def without_stops(self) -> TeamRun:
+        """The run with the targets alone, without losses of time along its path."""
+        run = self._without
+        for target in self._followed:
+            run = run.led_to(target)
+        return run
+
+    @property
     def newest(self) -> Place:
         """Place of the newest target; before all where there is none."""
         return max(self._known, default=(-1, 0))
@@ -85,7 +115,7 @@ class KnownTargets:
     def knows(self, target: Target) -> bool:
         """Return whether a target is known, with this first tick or an earlier one."""
         known = self._known.get(place_of(target))
-        return known is not None and known.first_tick <= target.first_tick
+        return known is not None and _whole_since(known) <= _whole_since(target)
 
     def check(self, target: Target) -> None:
         """Refuse a target that is too far from the known path for any motion to it.
@@ -111,6 +141,10 @@ class KnownTargets:
             depends.append(target)
             if target.first_tick * period_s + target.approach_s <= tick * period_s:
                 break
-        told = [*(target for target in depends if target.to), *unconfirmed]
+        waiting = {place_of(target): target for target in unconfirmed}
+        told = [one for one in depends if one.to and place_of(one) not in waiting]
+        # Braking before all had a target, and a newer one came: the newer one brakes as well.
+        told = [one for one in told if one.begins < MAX_TICK]
+        told += waiting.values()
         newest = sorted(told, key=place_of)[-MAX_CARRIED:]
         return tuple(encode(replace(target, incarnation=0, sequence=0)) for target in newest)

@@ -10,6 +10,8 @@ from transport.protocol.admission.targets_in_plans import check_carried
 from transport.protocol.admission.told_changes import changes_in
 from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import (
+    ENDLESS_M,
+    MAX_SOLIDS,
     ActualInputs,
     Airtime,
     Measurement,
@@ -63,6 +65,7 @@ def check_plausible(message: Message, run: RunShape) -> None:
             if message.missing and not run.vehicle_sensors:
                 text = f"missing: expected none without sensors of vehicles, got {message.missing}"
                 raise MessageError("wrong_shape", text)
+            _check_seen(message.seen, run)
         case Airtime() if message.receivers != tuple(run.owned):
             text = f"receivers: expected all agents of this run, got {list(message.receivers)}"
             raise MessageError("unknown_agent", text)
@@ -83,6 +86,22 @@ def _check_ids(message: Message, field: str, run: RunShape) -> None:
         whose = "UAVs" if are_uavs else "agents"
         text = f"{field}: expected {whose} of this run, got {strangers}"
         raise MessageError("unknown_agent", text)
+
+
+def _check_seen(seen: Array, run: RunShape) -> None:
+    """Refuse solids of no obstacle, of impossible sizes, or too many of them."""
+    if len(seen) > (MAX_SOLIDS if run.sights else 0):
+        expected = (
+            f"at most {MAX_SOLIDS}" if run.sights else "none in a run without obstacles to see"
+        )
+        raise MessageError("out_of_range", f"seen: expected {expected}, got {len(seen)}")
+    for row in seen:
+        number, *others = row.tolist()
+        sizes = others[4:]
+        is_number = number >= 1.0 and number == int(number)
+        if not is_number or min(sizes) < 0.0 or max(map(abs, others)) > ENDLESS_M:
+            expected = f"a number from 1, and sizes from 0 to {ENDLESS_M:g}"
+            raise MessageError("out_of_range", f"seen: expected {expected}, got {row.tolist()}")
 
 
 def _check_plan(plan: Plan, run: RunShape) -> None:

@@ -1,5 +1,6 @@
-"""Targets that travel with plans: those told to some agents only, as the bytes of `target` messages.
+"""Targets that travel with plans: those told to some agents, and those that agents make of what they see.
 
+They travel as the bytes of `target` messages.
 An agent that knows such a target puts it into its plans, and an agent that hears it does the same, so that it
 goes round a cut link. `incarnation` and `sequence` of a carried message are 0: it belongs to no stream.
 """
@@ -12,10 +13,11 @@ from transport.model.state import LARGEST
 from transport.protocol.wire.codec import decode
 from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import MAX_TARGETS, Plan, Target
-from transport.protocol.wire.names import COORDINATOR
+from transport.protocol.wire.names import AGENT, COORDINATOR, agent_name, role_of
 from transport.protocol.wire.node_interface import RunShape
 
-# Tick and number of a target: the newest of a run is the one with the largest, for all agents.
+# Tick and number of a target: the newest of a run is the one with the largest, for all agents. Numbers of
+# targets that an agent makes, one at a tick at most, are above those of the coordinator.
 Place = tuple[int, int]
 
 _ROUNDING_S = 1e-6
@@ -30,12 +32,22 @@ def place_of(target: Target) -> Place:
 def _target_in(data: bytes) -> Target:
     """Return the target in some bytes. Raises: MessageError: there is none."""
     message = decode(data)
-    if not isinstance(message, Target) or message.sender != COORDINATOR:
-        text = (
-            f"targets: expected targets of the coordinator, got {message.kind} of {message.sender}"
-        )
+    senders = COORDINATOR, AGENT
+    if not isinstance(message, Target) or role_of(message.sender) not in senders:
+        expected = "expected targets of the coordinator or an agent"
+        text = f"targets: {expected}, got {message.kind} of {message.sender}"
         raise MessageError("wrong_sender", text)
     return message
+
+
+def is_of_sight(target: Target) -> bool:
+    """Return whether an agent has made a target, of what it sees: only these brake."""
+    return target.brakes
+
+
+def number_of_sight(agent: int) -> int:
+    """Return the number of each target that an agent, 1-based, makes."""
+    return MAX_TARGETS + agent
 
 
 def carried_by(plan: Plan) -> list[Target]:
@@ -60,11 +72,28 @@ def check_carried(plan: Plan, run: RunShape) -> None:
         if strangers or not target.to:
             text = f"targets: expected one told to agents of this run, got {list(target.to)}"
             raise MessageError("unknown_agent", text)
+        _check_maker(target, run)
+        _check_confirmation(target, plan, run)
+        _check_motion(target, run)
+
+
+def _check_maker(target: Target, run: RunShape) -> None:
+    """Refuse a target that neither the coordinator nor an agent that sees makes under its number."""
+    if target.brakes != (target.sender != COORDINATOR):
+        text = f"targets: expected braking in those of agents only, got one of {target.sender}"
+        raise MessageError("wrong_sender", text)
+    if target.sender == COORDINATOR:
         if target.number > MAX_TARGETS:
             text = f"targets: expected numbers of at most {MAX_TARGETS}, got {target.number}"
             raise MessageError("out_of_range", text)
-        _check_confirmation(target, plan, run)
-        _check_motion(target, run)
+        return
+    if not run.sights:
+        text = f"targets: expected those of the coordinator without obstacles to see, got one of {target.sender}"
+        raise MessageError("wrong_sender", text)
+    agent = target.number - MAX_TARGETS
+    if target.to != (agent,) or target.sender != agent_name(agent):
+        text = f"targets: expected a number, to and sender of one agent, got {target.number} of {target.sender}"
+        raise MessageError("unknown_agent", text)
 
 
 def _check_confirmation(target: Target, plan: Plan, run: RunShape) -> None:

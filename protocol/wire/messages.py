@@ -47,6 +47,9 @@ MAX_DATA = 512  # numbers of a controller of the user in a plan: 4 KB
 MAX_ROWS = 65_536  # plans with news of the radio
 MAX_TARGETS = 1_000  # of one run: a process that joins receives all of them
 MAX_CARRIED = 4  # targets that a plan carries
+SOLID = 11  # numbers of a solid that is seen
+MAX_SOLIDS = 64  # that are near at once
+ENDLESS_M = 1e6  # half size of a solid without ends, m
 MAX_TARGET = 16_384  # bytes of one of them: more than one of `MAX_POINTS` has
 
 _LARGEST = sys.float_info.max
@@ -278,7 +281,7 @@ class Target(Message, tag="target", frozen=True, kw_only=True):
         "times": lambda one: (len(one.points),),
     }
     as_long: ClassVar[tuple[str, ...]] = "informed", "got"
-    optional: ClassVar[tuple[str, ...]] = ("lands", "to", "informed", "got", "begins")
+    optional: ClassVar[tuple[str, ...]] = ("lands", "to", "informed", "got", "begins", "brakes")
 
     # Of the target in its run; sent again to processes that join late.
     number: Annotated[int, Meta(ge=1)]
@@ -297,11 +300,16 @@ class Target(Message, tag="target", frozen=True, kw_only=True):
     informed: Ids = ()
     got: Counts = ()
     begins: Count = 0
+    # Whether the payload brakes along the path before, within the time of the approach: targets that agents make.
+    brakes: bool = False
 
     @property
     def first_tick(self) -> int:
-        """Tick from which on the path leads to it: when it was told, or when all had it."""
-        return self.begins or self.tick
+        """Tick from which on the path leads to it: when it was told, or when all had it.
+
+        Braking begins at its own tick, and `begins` is that of the way from the rest on.
+        """
+        return self.tick if self.brakes else self.begins or self.tick
 
     def in_words(self) -> str:
         """Return the target in words."""
@@ -420,6 +428,10 @@ class VehicleStatus(Message, tag="vehicle", frozen=True, kw_only=True):
     changes: Carried = ()
 
 
+_NO_SOLIDS = np.zeros((0, SOLID))
+frozen(_NO_SOLIDS)
+
+
 class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
     """Plant, or vehicle, to one agent: the measurements of tick k. It opens the tick for that agent."""
 
@@ -434,8 +446,9 @@ class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
         "payload": lambda message: (0 if message.uav_states.shape[-1:] == (SENSED,) else PAYLOAD,),
         "uav_states": _states_or(SENSED),
         "inputs": _per_uav(INPUTS),
+        "seen": lambda _: (None, SOLID),
     }
-    optional: ClassVar[tuple[str, ...]] = ("missing",)
+    optional: ClassVar[tuple[str, ...]] = ("missing", "seen")
 
     agent: Agent  # the agent it is for
     answered: Ids  # these three as in the tick
@@ -450,9 +463,13 @@ class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
     # Sensors of each UAV that have no measurement, as bits (`model.state.SENSORS`); their numbers
     # are zeros. Empty if all have one.
     missing: Sensors = ()
+    # Solids of obstacles that only sight tells and that are near one of these UAVs, (k, 11): number of the
+    # obstacle in the scenario, from 1; centre, inertial frame, m; heading, rad; half sizes, m, 10^6 without
+    # ends; radius, margins of UAVs and of the load, m.
+    seen: Array = msgspec.field(default_factory=lambda: _NO_SOLIDS)
 
     def check(self) -> None:
-        """Check the arrays, and that missing sensors are of all UAVs."""
+        """Check the arrays, that missing sensors are of all UAVs."""
         Message.check(self)
         if len(self.missing) not in (0, len(self.uavs)):
             expected = f"none or one for each of {len(self.uavs)} uavs"

@@ -33,6 +33,7 @@ class RunShape:
     by_vehicles: bool = False
     # Whether targets told to some are followed once all agents have them.
     confirms: bool = False
+    sights: int = 0  # obstacles that agents do not know before a UAV is near
 
 
 class Node(Protocol):

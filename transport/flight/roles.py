@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from transport.coordinator.node import CoordinatorNode
 from transport.coordinator.team_view import TeamView
-from transport.plant.plant_run import PlantRun
+from transport.plant.plant_run import HiddenObstacle, PlantRun
 from transport.protocol.scenario.radio.team_radio import TeamRadio
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.targets.target_messages import TargetTiming, scripted
@@ -28,6 +28,13 @@ def plant_run(setup: Setup) -> PlantRun:
         section=scenario.plant,
         bodies=scenario.system,
         vehicles=scenario.vehicles,
+        hidden=tuple(
+            HiddenObstacle(number=number, obstacle=obstacle, seen_within_m=section.seen_within_m)
+            for number, (section, obstacle) in enumerate(
+                zip(scenario.obstacle, setup.obstacles, strict=True), start=1
+            )
+            if section.seen_within_m is not None
+        ),
     )
 
 

@@ -411,3 +411,10 @@ def _obstacles(scenario: Scenario) -> Problems:
                 article = "a" if is_missing else "no such"
                 expected = f"{article} size with kind {section.kind!r}"
                 yield f"obstacle.{i}.{key}", expected, given or "nothing"
+        if section.seen_within_m is not None:
+            if section.seen_within_m <= section.margin_m:
+                expected = f"more than its margin_m, {section.margin_m:g}"
+                yield f"obstacle.{i}.seen_within_m", expected, section.seen_within_m
+            if scenario.has_vehicles:
+                expected = "no value where UAVs have processes of their own, which see nothing"
+                yield f"obstacle.{i}.seen_within_m", expected, section.seen_within_m

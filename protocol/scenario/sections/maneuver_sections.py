@@ -230,6 +230,9 @@ class ObstacleSection(Section):
     """direction of the first edge of a box, or of the passage through a gap, from x towards y"""
     penalty: Annotated[Positive, Key(unit="1/m", within=(1e-12, 1e8))] = 100.0
     """penalty on the largest violation of a margin over the horizon; only with a flat reference"""
+    seen_within_m: Positive | None = None
+    """no agent knows the obstacle before a UAV of its own is that near its surface; it then hands a way
+    round, or a stop, to the team ([equations](../equations/information.md#obstacles-seen-in-flight)). If omitted, all know it"""
 
 
 def _with_table(phase: dict[str, Any], folder: Path) -> dict[str, Any]:

@@ -82,7 +82,7 @@ def maneuver_instants(maneuver: Maneuver) -> Array:
     for target in maneuver.targets:
         parts_s.append(target.since_s + curve_instants(target.approach))
         if target.way is not None:
-            parts_s.append(target.reached_s + curve_instants(target.way))
+            parts_s.append(target.leaves_s + curve_instants(target.way))
 
     return ascending(*parts_s)
 

@@ -96,7 +96,11 @@ class Setup:
         known = Knowledge(
             settings=settings,
             sensors=_sensors_of(scenario),
-            obstacles=tuple(obstacle_of(section) for section in scenario.obstacle),
+            obstacles=tuple(
+                obstacle_of(section)
+                for section in scenario.obstacle
+                if section.seen_within_m is None
+            ),
             controllers=scenario.controllers,
             radio=scenario.radio,
         )
@@ -194,10 +198,12 @@ class Setup:
 
     def _off_obstacles(self) -> Problems:
         """Yield the obstacle whose margins the reference does not keep, between instants too."""
-        first = blocked(self.reference, self.obstacles, self.system)
+        first = blocked(self.reference, self.run.obstacles, self.system)
         if first is not None:
-            number, problem = first
-            yield f"obstacle.{number}", f"{problem}; {_REMEDY}"
+            known, problem = first
+            sections = enumerate(self.scenario.obstacle, start=1)
+            numbers = [number for number, section in sections if section.seen_within_m is None]
+            yield f"obstacle.{numbers[known - 1]}", f"{problem}; {_REMEDY}"
 
     @property
     def rules(self) -> RunRules:
@@ -236,7 +242,12 @@ class Setup:
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """Obstacles, in the order of the file."""
+        """All obstacles, also those that only sight tells, in the order of the file."""
+        return tuple(obstacle_of(section) for section in self.scenario.obstacle)
+
+    @property
+    def known_obstacles(self) -> tuple[Obstacle, ...]:
+        """Obstacles that all know from the start."""
         return self.run.obstacles
 
     @property
@@ -345,6 +356,7 @@ def rules_of(scenario: Scenario) -> RunRules:
         relayed=scenario.clock.mode == "lockstep",
         by_vehicles=scenario.has_vehicles,
         confirms=settings.targets == "confirmed",
+        sights=sum(section.seen_within_m is not None for section in scenario.obstacle),
     )
     return RunRules(
         name=scenario.name,

@@ -53,7 +53,9 @@ class Knowledge:
 
     settings: ControllerSection  # the same for every agent; `relaxation` is a number
     sensors: SensorSheet
-    obstacles: tuple[Obstacle, ...] = ()  # in the order of the scenario
+    obstacles: tuple[
+        Obstacle, ...
+    ] = ()  # but those that only sight tells, in the order of the scenario
     controllers: tuple[str, ...]  # of agent 1, agent 2, ...: `agents.controller`
     radio: RadioSection | None = None
 
@@ -101,7 +103,7 @@ class TeamRun:
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """Obstacles, in the order of the scenario."""
+        """Obstacles that all know from the start, in the order of the scenario."""
         return self.known.obstacles
 
     @property

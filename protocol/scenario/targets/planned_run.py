@@ -54,8 +54,8 @@ class PlannedRun(Protocol):
         ...
 
     @property
-    def obstacles(self) -> tuple[Obstacle, ...]:
-        """Obstacles, in the order of the file."""
+    def known_obstacles(self) -> tuple[Obstacle, ...]:
+        """Obstacles that all know from the start, in the order of the file."""
         ...
 
     @property

@@ -174,6 +174,17 @@ def spline(
     )
 
 
+def way_through(further_I: Array, speed_mps: float) -> Curve:
+    """Return the curve through points relative to the target, (k, 3), m, at a largest speed.
+
+    Raises: WayPointError: no curve passes them.
+    """
+    # Largest speed = max |p'| s', with s' = 1 / (T - t_r) in cruise: T = max |p'| / v + t_r, (65).
+    shape = spline(further_I, 2.0 * _WAY_RAMP_S, _WAY_RAMP_S, None)  # with any timing
+    check_way_points(shape)
+    return replace(shape, duration_s=_ramped_s(shape.fastest(), speed_mps, _WAY_RAMP_S))
+
+
 def straight(duration_s: float, ramp_s: float) -> Curve:
     """Return the curve of length 1 whose share of the way is that of the target in the path."""
     return Curve(kind=None, duration_s=duration_s, ramp_s=ramp_s, size_I=(1.0, 0.0, 0.0))
@@ -318,11 +329,7 @@ def _way_as_given(section: TargetSection) -> Curve:
             check_way_points(way)
             return way
 
-        # Largest speed = max |p'| s', with s' = 1 / (T - t_r) in cruise: T = max |p'| / v + t_r, (65).
-        shape = spline(further_I, 2.0 * _WAY_RAMP_S, _WAY_RAMP_S, None)  # with any timing
-        check_way_points(shape)
-        duration_s = _ramped_s(shape.fastest(), _way_mps(section), _WAY_RAMP_S)
-        return replace(shape, duration_s=duration_s)
+        return way_through(further_I, _way_mps(section))
     except WayPointError as error:
         raise RequestError(str(error)) from error
 
@@ -363,14 +370,14 @@ def _lowest_m(setup: PlannedRun, since_s: float) -> float:
 
 def _check_obstacles(setup: PlannedRun, target: PathTarget) -> None:
     """Check that the way to a target and through its points keeps the margins of obstacles."""
-    if not setup.obstacles:
+    if not setup.known_obstacles:
         return
 
     led = setup.with_target(target)
     instants_s = _between(
         maneuver_instants(led.maneuver), target.since_s, target.ends_s - target.since_s
     )
-    blocked = first_blocked(setup.system, setup.obstacles, led.reference.states, instants_s)
+    blocked = first_blocked(setup.system, setup.known_obstacles, led.reference.states, instants_s)
     if blocked is not None:
         raise RequestError(f"points_m: {blocked[1]}")
 

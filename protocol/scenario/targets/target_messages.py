@@ -34,6 +34,8 @@ def target_of(message: messages.Target, period_s: float, *, has_ground: bool) ->
         point_I=point_I,
         approach=straight(message.approach_s, message.approach_ramp_s),
         way=way,
+        brakes=message.brakes,
+        way_since_s=message.begins * period_s if message.brakes else 0.0,
         lands=message.lands and has_ground,
     )
 

@@ -1,5 +1,6 @@
 """Targets given during the flight: the path leads to them smoothly, and stays as it was before."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -106,3 +107,62 @@ def test_the_stages_of_a_flight_follow_each_other(targets: list[PathTarget]) -> 
         assert begin_s < end_s
         last_s = float(np.nextafter(end_s, 0.0))
         assert [maneuver.phase_at(t_s).name for t_s in (begin_s, last_s)] == [name, name]
+
+
+def test_a_braking_target_rests_on_the_path_before_and_goes_on_from_there() -> None:
+    """Smooth to the highest order where it begins and rests, without a way back, by half its time: (78)."""
+    shape = Curve(
+        kind="spline", duration_s=12.0, ramp_s=3.0, points_I=((6.0, 1.0, 0.0), (12.0, 0.0, -1.0))
+    )
+    go = Phase(name="go", duration_s=12.0, displacement_I=(12.0, 0.0, -1.0), way=shape)
+    before = Maneuver(start_I=(0.0, 0.0, -10.0), phases=[go])
+    rest_I = before.path(np.array([6.0]))[0][0]
+    approach = Curve(kind=None, duration_s=2.0, ramp_s=1.0, size_I=(1.0, 0.0, 0.0))
+    way = Curve(
+        kind="spline", duration_s=8.0, ramp_s=2.0, points_I=((0.0, 3.0, 0.0), (4.0, 3.0, 0.0))
+    )
+    target = PathTarget(since_s=5.0, point_I=rest_I, approach=approach, way=way, brakes=True)
+    after = before.with_target(target)
+
+    t_s = np.linspace(0.0, 5.0, 50)
+    np.testing.assert_array_equal(after.jets(t_s), before.jets(t_s))
+    for instant_s in (5.0, 7.0):
+        sides_s = instant_s + np.array([-1e-4, 1e-4])
+        first, second = np.moveaxis(after.jets(sides_s)[:4], 1, 0)
+        np.testing.assert_allclose(first, second, atol=1e-3)
+    # On the same curve all the time, and never back.
+    braking_s = np.linspace(5.0, 7.0, 200)
+    r_I, v_I = after.path(braking_s)
+    on_curve, _ = before.path(np.linspace(5.0, 6.0, 20_001))
+    away = np.linalg.norm(r_I[:, None] - on_curve, axis=2).min(axis=1)
+    assert away.max() < 1e-4
+    _, along = before.path(np.array([5.5]))
+    assert (v_I @ along[0]).min() > -1e-9
+    np.testing.assert_allclose(after.path(np.array([7.0]))[0][0], rest_I, atol=1e-12)
+    np.testing.assert_allclose(after.path(np.array([7.0]))[1][0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        after.path(np.array([15.0]))[0][0], np.add(rest_I, [4.0, 3.0, 0.0]), atol=1e-9
+    )
+
+    # One that begins later than it was made for still comes to a rest there, without a jump.
+    late = before.with_target(replace(target, since_s=5.6))
+    sides_s = 7.6 + np.array([-1e-4, 1e-4])
+    r_I, v_I = late.path(sides_s)
+    np.testing.assert_allclose(r_I, [rest_I, rest_I], atol=1e-6)
+    np.testing.assert_allclose(v_I, 0.0, atol=1e-3)
+
+
+def test_many_braking_targets_take_linear_work() -> None:
+    """A path with 60 of them, each along that before, is evaluated at once: it does not double with each."""
+    path = Maneuver(
+        start_I=(0.0, 0.0, -10.0),
+        phases=[Phase(name="h", duration_s=40.0, displacement_I=np.zeros(3))],
+    )
+    approach = Curve(kind=None, duration_s=2.0, ramp_s=1.0, size_I=(1.0, 0.0, 0.0))
+    for number in range(60):
+        point_I = np.array([0.01 * number, 0.0, -10.0])
+        path = path.with_target(
+            PathTarget(since_s=0.5 * number, point_I=point_I, approach=approach, brakes=True)
+        )
+    r_I, _ = path.path(np.array([0.0, 39.0]))
+    np.testing.assert_allclose(r_I[1], [0.59, 0.0, -10.0], atol=1e-9)
