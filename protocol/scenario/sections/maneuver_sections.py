@@ -232,7 +232,8 @@ class ObstacleSection(Section):
     """penalty on the largest violation of a margin over the horizon; only with a flat reference"""
     seen_within_m: Positive | None = None
     """no agent knows the obstacle before a UAV of its own is that near its surface; it then hands a way
-    round, or a stop, to the team ([equations](../equations/information.md#obstacles-seen-in-flight)). If omitted, all know it"""
+    round, or a stop, to the team ([equations](../equations/information.md#obstacles-seen-in-flight)).
+    If omitted, all know it"""
 
 
 def _with_table(phase: dict[str, Any], folder: Path) -> dict[str, Any]:
