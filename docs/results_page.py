@@ -73,7 +73,7 @@ EXPERIMENTS: Mapping[str, Asked] = {
     "radio": Asked({"sharing": ["always", "on_change"]}, seeds=1),
     WEATHER: Asked(seeds=2),
     "worth": Asked(
-        {"air": ["still air", "gusts 2 m/s", "payload 15 % heavier"]},
+        {"air": ["still air", "gusts 2 m/s"]},
         seeds=10,
         declared=WEATHER,
         scenarios=(TEAM, ALONE),

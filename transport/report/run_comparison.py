@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -17,7 +18,15 @@ from transport.log.run_log import RecordedRun
 from transport.model.arrays import Array
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.figures.column import Room, column_panels, head
-from transport.report.figures.style import CURVES, RC, line_width, save, scale_cost, shade_phases
+from transport.report.figures.style import (
+    LINES,
+    RC,
+    line_width,
+    save,
+    scale_cost,
+    shade_phases,
+    styles_of,
+)
 from transport.report.summary_texts import HELD
 
 Summary = dict[str, Any]
@@ -33,6 +42,7 @@ _HEIGHT_IN = 0.9
 # Room above the first panel for its title and the names of the phases.
 _ROOM = Room(top_in=0.3)
 _WIDEST = 1.8  # curve, points
+_LIGHT = 0.5  # share of white in the colour of a later curve of the same name
 _PERCENT = 100.0
 
 
@@ -263,10 +273,18 @@ def fill_overlaid(
 
 
 def _styles(labels: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the styles of curves with labels, which stay visible where they coincide."""
+    """Return the styles of curves with labels, which stay visible where they coincide.
+
+    Labels that begin with the same name, up to a comma, have one colour, lighter for the later ones.
+    """
+    names = [label.partition(",")[0] for label in labels]
+    looks = styles_of(list(dict.fromkeys(names)))
     styles: list[dict[str, Any]] = []
-    for i, label in enumerate(labels):
-        colour, _, dashes = CURVES[i % len(CURVES)]
+    for i, (label, name) in enumerate(zip(labels, names, strict=True)):
+        colour, _, dashes = looks[name]
+        if name in names[:i]:
+            colour = to_hex(_LIGHT + (1.0 - _LIGHT) * np.array(to_rgb(colour)))
+            dashes = LINES[i % len(LINES)]
         width = line_width(i, len(labels), _WIDEST)
         styles.append({"color": colour, "linestyle": dashes, "linewidth": width, "label": label})
     return styles

@@ -202,20 +202,22 @@ def test_an_interval_ends_at_the_highest_number_of_the_axis(
 # Times of an agent at these periods: the second is nearest to the reference's as a ratio, the first
 # by their difference; and such that the reference's own period is nearest.
 NEAREST_AS_RATIO = {0.1: (0.02,), PERIOD_S: (0.1,), 0.025: (0.35,)}
+UNMEASURED = {0.1: (math.nan,), PERIOD_S: (0.1,), 0.025: (0.35,)}  # its runs end before a step
 NEAREST_AT_SAME_RATE = {0.1: (0.02,), PERIOD_S: (0.2,), 0.025: (0.5,)}
+
+
+THREE = [
+    ("centralized, 50 ms", CENTRALIZED, 0.05),
+    ("paper's algorithm, same rate, 50 ms", PAPER, 0.05),
+    ("paper's algorithm, same computation, 25 ms", PAPER, 0.025),
+]
 
 
 @pytest.mark.parametrize(
     ("loads", "expected"),
     [
-        (
-            NEAREST_AS_RATIO,
-            [
-                ("centralized, 50 ms", CENTRALIZED, 0.05),
-                ("paper's algorithm, same rate, 50 ms", PAPER, 0.05),
-                ("paper's algorithm, same computation, 25 ms", PAPER, 0.025),
-            ],
-        ),
+        (NEAREST_AS_RATIO, THREE),
+        (UNMEASURED, THREE),
         (
             NEAREST_AT_SAME_RATE,
             [
@@ -224,7 +226,7 @@ NEAREST_AT_SAME_RATE = {0.1: (0.02,), PERIOD_S: (0.2,), 0.025: (0.5,)}
             ],
         ),
     ],
-    ids=["three", "two"],
+    ids=["three", "one is not measured", "two"],
 )
 def test_maneuvers_at_the_same_rate_and_computation_are_drawn(
     loads: Loads, expected: list[tuple[str, str, float]], monkeypatch: pytest.MonkeyPatch

@@ -29,7 +29,6 @@ from transport.experiments.sweep import Swept
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.figures.column import Room, column_panels, head
 from transport.report.figures.style import (
-    CURVES,
     DIVERGED,
     MARKER,
     RC,
@@ -37,12 +36,13 @@ from transport.report.figures.style import (
     SMALL,
     label_decades,
     save,
+    styles_of,
 )
 from transport.report.run_comparison import fill_overlaid
 
 # Colour of each controller; marker and line of a horizon with as many steps and of one with as many
 # seconds.
-_COLOURS = {CENTRALIZED: "#000000", PAPER: CURVES[0][0], CLOSED_LOOP: CURVES[1][0]}
+_COLOURS = {name: look[0] for name, look in styles_of([CENTRALIZED, PAPER, CLOSED_LOOP]).items()}
 _SHAPES = {STEPS: ("o", "-"), SECONDS: ("D", "--")}
 
 # Height of a panel, and room above it, in.
@@ -195,7 +195,8 @@ def _shown_cells(curves: Sequence[ComparisonCurve], reference: Cell) -> dict[Cel
     # The cell whose computation differs least from the reference's, as a ratio.
     reference_load = _median_load(centralized, reference, AGENT)
     loads = np.median(distributed.loads[AGENT], axis=1)
-    nearest = int(np.argmin(np.abs(np.log(loads / reference_load))))
+    # A cell whose runs end before a step is measured has no computation.
+    nearest = int(np.nanargmin(np.abs(np.log(loads / reference_load))))
     same_rate = reference._replace(controller=PAPER)
     same_computation = distributed.cells[nearest]
     if same_computation == same_rate:

@@ -38,13 +38,13 @@ _BAND = "#f1f1f1"
 # lightness L* 29, 54, 70, 0, 61.
 _COLOURS = ("#004488", "#D55E00", "#56B4E9", "#000000", "#CC79A7")
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")
-_LINES = ("-", "--", "-.", ":")
+LINES = ("-", "--", "-.", ":")
 
 
 def _curve(i: int) -> tuple[str, str, str]:
     """Return colour, marker and line style of curve i; another line where colours repeat."""
     cycle, colour = divmod(i, len(_COLOURS))
-    return _COLOURS[colour], _MARKERS[i], _LINES[(i + cycle) % len(_LINES)]
+    return _COLOURS[colour], _MARKERS[i], LINES[(i + cycle) % len(LINES)]
 
 
 # Colour, marker and line style of ten curves.
@@ -55,7 +55,9 @@ _KNOWN = {
     "centralized": ("#000000", "D", "-"),
     "centralized_lq": ("#CC79A7", "v", "-"),
     "paper": ("#004488", "o", "-"),
+    "paper's algorithm": ("#004488", "o", "-"),
     "resilient": ("#D55E00", "s", "--"),
+    "closed loop": ("#D55E00", "s", "--"),
     "precise": ("#56B4E9", "^", "-."),
     "alone": ("#117733", "P", ":"),
     "perfect": CURVES[0],
