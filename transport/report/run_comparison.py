@@ -283,7 +283,8 @@ def _styles(labels: Sequence[str]) -> list[dict[str, Any]]:
     for i, (label, name) in enumerate(zip(labels, names, strict=True)):
         colour, _, dashes = looks[name]
         if name in names[:i]:
-            colour = to_hex(_LIGHT + (1.0 - _LIGHT) * np.array(to_rgb(colour)))
+            red, green, blue = (_LIGHT + (1.0 - _LIGHT) * part for part in to_rgb(colour))
+            colour = to_hex((red, green, blue))
             dashes = LINES[i % len(LINES)]
         width = line_width(i, len(labels), _WIDEST)
         styles.append({"color": colour, "linestyle": dashes, "linewidth": width, "label": label})
