@@ -2,7 +2,7 @@
 
 `make reference`.
 
-The page of keys has headings and text; each table stands below the name of its section, in a
+The page of keys has headings and text; each list stands below the name of its section, in a
 comment.
 """
 
@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args, get_origin
 
 import typer
 from pydantic.fields import FieldInfo
-from tables import ROOT, table
+from tables import ROOT
 from typer.cli import get_docs_for_click
 
 from transport.cli.lazy import LazyGroup
@@ -43,13 +43,13 @@ _LEFT_OUT = re.compile(
     re.MULTILINE,
 )
 _OPTION = re.compile(r"^\* `--.*$", re.MULTILINE)
-_TABLE = re.compile(r"(<!-- keys of (\S+) -->\n).*?(\n<!-- end of keys -->)", re.DOTALL)
+_LIST = re.compile(r"(<!-- keys of (\S+) -->\n).*?(\n<!-- end of keys -->)", re.DOTALL)
 _NOUNS = {int: "integer", float: "number", str: "text", bool: "true, false"}
 _SIGNS = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
 
 
 def commands_page() -> str:
-    """Return the page of commands: an index, options that several share, and each command."""
+    """Return the page of commands: options that several share, then each command."""
     root = typer.main.get_command(app)
     _load(root)
     text = get_docs_for_click(obj=root, ctx=typer.Context(root), name="transport")
@@ -61,7 +61,6 @@ def commands_page() -> str:
     }
     shared = dict(sorted(_shared(described).items()))
     sections = [f"## `{name}`\n\n{_with_shared(part, shared)}" for name, part in described.items()]
-    index = [[f"`{name}`", part.partition("\n")[0]] for name, part in described.items()]
     lists = "\n".join(
         f"{line} ({', '.join(f'`{one}`' for one in names)})" if names else line
         for line, names in shared.items()
@@ -70,7 +69,6 @@ def commands_page() -> str:
         "\n\n".join(
             [
                 _COMMANDS_HEAD,
-                table(["command", "purpose"], index),
                 f"## Shared options\n\n{lists}",
                 *sections,
                 "",
@@ -120,13 +118,13 @@ def _load(group: object) -> None:
 
 
 def keys_page() -> str:
-    """Return the page of keys with its tables renewed.
+    """Return the page of keys with its lists renewed.
 
     Those of `[links]` are not repeated in sections like it.
 
-    Raises: SystemExit: a key without a docstring, or a section without a table on the page.
+    Raises: SystemExit: a key without a docstring, or a section without a list on the page.
     """
-    rows: dict[str, list[list[str]]] = {}
+    rows: dict[str, list[str]] = {}
     for path, key, section, field in walk(Scenario):
         of_link = path.endswith(".gilbert_elliott") or LinkSection.model_fields.get(key) is not None
         is_repeated = of_link and path.startswith("links.") and path != "links.gilbert_elliott"
@@ -138,19 +136,16 @@ def keys_page() -> str:
                 f"{section.__module__}.{section.__name__}, {key}: expected a docstring, got none"
             )
         kind = key_of(field).type or type_of(field.annotation, field.metadata)
-        row = [f"`{key}`", kind, unit_of(key, field), _default(field), meaning]
+        facts = [kind, unit_of(key, field), _default(field)]
+        row = f"- `{key}` ({'; '.join(filter(None, facts))}): {meaning}"
         rows.setdefault(path or "scenario", []).append(row)
 
     def renewed(found: re.Match[str]) -> str:
-        return (
-            found[1]
-            + table(["key", "type", "unit", "default", "meaning"], rows.pop(found[2]))
-            + found[3]
-        )
+        return "\n".join([found[1], *rows.pop(found[2]), found[3]])
 
-    text = _TABLE.sub(renewed, KEYS.read_text(encoding="utf-8"))
+    text = _LIST.sub(renewed, KEYS.read_text(encoding="utf-8"))
     if rows:
-        raise SystemExit(f"{KEYS}: expected a table of {', '.join(rows)}, got none")
+        raise SystemExit(f"{KEYS}: expected a list of {', '.join(rows)}, got none")
     return text
 
 

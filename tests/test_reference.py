@@ -30,18 +30,20 @@ def test_made_files_are_up_to_date(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_every_key_is_on_the_page() -> None:
-    """docs/reference/keys.md has a row with a meaning for each key of the scenario.
+    """docs/reference/keys.md has an entry with a meaning for each key of the scenario.
 
     Default, type and unit are the schema's.
     """
     text = (ROOT / "docs" / "reference" / "keys.md").read_text(encoding="utf-8")
-    rows = {}
-    for path, table in re.findall(
+    rows: dict[str, tuple[str, ...]] = {}
+    for path, entries in re.findall(
         r"<!-- keys of (\S+) -->\n(.*?)\n<!-- end of keys -->", text, re.DOTALL
     ):
-        for row in table.splitlines()[2:]:
-            name, *cells = (cell.strip() for cell in row.strip("|").split(" |"))
-            rows[f"{path}.{name.strip('`')}".removeprefix("scenario.")] = cells
+        for name, facts, meaning in re.findall(
+            r"^- `(\w+)` \((.+?)\): (.+)$", entries, re.MULTILINE
+        ):
+            kind, default = facts.rsplit("; ", 1)
+            rows[f"{path}.{name}".removeprefix("scenario.")] = kind, default, meaning
     like_links = re.compile(r"links\.(measurement|actuation|override|change)\.")
     for key, field in fields(Scenario).items():
         repeated = like_links.match(key) and key.rpartition(".")[2] in {
@@ -51,10 +53,10 @@ def test_every_key_is_on_the_page() -> None:
         }
         if section_in(field.annotation) is not None or repeated:
             continue
-        kind, unit, default, meaning = rows.pop(key)
-        assert kind, key
+        kind, default, meaning = rows.pop(key)
+        unit = unit_of(key, field)
+        assert kind.removesuffix(f"; {unit}") != (unit and kind), key
         assert meaning, key
-        assert unit == unit_of(key, field)
         if field.is_required() or field.default is None:
             assert default == ("required" if field.is_required() else "left out")
         else:
