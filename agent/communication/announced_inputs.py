@@ -7,9 +7,9 @@ import numpy as np
 
 from transport.agent.communication.unannounced_inputs import (
     Assumed,
+    FirstStep,
     SharedLaw,
     Silent,
-    StateAt,
     Unannounced,
 )
 from transport.agent.silence.heard_others import HeardOthers, alone_by
@@ -77,6 +77,8 @@ class AnnouncedInputs:
         self.law_since = 0
         # Where the last plan of an agent that left has not been received: inputs in its place.
         self._assumed: dict[int, Assumed] = {}
+        # Of the plan of each agent that was last asked for.
+        self._first_steps: dict[int, FirstStep] = {}
 
         self._bounds: tuple[Array, Array] | None = None
         self._period_s: float | None = None
@@ -190,14 +192,13 @@ class AnnouncedInputs:
         Returns: (4 N,).
         Source: docs/equations.md (32), (32a).
         """
-        u = np.empty_like(self._u_hover)
-        instant = None if x is None else StateAt(tick=tick, x=x, law=self._law)
+        u = np.empty(len(self._u_hover))
         for agent, columns in self._columns.items():
             plan = self.plans.newest(agent, before, started=tick)
             if plan is None:
-                u[columns] = self._without_plan(agent, instant)
+                u[columns] = self._without_plan(agent, tick, x)
             else:
-                u[columns] = self._applied(plan, tick, instant)
+                u[columns] = self._applied(plan, tick, x)
 
         if self._bounds is None:
             return u
@@ -246,32 +247,32 @@ class AnnouncedInputs:
             return None
         return Silent(alone=share, correlation=correlation)
 
-    def _applied(self, plan: Plan, tick: int, instant: StateAt | None) -> Array:
+    def _applied(self, plan: Plan, tick: int, x: Array | None) -> Array:
         """Return the inputs that an agent applied after its newest started plan, (4 owned,)."""
-        played = self._played(plan, tick)
-        step = tick - played.start_tick
-        is_off = plan.agent in self.heard.off_roster
         if self._is_on_fail_safe(plan, tick):
-            return self._by_fail_safe(plan.agent, instant)
+            return self._by_fail_safe(plan.agent, tick, x)
 
         #   u_a(k) = U_a(min(k - s_a, N_p - 1))    (32)
+        played = self._played(plan, tick)
+        step = tick - played.start_tick
         announced: Array = played.inputs[min(step, len(played.inputs) - 1)]
 
         # Off the roster the last plan is played; own inputs and first ones are known.
+        is_off = plan.agent in self.heard.off_roster
         is_known = is_off or plan.agent == self._own or step <= 0
-        if is_known or instant is None:
+        if is_known or x is None:
             return announced
 
         # The agent has replaced later inputs by those of plans that were not received: here by the
         # shared law, (32a). Before the present law that was another, which is not known any more: then
         # the inputs count as announced.
         is_under_law = tick >= max(self.law_since, self.heard.failed_since)
-        by_law = self._by_law(plan, instant) if is_under_law else announced
+        by_law = self._by_law(plan, tick, x) if is_under_law else announced
         if by_law is None:
             return announced
-        return self._mixed(by_law, plan.agent, plan, instant)
+        return self._mixed(by_law, plan.agent, plan, tick, x)
 
-    def _without_plan(self, agent: int, instant: StateAt | None) -> Array:
+    def _without_plan(self, agent: int, tick: int, x: Array | None) -> Array:
         """Return the inputs of an agent without any plan, (4 owned,).
 
         Hover; once its first plan is overdue, by the shared law, and alone. An agent that has
@@ -279,24 +280,23 @@ class AnnouncedInputs:
         """
         columns = self._columns[agent]
         hover = self._hover(columns)
-        if instant is None:
+        if x is None:
             return hover
         if self.heard.has_returned(agent):
-            if self.heard.is_before_return(agent, instant.tick):
-                return self._by_fail_safe(agent, instant)
-        elif not self.heard.acts_without_plan(agent, instant.tick):
+            if self.heard.is_before_return(agent, tick):
+                return self._by_fail_safe(agent, tick, x)
+        elif not self.heard.acts_without_plan(agent, tick):
             return hover
-        by_law = hover if instant.by_law is None else instant.by_law[columns]
-        return self._mixed(by_law, agent, None, instant)
+        u = self._law.inputs(tick, x)
+        by_law = hover if u is None else u[columns]
+        return self._mixed(by_law, agent, None, tick, x)
 
-    def _mixed(self, by_law: Array, agent: int, plan: Plan | None, instant: StateAt) -> Array:
+    def _mixed(self, by_law: Array, agent: int, plan: Plan | None, tick: int, x: Array) -> Array:
         """Return inputs between those by the law and those alone, as the agent is assumed to act."""
-        share = self.heard.share_alone(agent, plan, instant.tick)
+        share = self.heard.share_alone(agent, plan, tick)
         if share == 0.0 or self._law.inputs_alone is None:
             return by_law
-        alone = [
-            self._law.inputs_alone(uav, instant.tick, instant.x) for uav in self._owned[agent - 1]
-        ]
+        alone = [self._law.inputs_alone(uav, tick, x) for uav in self._owned[agent - 1]]
         return (1.0 - share) * by_law + share * np.concatenate(alone)
 
     def _played(self, plan: Plan, tick: int) -> Plan | Assumed:
@@ -315,7 +315,7 @@ class AnnouncedInputs:
 
         It is off the roster, or has not solved a step since.
         """
-        is_last = plan.agent in self.heard.off_roster or plan.stale > 0
+        is_last = plan.stale > 0 or plan.agent in self.heard.off_roster
         return is_last and self._is_over(plan, tick)
 
     def _is_over(self, plan: Plan, tick: int) -> bool:
@@ -329,21 +329,20 @@ class AnnouncedInputs:
             return steps
         return self.fail_safe.played(steps, self._period_s)
 
-    def _by_law(self, plan: Plan, instant: StateAt) -> Array | None:
+    def _by_law(self, plan: Plan, tick: int, x: Array) -> Array | None:
         """Return an agent's inputs by the shared law after its plan's first step, (4 owned,).
 
         None where there is no such law. Source: docs/equations.md (32a).
         """
-        columns = self._columns[plan.agent]
-        u = instant.by_law
+        u = self._law.inputs(tick, x)
         if u is None:
             return None
+        by_law: Array = u[self._columns[plan.agent]]
         if plan.tick < self.heard.failed_since or not len(plan.corrections):
-            return np.asarray(u[columns])
+            return by_law
 
         #   lambda_a(k) = K_a (x(k) - x_ref(k)) + c_ff(k) + C_a(k - s_a),    C_a zero after its end
-        step = instant.tick - plan.start_tick
-        by_law: Array = u[columns]
+        step = tick - plan.start_tick
         if step < len(plan.corrections):
             by_law = by_law + plan.corrections[step]
         if plan.tick < self.law_since:
@@ -353,21 +352,30 @@ class AnnouncedInputs:
         #   u_a(k) = U_a(0) + lambda_a(k) - lambda_a(s_a)
         # Not exact: U_a(0) of an agent that returns already contains its part alone, and `_mixed` adds
         # that part once more. In flights the payload's error is the same without it.
-        start_state = self._law.start_state(plan.start_tick)
-        if start_state is None:
-            return by_law
-        u_start = self._law.inputs(plan.start_tick, start_state)
-        if u_start is None:
-            return by_law
-        first_step = plan.inputs[0] - u_start[columns] - plan.corrections[0]
-        return np.asarray(by_law + first_step)
+        first_step = self._beyond_law(plan)
+        return by_law if first_step is None else by_law + first_step
 
-    def _by_fail_safe(self, agent: int, instant: StateAt | None) -> Array:
+    def _beyond_law(self, plan: Plan) -> Array | None:
+        """Return by how much a plan's first step differs from the law, U_a(0) - lambda_a(s_a), (4 owned,).
+
+        None where the state or the law at its start is not known. The same for all later ticks, as long
+        as the estimate at its start is.
+        """
+        start_state = self._law.start_state(plan.start_tick)
+        u_start = None if start_state is None else self._law.inputs(plan.start_tick, start_state)
+        if u_start is None:
+            return None
+        newest = self._first_steps.get(plan.agent)
+        if newest is None or newest.plan is not plan or newest.u_start is not u_start:
+            beyond = plan.inputs[0] - u_start[self._columns[plan.agent]] - plan.corrections[0]
+            newest = FirstStep(plan, u_start, beyond)
+            self._first_steps[plan.agent] = newest
+        return newest.beyond_law
+
+    def _by_fail_safe(self, agent: int, tick: int, x: Array | None) -> Array:
         """Return an agent's inputs by the fail-safe, (4 owned,); hover without a state."""
-        if instant is None or self.fail_safe is None:
+        if x is None or self.fail_safe is None:
             return self._hover(self._columns[agent])
         # No sensor can tell the force of its integral from what pushes it: neither is assumed.
-        inputs = [
-            self.fail_safe.inputs(uav, instant.x, instant.tick) for uav in self._owned[agent - 1]
-        ]
+        inputs = [self.fail_safe.inputs(uav, x, tick) for uav in self._owned[agent - 1]]
         return np.concatenate(inputs)

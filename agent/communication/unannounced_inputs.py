@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +10,7 @@ import numpy.typing as npt
 from transport.agent.silence.silence_thresholds import Silence
 from transport.model.arrays import Array
 from transport.model.state import input_slice
+from transport.protocol.wire.messages import Plan
 
 
 def _none(*_: object) -> None:
@@ -70,15 +71,9 @@ class Assumed:
         return tick - self.start_tick
 
 
-@dataclass(frozen=True, kw_only=True)
-class StateAt:
-    """State at a tick, and what the shared control law says there: the same for all agents."""
+class FirstStep(NamedTuple):
+    """The first step of a plan, and what it tells of its sender's law."""
 
-    tick: int
-    x: Array  # (n,)
-    law: SharedLaw
-
-    @cached_property
-    def by_law(self) -> Array | None:
-        """Inputs of all UAVs without corrections, (m,); None without a law."""
-        return self.law.inputs(self.tick, self.x)
+    plan: Plan
+    u_start: Array  # inputs of all UAVs by the law at its start, (m,)
+    beyond_law: Array  # how the first step differs from these, (4 owned,)

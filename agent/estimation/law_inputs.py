@@ -1,6 +1,6 @@
 """Inputs of the team by the shared control law at recent ticks, each computed once."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from transport.agent.estimation.repeated_ticks import WINDOW
 from transport.model.arrays import Array
@@ -10,18 +10,18 @@ from transport.mpc.law.present_law import Regulation
 _KEPT = 2 * WINDOW
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Saved:
-    x: bytes  # of the estimate
-    forces: bytes
+class _Saved(NamedTuple):
+    x: Array  # the estimate
+    forces: Array | None
     gain_source: object  # of the control law
     inputs: Array | None
 
 
 class LawInputs:
-    """Inputs by a control law along a reference, (K, n), saved by tick while they follow from the same values.
+    """Inputs by a control law along a reference, (K, n), saved by tick while they follow from the same arrays.
 
-    They are needed once for each of the other agents, and those of past ticks again at later ones.
+    They are needed once for each of the other agents, and those of past ticks again at later ones. Estimates
+    and forces are arrays that are replaced, not changed: the same object has the same numbers.
     """
 
     def __init__(self, regulation: Regulation, X_ref: Array) -> None:
@@ -41,22 +41,18 @@ class LawInputs:
             x: Estimate, (n,) or (n + m,).
             forces: Estimated external forces.
         """
-        x_bytes = x.tobytes()
-        forces_bytes = b"" if forces is None else forces.tobytes()
         gain_source = self._regulation.current.gain_source
         saved = self._saved.get(tick)
         if (
             saved is not None
+            and saved.x is x
+            and saved.forces is forces
             and saved.gain_source is gain_source
-            and saved.x == x_bytes
-            and saved.forces == forces_bytes
         ):
             return saved.inputs
 
         inputs = self._regulation.inputs(x, self._X_ref[tick], forces, tick)
-        self._saved[tick] = _Saved(
-            x=x_bytes, forces=forces_bytes, gain_source=gain_source, inputs=inputs
-        )
+        self._saved[tick] = _Saved(x, forces, gain_source, inputs)
         if len(self._saved) > _KEPT:
             del self._saved[min(self._saved)]
         return inputs

@@ -54,6 +54,12 @@ class TeamLaw:
         return self.about_hover.regulator
 
     @property
+    def _closing(self) -> Regulator | None:
+        """The regulator about hover, where it closes the loop of the prediction."""
+        is_closed = self.about_hover.crew.settings.prediction == "closed_loop"
+        return self.about_hover.regulator if is_closed else None
+
+    @property
     def target(self) -> SteadyState:
         """The steady state under external forces."""
         return self.about_hover.target
@@ -81,9 +87,8 @@ class TeamLaw:
 
         Source: docs/equations.md (35), (40), (73).
         """
-        crew = self.about_hover.crew
-        regulator = self.about_hover.regulator
-        if regulator is None or crew.settings.prediction != "closed_loop":
+        regulator = self._closing
+        if regulator is None:
             return None
         if self.tracker is not None and self.track is not None:
             gains = self.tracker.over(start, len(x_ref))
@@ -139,9 +144,17 @@ class TeamLaw:
         )
 
     def inputs(self, x: Array, x_ref: Array, forces: Array | None, instant: int) -> Array | None:
-        """Return the inputs at one instant without corrections, (m,); None in open loop."""
-        law = self.over(x, x_ref[None], np.zeros((1, 0)), forces, instant)
-        return None if law is None else law.uncorrected[0]
+        """Return the inputs at one instant without corrections, (m,); None in open loop.
+
+        Those about hover without forces, which are asked for most, need no `FeedbackLaw`.
+        """
+        regulator = self._closing
+        if regulator is None or self.tracker is not None or forces is not None:
+            law = self.over(x, x_ref[None], np.zeros((1, 0)), forces, instant)
+            return None if law is None else law.uncorrected[0]
+        # With constant gains, (35): u_hover + K (x - x_ref) + c_ff.
+        fed_back = regulator.K @ self._error(x, x_ref)
+        return np.asarray(self.hover.u + fed_back + self.feedforward(instant, 1)[0])
 
     def gain(self, instant: int) -> Array:
         """Return the feedback gain K, (m, n), with motor lag (m, n + m), where there is a regulator.
