@@ -112,7 +112,7 @@ EXCEPTIONS = {
     "model/kernels/casadi_functions.py": {"pathlib"},
     "model/kernels/native.py": {"pathlib"},
     # Generators keyed by seed, sender, receiver and tick.
-    "protocol/radio/counter_draws.py": {"numpy.random"},
+    "protocol/radio/radio_random_numbers.py": {"numpy.random"},
     "protocol/scenario/links/random_streams.py": {"numpy.random"},
     # Files that a scenario names are read with it, before the run.
     "protocol/scenario/files/bounded_reading.py": {"pathlib"},

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from transport.protocol.radio.counter_draws import exponential
 from transport.protocol.radio.frames import Frame
 from transport.protocol.radio.propagation import Powers
+from transport.protocol.radio.radio_random_numbers import exponential
 from transport.protocol.radio.standards_80211 import Standard
 
 

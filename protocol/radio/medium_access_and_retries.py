@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 from typing import NamedTuple
 
-from transport.protocol.radio.counter_draws import uniform
 from transport.protocol.radio.frames import (
     Frame,
     FrameOutcome,
@@ -21,6 +20,7 @@ from transport.protocol.radio.frames import (
     members,
     sensed_until,
 )
+from transport.protocol.radio.radio_random_numbers import uniform
 from transport.protocol.radio.reception import CERTAIN_MARGIN, Interference, Signal, success
 from transport.protocol.radio.standards_80211 import ACK_BYTES, OVERHEAD_BYTES, Standard
 from transport.protocol.radio.station_queue import BROADCAST, NEVER, Pending, Station

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from transport.protocol.radio.counter_draws import normal
+from transport.protocol.radio.radio_random_numbers import normal
 
 _BOLTZMANN = 1.380649e-23  # J/K
 _TEMPERATURE_K = 290.0

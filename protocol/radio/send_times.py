@@ -6,7 +6,7 @@ The time of computation is a random number, not a measurement: the speed of the 
 from dataclasses import dataclass, field
 from typing import Literal
 
-from transport.protocol.radio.counter_draws import normal, uniform
+from transport.protocol.radio.radio_random_numbers import normal, uniform
 
 Offsets = Literal["none", "slots", "random"]
 

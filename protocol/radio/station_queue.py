@@ -6,8 +6,8 @@ Source: distributed coordination function, IEEE 802.11-2020, 10.3.4.
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from transport.protocol.radio.counter_draws import uniform
 from transport.protocol.radio.frames import Frame
+from transport.protocol.radio.radio_random_numbers import uniform
 from transport.protocol.radio.standards_80211 import Standard
 
 BROADCAST = -1

@@ -42,11 +42,15 @@ class Results:
     Earlier results are read from the folder. Lines of the file that are incomplete or of another
     version are ignored: their cases are simulated again.
 
+    Attributes:
+        earlier: Keys of the cases that were done before, in the folder.
+
     Raises: ExperimentError: the folder contains something else, or cannot be written.
     """
 
     def __init__(self, experiment: str, folder: Path | None = None) -> None:
         self.folder = folder
+        self.earlier: frozenset[str] = frozenset()
         self._by_key: dict[str, Result] = {}
         self._file: Lines | None = None
         if folder is None:
@@ -60,6 +64,7 @@ class Results:
         for line in self._file.read():
             with suppress(ValueError):
                 self._take(msgspec.json.decode(line, type=Result))
+        self.earlier = frozenset(filter(self.done, self._by_key))
 
     def __enter__(self) -> Self:
         return self
@@ -191,12 +196,16 @@ def sweep(
     results: Results,
     console: Console,
 ) -> Swept:
-    """Simulate the cases without a result, and keep each result at once."""
+    """Simulate the cases without a result, and keep each result at once; say how many were done before."""
     by_key = {case.key: case for case in cases}
     # Seed by seed: a slow period of the machine affects the timing of all points alike.
     missing = [case for case in by_key.values() if not results.done(case.key)]
     missing.sort(key=lambda case: case.scenario.seed)
     done = len(by_key) - len(missing)
+    earlier = sum(case.key in results.earlier for case in cases)
+    if earlier:
+        text = f"{earlier} of {len(cases)} runs are done already"
+        console.print(text, highlight=False, soft_wrap=True)
     # Once, not in each worker.
     compile_models((case.scenario for case in missing), console)
 

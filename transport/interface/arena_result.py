@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from transport.experiments.arena import arena_runs as experiment_arena
-from transport.experiments.arena.arena_report import MEASURES, ArenaResult, conduct, results_of
+from transport.experiments.arena.arena_report import MEASURES, ArenaResult, conduct
 from transport.experiments.figures.experiment_figures import fill
 from transport.experiments.figures.figure_arena import draw_measure
 from transport.interface.figure import RunFigure, drawn
@@ -112,8 +112,7 @@ def arena(
     )
 
     target = None if folder is None else Path(folder)
-    with results_of(target) as results:
-        result = conduct(made, simulate, results, console(shown=progress))
+    result = conduct(made, simulate, target, console(shown=progress))
     if target is not None:
         result.write(target)
     result.swept.check()

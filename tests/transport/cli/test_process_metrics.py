@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from prometheus_client import CollectorRegistry, generate_latest
 
-from transport.cli.hosts import prometheus_metrics  # XXX
+from transport.cli.hosts import prometheus_metrics
 from transport.cli.hosts.prometheus_metrics import Exporter
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.session import BusError, Reach

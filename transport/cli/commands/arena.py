@@ -3,14 +3,13 @@
 from functools import partial
 from typing import Annotated
 
-import typer
 from rich.console import Console, Group
 from typer import Option
 
 from transport.cli.commands.experiment import ExperimentOptions
 from transport.cli.lazy import with_options
 from transport.cli.output import show
-from transport.experiments.arena.arena_report import MEASURES, conduct, results_of
+from transport.experiments.arena.arena_report import MEASURES, conduct
 from transport.experiments.arena.arena_runs import DECLARED, NAME
 from transport.experiments.arena.arena_runs import arena as arena_of
 from transport.experiments.arena.arena_tasks_and_networks import NETWORKS, TASKS
@@ -81,12 +80,7 @@ def arena(
     )
 
     folder = options.folder(NAME)
-    with results_of(folder) as results:
-        done = sum(results.done(case.key) for case in made.cases)
-        if done:
-            typer.echo(f"{done} of {len(made.cases)} runs are done already", err=True)
-        result = conduct(made, options.simulate, results, Console(stderr=True))
-
+    result = conduct(made, options.simulate, folder, Console(stderr=True))
     files = [str(file) for file in result.write(folder, measures or [])]
     lines = ["", *result.sentences(), "", *(f" {file}" for file in files)]
     content = {**result.content(), "files": files}

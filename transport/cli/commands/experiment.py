@@ -243,9 +243,6 @@ def _conduct(name: str, options: ExperimentOptions, given: Mapping[str, Any]) ->
     experiment, cases = options.plan(given)
     folder = options.folder(name)
     with Results(name, folder) as results:
-        done = sum(results.done(case.key) for case in cases)
-        if done:
-            typer.echo(f"{done} of {len(cases)} runs are done already", err=True)
         swept = sweep(experiment, cases, options.simulate, results, Console(stderr=True))
 
     measured = swept.measured

@@ -234,17 +234,15 @@ class ArenaResult:
         return "\n".join([*lines, "", f"*{origin}*", ""])
 
 
-def conduct(made: ArenaRuns, simulate: Simulate, results: Results, console: Console) -> ArenaResult:
-    """Simulate the cases of the arena that have no result yet.
+def conduct(
+    made: ArenaRuns, simulate: Simulate, folder: Path | None, console: Console
+) -> ArenaResult:
+    """Simulate the cases of the arena that have no result yet; a folder is resumed.
 
     Raises: ExperimentError: a worker was lost. KeyboardInterrupt: the finished runs are kept.
     """
-    return ArenaResult(made, sweep(made.experiment, made.cases, simulate, results, console))
-
-
-def results_of(folder: Path | None) -> Results:
-    """Return the results of the arena in a folder, which is resumed."""
-    return Results(NAME, folder)
+    with Results(NAME, folder) as results:
+        return ArenaResult(made, sweep(made.experiment, made.cases, simulate, results, console))
 
 
 def _row(one: PointStatistics, refused: str) -> dict[str, Any]:
