@@ -338,8 +338,8 @@ def arrows(package: str) -> dict[str, set[str]]:
 
 
 def test_the_table_shows_the_imports() -> None:
-    """The table of the rooms in docs/architecture.md has each room, with the imports that do not follow from others."""
-    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    """The table of rooms in docs/development/architecture.md has each, with the imports that do not follow from others."""
+    text = (ROOT / "docs" / "development" / "architecture.md").read_text(encoding="utf-8")
     rows = re.findall(
         r"^\| `(model|mpc|agent|protocol|protocol/scenario|transport)/(\w+)` \|[^|]*\|([^|]*)\|$",
         text,

@@ -1,4 +1,4 @@
-"""The recipes of docs/recipes.md, followed on a copy of the sources."""
+"""The recipes of docs/development/recipes.md, followed on a copy of the sources."""
 
 import os
 import re
@@ -13,7 +13,7 @@ import pytest
 from transport.protocol.wire.messages import KINDS, Message
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "recipes.md"
+PAGE = ROOT / "docs" / "development" / "recipes.md"
 PROTOCOL = ROOT / "docs" / "reference" / "protocol.md"
 
 # Everything the examples import: a package may not hide another copy of itself.
@@ -196,7 +196,7 @@ def test_files_of_a_recipe_exist(heading: str) -> None:
     """Every file that a recipe names exists."""
     made = set(NEW.findall(section(heading)))
     for file in set(NAMED.findall(section(heading))) - made:
-        assert (ROOT / file).is_file(), f"docs/recipes.md names {file}"
+        assert (ROOT / file).is_file(), f"docs/development/recipes.md names {file}"
 
 
 @pytest.mark.parametrize("kind", KINDS.values(), ids=list(KINDS))
