@@ -4,7 +4,7 @@
 and by random draws, over several seeds. `python -m benchmarks.worst --runs 1000` searches in the
 ready scenarios, within the default bounds of docs/worst.md, for how far each is from failing.
 `python -m benchmarks.worst --together` simulates deaths with silences that the search has found.
-With `--write` the table of `--planted` takes its place in docs/worst.md, the others theirs in
+With `--write` the table of `--planted` takes its place in docs/record/measured.md, the others theirs in
 docs/record/guarantees.md.
 """
 
@@ -34,7 +34,7 @@ from transport.search.search_progress import SearchProgress
 from transport.search.search_report import in_words
 from transport.search.space import Bounds, Space
 
-DOCUMENT = ROOT / "docs" / "worst.md"
+DOCUMENT = ROOT / "docs" / "record" / "measured.md"
 GUARANTEES = ROOT / "docs" / "record" / "guarantees.md"
 _CONSOLE = Console(stderr=True)
 

@@ -338,7 +338,7 @@ def arrows(package: str) -> dict[str, set[str]]:
 
 
 def test_the_table_shows_the_imports() -> None:
-    """The table of rooms in docs/development/architecture.md has each, with the imports that do not follow from others."""
+    """The table of rooms in docs/development/architecture.md has each, with the imports that do not follow else."""
     text = (ROOT / "docs" / "development" / "architecture.md").read_text(encoding="utf-8")
     rows = re.findall(
         r"^\| `(model|mpc|agent|protocol|protocol/scenario|transport)/(\w+)` \|[^|]*\|([^|]*)\|$",

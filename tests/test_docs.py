@@ -66,7 +66,7 @@ OTHER_PARTS: list[tuple[str, str, tuple[str, ...]]] = [
     ("docs/record/radio.md", "benchmarks/radio/computation.py", ("computation",)),
     ("docs/record/radio.md", "benchmarks/radio/plan_bytes.py", ("bytes",)),
     ("docs/record/measured.md", "benchmarks/estimates.py", ("bench: estimates",)),
-    ("docs/worst.md", "benchmarks/worst.py", ("planted",)),
+    ("docs/record/measured.md", "benchmarks/worst.py", ("planted",)),
 ]
 
 # A fenced block: indentation, as within an entry of a list, language, and text.
