@@ -74,7 +74,7 @@ EXPERIMENTS: Mapping[str, Asked] = {
     WEATHER: Asked(seeds=2),
     "worth": Asked(
         {"air": ["still air", "gusts 2 m/s"]},
-        seeds=10,
+        seeds=5,
         declared=WEATHER,
         scenarios=(TEAM, ALONE),
         shown=worth,

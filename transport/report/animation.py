@@ -30,6 +30,7 @@ _NOW = "#b2182b"
 _DECADES = 4  # of the cost
 _WIDTH = 0.45  # of a line, points for a pixel on the screen
 _PROPORTION = 1.9  # width of the view from above over its height
+_BEYOND_M = 0.5  # seen beyond the middles of payload and UAVs
 _NOT_IN_SPACE = ("reference", "links")
 _NOT_FROM_ABOVE = ("reference", "actual paths", "thrust")
 _PIXELS = ["-pix_fmt", "yuv420p"]  # that every player of MP4 knows
@@ -92,8 +93,7 @@ class AnimationPage:
     def __init__(self, builder: SceneBuilder, series: Series) -> None:
         self._drawing = Drawing(builder)
         self._moving: list[Any] = []
-        spread_m = np.ptp(builder.start_I[:, :2], axis=0).max(initial=0.0)
-        self._reach_m = float(spread_m) / 2.0 + 0.4
+        self._reach_m = _reach_m(series)
 
         self.figure = Figure(figsize=_SIZE_IN, dpi=_DPI)
         self.figure.text(0.03, 0.03, "x, y, altitude in m")
@@ -123,7 +123,7 @@ class AnimationPage:
         self._moving = draw_parts(self._space, in_space, poses, above=False, width=_WIDTH)
         self._moving += draw_parts(self._above, from_above, poses, above=True, width=_WIDTH)
 
-        x, y = scene.uavs_I[:, :2].mean(axis=0)
+        x, y = (scene.uavs_I.mean(axis=0)[:2] + scene.payload_I[:2]) / 2.0
         reach_x_m = self._reach_m * _PROPORTION
         self._above.set_xlim(x - reach_x_m, x + reach_x_m)
         # z points away from the viewer, so y points down.
@@ -133,6 +133,17 @@ class AnimationPage:
         text = f"{scene.time_s:5.2f} s   {scene.phase}"
         style: Any = {"fontsize": 10.0, "family": "monospace", "weight": "bold"}
         self._moving.append(self.figure.text(0.03, 0.94, text, **style))
+
+
+def _reach_m(series: Series) -> float:
+    """Return half the height of the view from above: payload and UAVs on their rods are in it throughout, m."""
+    uavs_I = np.where(series.on_rods[..., None], series.uavs_I, np.nan)
+    payload_I = series.x[:, None, :3]
+    middle_I = (np.nanmean(uavs_I, axis=1, keepdims=True) + payload_I) / 2.0
+    farthest_m = np.nanmax(
+        np.abs(np.concatenate([uavs_I, payload_I], axis=1) - middle_I), axis=(0, 1)
+    )
+    return float(max(farthest_m[0] / _PROPORTION, farthest_m[1])) + _BEYOND_M
 
 
 def _set_space(axes: Any, series: Series) -> None:
