@@ -1,7 +1,6 @@
 """Command `transport`: the tables of its commands, and its answer without one."""
 
 from functools import cache
-from importlib import metadata
 from typing import Any
 
 import typer
@@ -182,6 +181,8 @@ def command() -> Any:
 
 def _version(is_given: bool) -> None:
     if is_given:
+        from importlib import metadata  # 10 ms that other commands save
+
         typer.echo(f"transport {metadata.version('payload-transport')}")
         raise typer.Exit
 
