@@ -19,13 +19,12 @@ from transport.agent.communication.clock_offsets import Clocks
 from transport.agent.communication.radio import AirNews
 from transport.agent.communication.target_confirmation import Unconfirmed
 from transport.agent.estimation.filter.belief import Belief
-from transport.agent.planner import AgentPlanner, OpenStep
+from transport.agent.planner import PROJECT, AgentPlanner, OpenStep
 from transport.agent.planning.alone_planner import ALONE, AlonePlanner
 from transport.agent.planning.mpc_planner import Planner
 from transport.agent.planning.sight import Sight
 from transport.agent.planning.step_report import numbers_note
 from transport.agent.received import Received
-from transport.agent.user_class.user_planner import PROJECT, OwnPlanner
 from transport.protocol.admission.delayed_messages import Arrivals
 from transport.protocol.admission.known_targets import KnownTargets, braking_only
 from transport.protocol.admission.participant import Participant
@@ -51,6 +50,9 @@ def planner_of(setup: TeamRun, agent: int, stopwatch: Callable[[], int]) -> Agen
         return Planner(setup, agent, stopwatch)
     if controller == ALONE:
         return AlonePlanner(setup, agent, stopwatch)
+    # Imported where it is used: other agents start without it.
+    from transport.agent.user_class.user_planner import OwnPlanner
+
     return OwnPlanner(setup, agent, stopwatch)
 
 

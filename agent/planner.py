@@ -9,6 +9,8 @@ from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import Message, Plan
 from transport.protocol.wire.node_interface import Outbox
 
+PROJECT = "mpc"  # the controller of the project
+
 
 class OpenStep(Protocol):
     """A tick that has been begun and whose plan has not been made."""

@@ -31,8 +31,6 @@ from transport.protocol.scenario.user_class.user_errors import OwnClassError
 from transport.protocol.wire.messages import STAGES, Measurement, Message, Note, Plan
 from transport.protocol.wire.node_interface import Outbox
 
-PROJECT = "mpc"  # the controller of the project
-
 _NO_DATA = np.zeros(0)
 _UNCHANGED = (
     f"the inputs have been the same for more than {PLAYED_S:g} s while the measurements changed: "

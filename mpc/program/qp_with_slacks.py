@@ -61,7 +61,8 @@ class Program:
     def form(self, cost: Cost, uncontrolled: Collection[int]) -> None:
         """Set the team: its weights, and its UAVs without an agent, 0-based."""
         without_agent = input_indices(sorted(uncontrolled))
-        self._responding = np.setdiff1d(self.decision.others, without_agent)
+        others = self.decision.others
+        self._responding = others[~np.isin(others, without_agent)]
         self._Q = np.concatenate([cost.Q[self._outputs], self._user_costs.weights])
         # With the inputs of the other agents' UAVs as further outputs, (36e).
         self._Q_with_others = np.concatenate([self._Q, cost.R[self._responding]])

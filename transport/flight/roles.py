@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from transport.coordinator.node import CoordinatorNode
 from transport.coordinator.team_view import TeamView
 from transport.plant.plant_run import HiddenObstacle, PlantRun
-from transport.protocol.scenario.radio.team_radio import TeamRadio
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.targets.target_messages import TargetTiming, scripted
 
@@ -41,7 +40,13 @@ def plant_run(setup: Setup) -> PlantRun:
 def team_view(setup: Setup) -> TeamView:
     """Return the team of a run as its coordinator sees it."""
     scenario = setup.scenario
-    radio = None if scenario.radio is None else TeamRadio(setup.run, scenario.radio)
+    radio = None
+    if scenario.radio is not None:
+        from transport.protocol.scenario.radio.team_radio import (
+            TeamRadio,
+        )  # most runs start without
+
+        radio = TeamRadio(setup.run, scenario.radio)
     x = setup.initial_state()
     return TeamView(
         targets=TargetTiming(setup),

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from transport.agent.user_class.user_planner import PROJECT
+from transport.agent.planner import PROJECT
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.summary_assembly import summarise
 from transport.flight.memory import simulate

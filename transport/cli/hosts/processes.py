@@ -181,6 +181,7 @@ def import_processes() -> None:
     for role in ("agent", "coordinator", "plant"):
         load(f"transport.{role}.node")
         commands.load(role).build_parsers()
+    load("transport.flight.roles")
     use_one_thread()
 
 
