@@ -276,6 +276,14 @@ def test_controllers_and_networks_have_their_own_style() -> None:
     assert styles_of(["late", "perfect"])["perfect"] == styles_of(["perfect"])["perfect"]
     assert len({style[:2] for style in together.values()}) == len(together)
 
+    pairs = [f"{rate} Mb/s, {way}" for rate in (6, 24) for way in ("slots", "none", "on change")]
+    styles = styles_of(pairs)
+    assert len(set(styles.values())) == len(pairs)
+    assert {style[0] for name, style in styles.items() if name.startswith("6 ")} == {
+        styles[pairs[0]][0]
+    }
+    assert styles["6 Mb/s, slots"][1:] == styles["24 Mb/s, slots"][1:]
+
 
 def at_rest(series: Series) -> Series:
     """Return a series with rounding errors in place of every cost, error and change."""

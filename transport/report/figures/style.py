@@ -84,7 +84,21 @@ LEAST_COST = 1e-6
 
 
 def styles_of(names: Sequence[str]) -> dict[str, tuple[str, str, str]]:
-    """Return colour, marker and line of each of names: known ones have always the same, ten others differ."""
+    """Return colour, marker and line of each of names: known ones have always the same, ten others differ.
+
+    Of more names than colours, all of which have parts between commas, the first part has a colour, and
+    the others together have a marker and a line.
+    """
+    if len(names) > len(_COLOURS) and all(", " in name for name in names):
+        parts = [name.split(", ", 1) for name in names]
+        colours = list(dict.fromkeys(first for first, _ in parts))
+        shapes = list(dict.fromkeys(others for _, others in parts))
+        if len(colours) <= len(_COLOURS):
+            return {
+                name: (_COLOURS[colours.index(first)], *CURVES[shapes.index(others)][1:])
+                for name, (first, others) in zip(names, parts, strict=True)
+            }
+
     taken = [_KNOWN[name] for name in names if name in _KNOWN]
     looks = {(colour, marker) for colour, marker, _ in taken}
     free = itertools.cycle(style for style in CURVES if style[:2] not in looks)
