@@ -1,6 +1,6 @@
 """Event model of one shared half-duplex 802.11 channel.
 
-Stations are numbered from 0. Times are integers, ns, of one common clock. docs/reference/radio.md describes
+Stations are numbered from 0. Times are integers, ns, of one common clock. docs/record/radio.md describes
 the model and states what is simplified.
 """
 
@@ -44,7 +44,7 @@ class ChannelParameters:
     preamble_ratio: float = (
         2.5118864315095797  # signal over noise and interference that detection needs, 4 dB
     )
-    interrupted_wait_draws: bool = True  # docs/reference/radio.md, frames at an idle medium
+    interrupted_wait_draws: bool = True  # docs/record/radio.md, frames at an idle medium
     seed: int = 0
 
     def required_ratio(self, rate_mbps: float) -> float:

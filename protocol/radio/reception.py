@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 # One shape fits the curves of success over signal to noise of all rates within 0.2 dB: the exponent
-# of the losses falls by a factor of ten within this many dB (docs/reference/radio.md, "Decoding").
+# of the losses falls by a factor of ten within this many dB (docs/record/radio.md, "Decoding").
 _DECADE_DB = 0.85
 _STEEPNESS = 10.0 / _DECADE_DB
 _REFERENCE_BYTES = 1536  # of `Standard.required_sinr_db`
