@@ -113,7 +113,7 @@ class CoordinatorNode:
         # Processes that take part, from their incarnations on, and those that the first tick waits for.
         self._taking_part = {PLANT, *self._roster.agents, *vehicles}
         self._not_ready = {*plant, *self._roster.agents, *vehicles, *observers}
-        self._observers = set(observers)  # that have not left
+        self._observers = set(observers)  # that have not departed
 
     @property
     def state(self) -> State:

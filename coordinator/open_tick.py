@@ -33,7 +33,7 @@ class OpenTick:
         self.plant = -1
         self.answered: dict[int, bool] = {}
         self._early: dict[int, Plan] = {}  # plans of ticks to come, by agent
-        self._negotiating: dict[int, int] = {}  # iterations left, by agent
+        self._negotiating: dict[int, int] = {}  # iterations remaining, by agent
 
     @property
     def is_last(self) -> bool:
@@ -121,9 +121,9 @@ class OpenTick:
     def hindmost(self, agents: Collection[int]) -> set[int]:
         """Return those of some agents that are furthest behind in their negotiation.
 
-        An agent without a proposal has all iterations left.
+        An agent without a proposal has all iterations remaining.
         """
-        all_left = self._rules.shape.negotiation_iterations
-        left = {agent: self._negotiating.get(agent, all_left) for agent in agents}
-        most_left = max(left.values())
-        return {agent for agent in agents if left[agent] == most_left}
+        all_remaining = self._rules.shape.negotiation_iterations
+        remaining = {agent: self._negotiating.get(agent, all_remaining) for agent in agents}
+        most_remaining = max(remaining.values())
+        return {agent for agent in agents if remaining[agent] == most_remaining}

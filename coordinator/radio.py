@@ -13,7 +13,7 @@ _STATES_KEPT = 3
 
 
 class TeamAir:
-    """News of the radio, once for each exchange of a negotiation and once for each tick.
+    """Reports of the radio, once for each exchange of a negotiation and once for each tick.
 
     The plans of tick k are on the air from t_k on. Positions are those of the plant's state that
     has certainly been received: of tick k - 1 when tick k + 1 is opened, and one tick older in the
@@ -41,22 +41,22 @@ class TeamAir:
             self._proposed[plan.negotiation].add(plan.agent)
 
     def exchanged(self, tick: int, members: AbstractSet[int]) -> list[Airtime]:
-        """Return the news of the exchanges for which all proposals are here."""
-        news = []
+        """Return the reports of the exchanges for which all proposals are here."""
+        reports = []
         while self._following > 0 and members <= self._proposed[self._following]:
             x = self._state(tick - 2)
             self._put_on_air(members)
             fields = self._radio.advance(tick, x, negotiation=self._following)
-            news.append(self._out.stamp(Airtime, **fields))
+            reports.append(self._out.stamp(Airtime, **fields))
             self._following -= 1
-        return news
+        return reports
 
     def may_open(self, tick: int) -> bool:
         """Return whether the state is here whose positions the opening of a tick needs."""
         return tick < 2 or tick - 2 in self._states
 
     def opened(self, tick: int, members: Collection[int]) -> list[Airtime]:
-        """Return the news until a tick that opens; none before the first.
+        """Return the reports until a tick that opens; none before the first.
 
         `members` took part in the tick before.
         """

@@ -105,7 +105,7 @@ class TeamRoster:
     def message(self, reason: str, tick: int) -> Roster:
         """Return the next version of the roster, which holds from a tick on.
 
-        A tick that opens takes the roster's changes along; see `report` for news between ticks.
+        A tick that opens takes the roster's changes along; see `report` for changes between ticks.
         """
         members = sorted(self._members)
         self._version += 1

@@ -324,7 +324,7 @@ class PlantNode(Participant):
         else:
             self._x = motor_off_state(self._x, uav)
 
-        # The engine and the fail-safe take the team that is left.
+        # The engine and the fail-safe take the remaining team.
         self.engine.restart(self._x, self.environment.system)
         self._renew_fail_safe()
         if self._inner_loop is not None:
@@ -341,7 +341,7 @@ class PlantNode(Participant):
             self._forces.reshape(-1, 3)[1 + uav] = 0.0
 
     def _renew_fail_safe(self) -> None:
-        """Take the fail-safe of the UAVs left along the newest reference."""
+        """Take the fail-safe of the remaining UAVs along the newest reference."""
         of_all = self._whole_team.law.fail_safe
         self._schedule.fail_safe = of_all.of_team(self._off, self._released)
 

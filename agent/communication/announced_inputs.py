@@ -46,7 +46,7 @@ class AnnouncedInputs:
     Attributes:
         plans: Newest plans received of all agents.
         heard: Plans of all agents, who is off the roster, and how old information is. From
-            `heard.failed_since` on, every agent follows the control law of the UAVs left; plans made
+            `heard.failed_since` on, every agent follows the control law of the remaining UAVs; plans made
             before that tick hold only for periods before it.
         fail_safe: Control law after the last plan of an agent off the roster.
         law_since: Tick from which on the shared control law is that of the present team, (46).
@@ -75,7 +75,7 @@ class AnnouncedInputs:
         self.plans = self.heard.plans
         self.fail_safe: FailSafe | None = None
         self.law_since = 0
-        # Where the last plan of an agent that left has not been received: inputs in its place.
+        # Where the last plan of a departed agent has not been received: inputs in its place.
         self._assumed: dict[int, Assumed] = {}
         # Of the plan of each agent that was last asked for.
         self._first_steps: dict[int, FirstStep] = {}
@@ -100,7 +100,7 @@ class AnnouncedInputs:
         self._assumed.pop(agent, None)
 
     def assume(self, agent: int, start: int, inputs: Array) -> None:
-        """Assume inputs of all UAVs, (N_p, 4 N), from a tick on for an agent that left.
+        """Assume inputs of all UAVs, (N_p, 4 N), from a tick on for a departed agent.
 
         Source: docs/equations.md (32b).
         """

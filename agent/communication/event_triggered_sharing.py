@@ -28,9 +28,9 @@ class Corrections:
 
     def from_tick(self, start: int, steps: int) -> Array:
         """Return the corrections over some steps from a tick on, zero after their end, (32)."""
-        left = self.c[start - self.start :][:steps]
+        remaining = self.c[start - self.start :][:steps]
         c = np.zeros((steps, self.c.shape[1]))
-        c[: len(left)] = left
+        c[: len(remaining)] = remaining
         return c
 
 
@@ -68,12 +68,12 @@ class Sharing:
         has changed.
         Source: docs/equations.md (49).
         """
-        is_shared = self._is_always or self._is_news(plan)
+        is_shared = self._is_always or self._differs(plan)
         if is_shared:
             self._shared = plan
         return is_shared
 
-    def _is_news(self, plan: Corrections) -> bool:
+    def _differs(self, plan: Corrections) -> bool:
         last = self._shared
         if last is None or plan.roster != last.roster:
             return True

@@ -27,7 +27,7 @@ class Unconfirmed:
         return place in self._targets
 
     def take(self, target: Target, tick: int) -> bool:
-        """Take in a target that is told or heard at a tick; return whether that is news."""
+        """Take in a target that is told or heard at a tick; return whether it is new."""
         place = place_of(target)
         self._targets.setdefault(place, target)
         got = self._got.setdefault(place, {})

@@ -61,7 +61,7 @@ class Unannounced:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Assumed:
-    """Inputs assumed in place of the last plan of an agent that left."""
+    """Inputs assumed in place of the last plan of a departed agent."""
 
     start_tick: int  # first tick that they are for
     inputs: Array  # (steps, 4 owned), none for an agent that acted alone

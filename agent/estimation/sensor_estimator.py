@@ -85,7 +85,7 @@ class SensorEstimator:
             newest_first = rows.reshape(state.REPORTS, state.REPORTED)
             for age, row in enumerate(newest_first):
                 tick = plan.tick - age
-                if row[state.IS_KNOWN] > 0.0 and self._is_news(tick, uav - 1):
+                if row[state.IS_KNOWN] > 0.0 and self._is_new(tick, uav - 1):
                     report = UavReport(
                         values=row[state.SENSED_VALUES],
                         inputs=row[state.REPORTED_INPUTS],
@@ -97,10 +97,10 @@ class SensorEstimator:
         """Take in a measurement of a tick not later than the one to be estimated."""
         self.new_states.take(measurement)
         for uav, report in by_uav(measurement):
-            if self._is_news(measurement.tick, uav):
+            if self._is_new(measurement.tick, uav):
                 self._tell(measurement.tick, uav, report)
 
-    def _is_news(self, tick: int, uav: int) -> bool:
+    def _is_new(self, tick: int, uav: int) -> bool:
         """Return whether a report of a UAV, 0-based, is new: most repeat one of an earlier plan."""
         return self._history.keeps(tick) and not self._reports.has(tick, uav)
 

@@ -248,7 +248,7 @@ class TeamEstimate:
         self._controller.without(uavs_without_agent, since)
 
     def _assume_last_plan(self, agent: int, tick: int, *, is_alone: bool) -> None:
-        """Assume inputs for an agent that left at a tick, if its last plan has not been received.
+        """Assume inputs for an agent that departed at a tick, if its last plan has not been received.
 
         One that acted alone is assumed on its fail-safe at once: its last plan is short.
         Source: docs/equations.md (32b).

@@ -1,7 +1,7 @@
 """Computation of the radio: `python -m benchmarks.radio.computation` renews its table in docs/record/radio.md.
 
 Runs in memory with a radio and without one, in turns. The computation is the processor time of the
-coordinator's radio within the run: sends, channel, and its news. The runs have the same states, so
+coordinator's radio within the run: sends, channel, and its reports. The runs have the same states, so
 their difference is the computation and all messages about it.
 """
 

@@ -68,15 +68,15 @@ class AloneTeam:
     def fail(self, off: Collection[int], released: Collection[int]) -> None:
         """Set the UAVs without motors, 0-based, and those of them that are released: the others carry their load."""
         self._off, self._released = frozenset(off), frozenset(released)
-        # Those left follow the reference itself.
-        self._left = self._on_reference.of_team(off, released)
+        # Those remaining follow the reference itself.
+        self._remaining = self._on_reference.of_team(off, released)
         self._setpoints: dict[tuple[int, int], Setpoint] = {}
         self._compiled_setpoints: dict[tuple[int, int], CompiledSetpoint] = {}
         self._compiled_laws: dict[int, CompiledAloneLaw] = {}
 
     def law(self, uav: int) -> AloneLaw:
         """Return the control law of a UAV, 0-based."""
-        return self._left.law(uav)
+        return self._remaining.law(uav)
 
     def setpoint(self, uav: int, tick: int) -> Setpoint:
         """Return the setpoint of a UAV, 0-based, at a tick."""
@@ -123,7 +123,7 @@ class AloneTeam:
 
     def _setpoint(self, uav: int, tick: int) -> Setpoint:
         if self._off or self._motion is None:
-            return self._left.setpoint(uav, tick, self._further_drag)
+            return self._remaining.setpoint(uav, tick, self._further_drag)
         return setpoint_of(self._system, uav, *self._motion.at(tick))
 
     def _renew(self, tick: int) -> None:

@@ -119,10 +119,10 @@ class TeamAlone:
     ages: tuple[int, ...] | None
     # Of the team's law with which UAVs alone are mixed, (m, n); None without.
     team_gain: Array | None
-    left: tuple[System, ...] = ()  # those that carry the payload after each release of the run
+    remaining: tuple[System, ...] = ()  # those that carry the payload after each release of the run
 
     def loop(self, gains: AloneGains, system: System | None = None) -> AloneLoop:
-        """Return the loop of all UAVs alone, of the whole team or of those left."""
+        """Return the loop of all UAVs alone, of the whole team or of those remaining."""
         return AloneLoop(
             self.system if system is None else system,
             self.settings.sampling_period_s,
@@ -142,7 +142,7 @@ class TeamAlone:
         numbers = (self.settings.sampling_period_s, self.settings.motor_lag_s, self.next_tick)
         limits = self.settings.upper(1)
         given = repr(self.settings.alone)
-        teams = (self.system, *self.left)
+        teams = (self.system, *self.remaining)
         key = digest(teams, numbers, self.ages, limits, self.team_gain, given)
         if key not in _DESIGNS:
             while len(_DESIGNS) >= _KEPT:
@@ -188,8 +188,8 @@ class TeamAlone:
         return AloneDesign(gains=gains, growth_per_s=growth, holds=holds), with_required
 
     def _loops(self, gains: AloneGains) -> list[AloneLoop]:
-        """Return the loops of the whole team and of those left after each release."""
-        return [self.loop(gains, system) for system in (self.system, *self.left)]
+        """Return the loops of the whole team and of those remaining after each release."""
+        return [self.loop(gains, system) for system in (self.system, *self.remaining)]
 
     def _possible(self, family: Sequence[AloneGains]) -> Iterator[AloneGains]:
         """Yield the members that the moments allow, different for the inputs of the team; the first always."""

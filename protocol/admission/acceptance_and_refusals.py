@@ -206,8 +206,8 @@ class Gate:
             incarnation: Start of this process that publishes them.
             now_ns: Time of a monotonic clock; None at the end, when the last batch does not wait.
         """
-        news = [entry for entry in self.rejections if entry.count > entry.reported]
-        if not news:
+        unreported = [entry for entry in self.rejections if entry.count > entry.reported]
+        if not unreported:
             return []
         if now_ns is not None:
             if now_ns < self._next_notices_ns:
@@ -216,7 +216,7 @@ class Gate:
         self._out.incarnation = incarnation
 
         messages = []
-        for entry in news:
+        for entry in unreported:
             notice = self._out.stamp(
                 Rejected,
                 tick=self.tick,

@@ -34,17 +34,17 @@ class Membership:
         self._own = own
         self._newest: dict[int, int] = {}  # highest incarnation ever on a roster
         self._early: deque[Plan] = deque(maxlen=_KEPT)
-        # By agent that left: its last incarnation, and the tick at which it left.
-        self._left: dict[int, tuple[int, int]] = {}
+        # By departed agent: its last incarnation, and the tick at which it departed.
+        self._departed: dict[int, tuple[int, int]] = {}
         self._rosters = [_NONE]  # ascending, from the one in force on
 
     def took_part(self, tick: int) -> set[int]:
         """Return the agents whose plans of a tick are here or still to come.
 
-        Also of those that have left since.
+        Also of those that have departed since.
         """
         present = {agent for agent, since in self.since.items() if since <= tick}
-        were_present = {agent for agent, (_, left) in self._left.items() if tick < left}
+        were_present = {agent for agent, (_, departed) in self._departed.items() if tick < departed}
         return present | were_present
 
     def at(self, version: int) -> Roster:
@@ -68,7 +68,7 @@ class Membership:
         self.incarnations = dict(zip(roster.agents, roster.incarnations, strict=True))
         staying = dict(before.items() & self.incarnations.items())
         for agent in before.keys() - staying.keys():
-            self._left[agent] = (before[agent], roster.tick)
+            self._departed[agent] = (before[agent], roster.tick)
         self.since = {
             agent: self.since[agent] if agent in staying else roster.tick
             for agent in self.incarnations
@@ -101,5 +101,5 @@ class Membership:
         """
         if self.incarnations.get(plan.agent) == plan.incarnation:
             return True
-        incarnation, left = self._left.get(plan.agent, (-1, 0))
-        return plan.incarnation == incarnation and plan.tick < left
+        incarnation, departed = self._departed.get(plan.agent, (-1, 0))
+        return plan.incarnation == incarnation and plan.tick < departed

@@ -206,7 +206,7 @@ class Bus:
         listening = ", ".join(endpoints.listen) or "nothing"
         connecting = ", ".join(endpoints.connect) or "none: others connect to it"
         # Those that have left are named if no other is missing.
-        never_seen = set(missing) - self._others.left
+        never_seen = set(missing) - self._others.departed
         absent = ", ".join(sorted(never_seen or missing))
         within = f"no sign of {absent} within {self._place.join_timeout_s:g} s"
         return BusError(

@@ -85,7 +85,7 @@ class _PlantExchange(Exchange):
 
     bundled = (wire.Measurement, wire.PlantState, wire.ActualInputs)
 
-    # Accepted plans, and news of the radio, for the agents since the last measurement.
+    # Accepted plans, and reports of the radio, for the agents since the last measurement.
     _shared: tuple[Entry, ...] = ()
 
     def received(self, event: wire.Event, bundle: wire.Bundle | None) -> None:

@@ -168,12 +168,12 @@ class OtherPresences:
 
     Attributes:
         alive: Incarnations of the processes that are up, by name; of this scenario and protocol.
-        left: Processes that were up, and are not any more.
+        departed: Processes that were up, and are not any more.
     """
 
     def __init__(self, name: str, digest: str, keys: Keys, gate: Gate) -> None:
         self.alive: dict[str, int] = {}
-        self.left: set[str] = set()
+        self.departed: set[str] = set()
         self._name = name
         self._digest = digest
         self._keys = keys
@@ -193,12 +193,12 @@ class OtherPresences:
             return None  # it finds out by itself that it does not belong here
         if is_there:
             self.alive[token.name] = token.incarnation
-            self.left.discard(token.name)
+            self.departed.discard(token.name)
             self._gate.announce(token.name, token.incarnation)
             return None
         if self.alive.get(token.name) == token.incarnation:
             del self.alive[token.name]
-            self.left.add(token.name)
+            self.departed.add(token.name)
         return Presence(token.name, token.incarnation, alive=False)
 
     def check(self, key: str, incarnation: int) -> None:

@@ -44,7 +44,7 @@ MAX_NAMES = 64  # numbers of a note
 MAX_NAME = 80  # characters of the name of a number
 MAX_POINTS = 256  # of a target
 MAX_DATA = 512  # numbers of a controller of the user in a plan: 4 KB
-MAX_ROWS = 65_536  # plans with news of the radio
+MAX_ROWS = 65_536  # plans in a report of the radio
 MAX_TARGETS = 1_000  # of one run: a process that joins receives all of them
 MAX_CARRIED = 4  # targets that a plan carries
 SOLID = 11  # numbers of a solid that is seen
@@ -179,7 +179,7 @@ def _fits(shape: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
 
 # In `Airtime.arrivals`: a newer plan took the place of this one before it was sent.
 REPLACED = -5.0
-NO_NEWS = -9.0
+UNREPORTED = -9.0
 CONTINUED = "continued"  # in `FaultNote.what`, by which a replay knows the process
 
 Outcome = Literal["completed", "failed", "diverged", "aborted", "collided"]
@@ -351,7 +351,7 @@ class Airtime(Message, tag="airtime", frozen=True, kw_only=True):
 
     # Exchanges that follow within the tick, as in proposals of a negotiation; 0: the tick is open.
     negotiation: Annotated[int, Meta(ge=0, le=MAX_NEGOTIATION_ITERATIONS - 1)]
-    agents: Rows  # sender of each plan with news, 1-based
+    agents: Rows  # sender of each reported plan, 1-based
     plan_ticks: Rows  # its tick
     exchanges: Rows  # its own `negotiation`
     receivers: Ids  # the agents of the run, ascending
@@ -366,7 +366,7 @@ class Airtime(Message, tag="airtime", frozen=True, kw_only=True):
 
     def of_sent(self) -> Array:
         """Return the arrivals and losses of plans that were sent, (K,), as in `arrivals`."""
-        is_decided = (self.arrivals != NO_NEWS) & (self.arrivals != REPLACED)
+        is_decided = (self.arrivals != UNREPORTED) & (self.arrivals != REPLACED)
         return np.asarray(self.arrivals[is_decided])
 
 
@@ -520,7 +520,7 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
     # Result of the solve. "unchanged": a class of the user returned the same as for some time, whatever
     # it measured. Any other but "solved" means the shifted previous plan.
     status: PlanStatus
-    # How much of the inputs is of the control law of a UAV alone, not of the shared one: the agent lacks news.
+    # How much of the inputs is of the control law of a UAV alone, not of the shared one: the agent lacks information.
     alone: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     # Numbers that a controller of the user shares, (k,) with k at most `MAX_DATA`, in the shape that
     # the receiver's own class has declared; without any the field does not travel.

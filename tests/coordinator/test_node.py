@@ -11,7 +11,7 @@ from tests.support.coordinator_clock import (
     tell,
 )
 from tests.support.runs import ALL
-from transport.protocol.wire.messages import NO_NEWS, Airtime, Tick
+from transport.protocol.wire.messages import UNREPORTED, Airtime, Tick
 
 PACED = "clock.speed=1"
 
@@ -32,12 +32,12 @@ def test_a_plan_is_not_on_its_way_to_an_agent_that_joins_after_it() -> None:
     """Agent 2 returns at tick 1: nothing is said of it as a receiver of plans of tick 0."""
     node = started(coordinator("radio={}", CONTINUE))
     tell(node, [gone("agent2"), ready("agent2", 2)])
-    _, news, tick = tell(node, answers(0, (1, 3, 4)))
-    assert isinstance(news, Airtime)
+    _, reports, tick = tell(node, answers(0, (1, 3, 4)))
+    assert isinstance(reports, Airtime)
     assert isinstance(tick, Tick)
     assert tick.members == ALL
-    assert news.agents == (1, 3, 4)
-    is_told = news.arrivals != NO_NEWS
+    assert reports.agents == (1, 3, 4)
+    is_told = reports.arrivals != UNREPORTED
     assert is_told.tolist() == [
         [False, False, True, True],
         [True, False, False, True],

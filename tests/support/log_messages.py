@@ -13,8 +13,8 @@ from transport.model.arrays import Array
 from transport.protocol.radio.frames import FrameResult
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import (
-    NO_NEWS,
     STAGES,
+    UNREPORTED,
     Airtime,
     Note,
     PlantState,
@@ -120,7 +120,7 @@ def radio_report(run: Setup, tick: int) -> Airtime:
 
     For the other agents there is no news of it.
     """
-    arrivals = np.full((1, len(run.agents)), NO_NEWS)
+    arrivals = np.full((1, len(run.agents)), UNREPORTED)
     arrivals[0, run.agents.index(2)] = ARRIVED_S
     arrivals[0, run.agents.index(3)] = -float(FrameResult.COLLISION)
     return Airtime(

@@ -1,4 +1,4 @@
-"""Numbers of the team's radio over a run, from the coordinator's news (docs/radio.md)."""
+"""Numbers of the team's radio over a run, from the coordinator's reports (docs/radio.md)."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -10,7 +10,7 @@ from transport.model.arrays import Array
 from transport.protocol.radio.frames import FrameResult
 from transport.protocol.scenario.radio.radio_parameters import PlanShape, slot_lengths
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.messages import NO_NEWS, REPLACED, Airtime, Plan
+from transport.protocol.wire.messages import REPLACED, UNREPORTED, Airtime, Plan
 from transport.protocol.wire.names import agent_name
 
 _MS_PER_S = 1e3
@@ -29,12 +29,12 @@ def radio_of(setup: Setup, log: RunLog) -> dict[str, Any] | None:
     if section is None:
         return None
 
-    news = list(log.of(Airtime))
-    fates = _Fates(news)
+    reports = list(log.of(Airtime))
+    fates = _Fates(reports)
     exchanges = setup.scenario.controller.negotiation_iterations
-    ends = [_end_ticks(one, exchanges) for one in news]
+    ends = [_end_ticks(one, exchanges) for one in reports]
     duration_s = max(ends, default=0.0) * setup.settings.sampling_period_s
-    busy_s = sum(one.busy_s for one in news)
+    busy_s = sum(one.busy_s for one in reports)
     losses = {name: fates.count(result) for name, result in _LOSSES.items()}
 
     return {
@@ -44,8 +44,8 @@ def radio_of(setup: Setup, log: RunLog) -> dict[str, Any] | None:
         "delivered_share": fates.delivered_share(),
         "delay_ms": fates.delays_ms(),
         **losses,
-        "transmissions": sum(one.transmissions for one in news),
-        "repetitions": sum(one.repetitions for one in news),
+        "transmissions": sum(one.transmissions for one in reports),
+        "repetitions": sum(one.repetitions for one in reports),
         "replaced": fates.replaced,
         "slots": _slots(setup, log),
         "links": _links(setup, fates),
@@ -55,8 +55,8 @@ def radio_of(setup: Setup, log: RunLog) -> dict[str, Any] | None:
 class _Fates:
     """Arrivals and losses of plans, a row for each plan and receiver (see `_rows`)."""
 
-    def __init__(self, news: Iterable[Airtime]) -> None:
-        rows = [_rows(one) for one in news if one.agents]
+    def __init__(self, reports: Iterable[Airtime]) -> None:
+        rows = [_rows(one) for one in reports if one.agents]
         told: Array = np.vstack(rows) if rows else np.zeros((0, 4))
         is_replaced = told[:, 2] == REPLACED
         self.table: Array = told[~is_replaced]  # of plans that were sent
@@ -87,24 +87,24 @@ class _Fates:
         return {"p50": float(p50), "p99": float(p99), "max": float(delays_ms.max())}
 
 
-def _rows(news: Airtime) -> Array:
-    """Return sender, receiver, arrival or loss, and delay of the plans with news, (F, 4)."""
-    agents = np.repeat(np.array(news.agents, dtype=np.float64), len(news.receivers))
-    receivers = np.tile(np.array(news.receivers, dtype=np.float64), len(news.agents))
-    arrivals = news.arrivals.ravel()
-    delays = (news.arrivals - news.sent[:, None]).ravel()
+def _rows(reports: Airtime) -> Array:
+    """Return sender, receiver, arrival or loss, and delay of the plans with reports, (F, 4)."""
+    agents = np.repeat(np.array(reports.agents, dtype=np.float64), len(reports.receivers))
+    receivers = np.tile(np.array(reports.receivers, dtype=np.float64), len(reports.agents))
+    arrivals = reports.arrivals.ravel()
+    delays = (reports.arrivals - reports.sent[:, None]).ravel()
     rows = np.column_stack([agents, receivers, arrivals, delays])
 
-    decided: Array = rows[arrivals != NO_NEWS]
+    decided: Array = rows[arrivals != UNREPORTED]
     return decided
 
 
-def _end_ticks(news: Airtime, exchanges: int) -> float:
-    """Return the end of the window of news, ticks: a tick, or an exchange that ends within one."""
-    if news.negotiation == 0:
-        return news.tick
-    ended_exchanges = exchanges - news.negotiation
-    return news.tick + ended_exchanges / exchanges
+def _end_ticks(reports: Airtime, exchanges: int) -> float:
+    """Return the end of the window of reports, ticks: a tick, or an exchange that ends within one."""
+    if reports.negotiation == 0:
+        return reports.tick
+    ended_exchanges = exchanges - reports.negotiation
+    return reports.tick + ended_exchanges / exchanges
 
 
 def _slots(setup: Setup, log: RunLog) -> dict[str, Any] | None:

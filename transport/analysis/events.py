@@ -223,11 +223,11 @@ def _lost_uavs(roster: messages.Roster) -> set[int]:
 
 
 def _membership(entry: Recorded, roster: messages.Roster, before: messages.Roster) -> _Event:
-    """Return the agents that left or joined with a roster as an event."""
-    left = {*before.agents} - {*roster.agents}
+    """Return the agents that departed or joined with a roster as an event."""
+    departed = {*before.agents} - {*roster.agents}
     joined = {*roster.agents} - {*before.agents}
     kind: Kind = "notice"
-    if left:
+    if departed:
         kind = "detected"
     elif joined:
         kind = "rejoined"
@@ -237,5 +237,5 @@ def _membership(entry: Recorded, roster: messages.Roster, before: messages.Roste
         received_ns=entry.received_ns,
         kind=kind,
         text=roster.reason,
-        processes=[agent_name(agent) for agent in sorted(left or joined)],
+        processes=[agent_name(agent) for agent in sorted(departed or joined)],
     )

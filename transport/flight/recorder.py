@@ -187,9 +187,9 @@ class Recorder:
 
     def _record(self) -> None:
         """Record until the run has ended and its processes have sent their last messages."""
-        left = set[str]()  # processes that have sent their last message
-        while self.control is None or not left >= self._expected:
-            arrival = self._next(self._timeout_s(left))
+        departed = set[str]()  # processes that have sent their last message
+        while self.control is None or not departed >= self._expected:
+            arrival = self._next(self._timeout_s(departed))
             if arrival is None:
                 break
             event = arrival.event
@@ -197,10 +197,10 @@ class Recorder:
                 case Interrupted():
                     return
                 case Departed(name=name):
-                    left.add(name)
+                    departed.add(name)
                 case wire.Presence(name=name, alive=True):
                     # Also again, after a standstill of that process or of this one.
-                    left.discard(name)
+                    departed.discard(name)
                 case wire.Presence():
                     pass
                 case wire.Request():
@@ -219,8 +219,8 @@ class Recorder:
                 )
             )
 
-    def _timeout_s(self, left: Set[str]) -> float | None:
-        """Return how long to wait for the next event, given the processes that have left.
+    def _timeout_s(self, departed: Set[str]) -> float | None:
+        """Return how long to wait for the next event, given the processes that have departed.
 
         None: for ever.
         """
@@ -229,7 +229,7 @@ class Recorder:
             is_led = COORDINATOR in self._bus.alive or (self._goes_on and not is_over)
             return None if is_led else _OVERTAKEN_S
 
-        missing = self._expected - left
+        missing = self._expected - departed
         return _TRAIL_S if missing & self._bus.alive.keys() else _QUIET_S
 
     def _next(self, timeout_s: float | None) -> Arrival | None:

@@ -40,8 +40,8 @@ class Extreme:
     @property
     def room(self) -> float:
         """Room that is left up to the bound as a share of it; below 0 beyond the bound."""
-        left = self.bound - self.value if self.is_upper else self.value - self.bound
-        return left / abs(self.bound) if self.bound else left
+        room = self.bound - self.value if self.is_upper else self.value - self.bound
+        return room / abs(self.bound) if self.bound else room
 
     @property
     def names(self) -> str:
@@ -76,7 +76,7 @@ class RemainingTeam:
     released: frozenset[int]  # UAVs off their rods, 0-based
 
     @property
-    def left(self) -> list[int]:
+    def remaining(self) -> list[int]:
         """UAVs that are still on their rods, 0-based: only they have limits."""
         return [uav for uav in range(self.system.N) if uav not in self.released]
 
@@ -86,7 +86,7 @@ def remaining_teams(
 ) -> Iterator[RemainingTeam]:
     """Yield the whole team, then the team after each scripted release, in the order of time.
 
-    Raises: ParameterError: those left cannot hover.
+    Raises: ParameterError: those remaining cannot hover.
     """
     gone: frozenset[int] = frozenset()
     yield RemainingTeam(tick=0, system=system, hover=hover, released=gone)
@@ -114,9 +114,9 @@ def exceeded(
     instants must be dense (`path_instants`): nothing is known between them. `when` has the words of
     an instant, by its number. Source: docs/equations.md (69).
     """
-    held_N = team.hover.tensions[team.left]
+    held_N = team.hover.tensions[team.remaining]
     if not held_N.min() >= LEAST_TENSION * held_N.mean():
-        expected = "expected all rods of the UAVs left to carry the payload at hover"
+        expected = "expected all rods of the remaining UAVs to carry the payload at hover"
         return f"{expected}, got {held_N.min():.4g} N in one"
 
     aside = _aside(path, team.system)
@@ -182,12 +182,12 @@ def _aside(path: Array, system: System) -> float:
 def _extremes(
     flown: Flight, team: RemainingTeam, settings: ControllerSettings
 ) -> Iterator[Extreme]:
-    """Yield the extremes of the quantities of the UAVs left, always in the same order."""
-    left = team.left
-    uavs = [(uav,) for uav in left]
-    inputs = flown.u.reshape(len(flown.x), team.system.N, INPUTS)[:, left]
-    tensions_N = flown.tensions[:, left]
-    shares_of_hover = tensions_N / team.hover.tensions[left]
+    """Yield the extremes of the quantities of the remaining UAVs, always in the same order."""
+    remaining = team.remaining
+    uavs = [(uav,) for uav in remaining]
+    inputs = flown.u.reshape(len(flown.x), team.system.N, INPUTS)[:, remaining]
+    tensions_N = flown.tensions[:, remaining]
+    shares_of_hover = tensions_N / team.hover.tensions[remaining]
 
     def highest(quantity: str, unit: str, bound: float, values: Array) -> Extreme:
         return _furthest(quantity, unit, bound, values, uavs, is_upper=True)
@@ -197,7 +197,7 @@ def _extremes(
 
     yield highest("a thrust of at most", " N", settings.limits.thrust_N[1], inputs[..., 0])
 
-    Theta = StateView(flown.x).Theta[:, left]
+    Theta = StateView(flown.x).Theta[:, remaining]
     tilt_deg = math.degrees(MOST_TILT)
     if settings.tilt is not None:
         tilt_deg = min(tilt_deg, settings.tilt.limit_deg)
@@ -218,8 +218,8 @@ def _extremes(
     if settings.tension is not None:
         yield lowest("a rod tension of at least", " N", settings.tension.minimum_N, tensions_N)
 
-    if settings.separation is not None and len(left) > 1:
-        pairs = list(combinations(left, 2))
+    if settings.separation is not None and len(remaining) > 1:
+        pairs = list(combinations(remaining, 2))
         distances_m = _distances(flown, team)
         quantity = "a distance of UAVs of at least"
         minimum_m = settings.separation.minimum_m
@@ -250,10 +250,10 @@ def _furthest(
 
 
 def _distances(flown: Flight, team: RemainingTeam) -> Array:
-    """Return the distances of all pairs of UAVs left at every instant, (pairs, k), m."""
+    """Return the distances of all pairs of remaining UAVs at every instant, (pairs, k), m."""
     rho = np.array([uav.rho for uav in team.system.uavs])
     lengths_m = np.array([uav.rod_length for uav in team.system.uavs])
     r_P = rho - lengths_m[:, None] * StateView(flown.x).e_P
     return np.array(
-        [np.linalg.norm(r_P[:, i] - r_P[:, j], axis=1) for i, j in combinations(team.left, 2)]
+        [np.linalg.norm(r_P[:, i] - r_P[:, j], axis=1) for i, j in combinations(team.remaining, 2)]
     )

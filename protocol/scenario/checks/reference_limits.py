@@ -119,7 +119,7 @@ def off_limits(
 ) -> Problems:
     """Yield how a flat reference exceeds the limits, and the least slowing with which it does not.
 
-    Also after each scripted release, for the UAVs left. Source: docs/equations.md (69).
+    Also after each scripted release, for the remaining UAVs. Source: docs/equations.md (69).
     """
     if not reference.is_flat:
         return

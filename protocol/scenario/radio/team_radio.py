@@ -34,7 +34,7 @@ from transport.protocol.scenario.radio.radio_parameters import (
 )
 from transport.protocol.scenario.sections.radio_section import RadioSection
 from transport.protocol.scenario.setup.team_run import TeamRun
-from transport.protocol.wire.messages import NO_NEWS, Plan
+from transport.protocol.wire.messages import UNREPORTED, Plan
 
 _OTHERS_DB = 20.0  # power of the traffic of others above the sensitivity
 _ROUNDING = 1.01  # of distances: integrated rods are unit vectors only nearly
@@ -178,7 +178,7 @@ class TeamRadio:
         return {
             "tick": tick,
             "negotiation": negotiation,
-            **self._news(outcomes),
+            **self._reported(outcomes),
             "busy_s": counts.busy_ns / NS_PER_S,
             "transmissions": counts.transmissions,
             "repetitions": counts.repetitions,
@@ -230,7 +230,7 @@ class TeamRadio:
         positions: list[list[float]] = relative.tolist()
         return positions
 
-    def _news(self, outcomes: Sequence[FrameOutcome]) -> dict[str, Any]:
+    def _reported(self, outcomes: Sequence[FrameOutcome]) -> dict[str, Any]:
         """Return the arrivals and losses of plans that the outcomes decide, a row for each plan."""
         told: dict[tuple[int, int, int], _Message] = {}
         rows: dict[tuple[int, int, int], list[float]] = {}
@@ -238,7 +238,7 @@ class TeamRadio:
             plan = message.plan
             if plan not in rows:
                 told[plan] = message
-                rows[plan] = [NO_NEWS] * self._agents
+                rows[plan] = [UNREPORTED] * self._agents
             if result is FrameResult.DELIVERED:
                 rows[plan][receiver] = (time_ns - message.begin_ns) / NS_PER_S
             else:

@@ -25,7 +25,7 @@ class TeamCost:
 
 
 class StageCost:
-    """Stage cost of the UAVs left by scripted failures, with inputs relative to their own hover."""
+    """Stage cost of the UAVs remaining after scripted failures, with inputs relative to their own hover."""
 
     def __init__(self, setup: Setup) -> None:
         failed = failures(setup.faults)

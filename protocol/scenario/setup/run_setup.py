@@ -135,13 +135,13 @@ class Setup:
             next_tick=next_tick,
             ages=self.sensors.ages if self.sensors.vehicle else None,
             team_gain=team_gain,
-            left=tuple(self._left_after_releases()),
+            remaining=tuple(self._remaining_after_releases()),
         )
 
-    def _left_after_releases(self) -> Iterator[System]:
+    def _remaining_after_releases(self) -> Iterator[System]:
         """Yield the bodies that carry the payload after each scripted release, in the order of time.
 
-        A released UAV pulls with nothing: those left are a smaller team.
+        A released UAV pulls with nothing: those remaining are a smaller team.
         """
         released: dict[int, frozenset[int]] = {}  # by tick, after all releases of that tick
         gone: frozenset[int] = frozenset()
@@ -154,9 +154,9 @@ class Setup:
             if not uavs:
                 continue
             with contextlib.suppress(ParameterError):  # these cannot hover: no law holds them
-                left = replace(self.system, uavs=tuple(uavs))
-                hover(left)
-                yield left
+                remaining = replace(self.system, uavs=tuple(uavs))
+                hover(remaining)
+                yield remaining
 
     def _check(self, source: str) -> None:
         """Check that controllers exist, and that hover, reference and targets keep the limits.

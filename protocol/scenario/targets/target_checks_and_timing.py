@@ -298,9 +298,9 @@ def _teams_flying(setup: PlannedRun, window: Window) -> list[RemainingTeam]:
     """Return the team that flies when a target is given, and those after later releases.
 
     Whether a release falls within the motion depends on its duration, which is still sought, so the
-    limits of each team that is left count for all of the motion.
+    limits of each remaining team count for all of the motion.
 
-    Raises: RequestError: UAVs that are left cannot hover.
+    Raises: RequestError: the remaining UAVs cannot hover.
     """
     try:
         teams = list(remaining_teams(setup.system, setup.hover, setup.faults))

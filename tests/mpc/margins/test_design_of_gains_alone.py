@@ -122,10 +122,10 @@ def test_those_left_after_a_release_are_held_too() -> None:
     tree["faults"]["event"] = [{"at_s": 8.0, "do": "release", "target": "uav2"}]
     setup = Setup.of(Scenario.model_validate(tree), "released")
     alone = setup.team_alone(next_tick=setup.scenario.clock.next_tick)
-    assert [system.N for system in alone.left] == [setup.system.N - 1]
+    assert [system.N for system in alone.remaining] == [setup.system.N - 1]
     assert setup.alone is not None
     assert setup.alone.holds
-    loop = alone.loop(setup.alone.gains, alone.left[0])
+    loop = alone.loop(setup.alone.gains, alone.remaining[0])
     assert loop.growth(Mismatch()) < -DECAY_PER_S
     assert all(loop.growth(plant) < 0.0 for plant in REQUIRED)
 

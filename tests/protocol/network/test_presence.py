@@ -132,7 +132,7 @@ def test_the_end_of_an_old_incarnation_is_not_that_of_a_newer_one(order: tuple[i
     events = [plant.take(key, is_there=there) for key, there in (happens[step] for step in order)]
     assert [event for event in events if event] == [Presence("agent2", 1, alive=False)]
     assert plant.alive == {"agent2": 2}
-    assert not plant.left
+    assert not plant.departed
 
 
 def test_a_process_that_is_gone_has_left() -> None:
@@ -144,7 +144,7 @@ def test_a_process_that_is_gone_has_left() -> None:
     assert plant.take(ready, is_there=True) == Presence("agent2", 1, alive=True)
     assert plant.take(ready, is_there=False) is None
     assert plant.take(alive, is_there=False) == Presence("agent2", 1, alive=False)
-    assert plant.left == {"agent2"}
+    assert plant.departed == {"agent2"}
     assert plant.alive == {}
 
 

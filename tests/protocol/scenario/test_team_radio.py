@@ -24,8 +24,8 @@ from transport.protocol.scenario.sections.radio_section import RadioSection
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import (
-    NO_NEWS,
     REPLACED,
+    UNREPORTED,
     Airtime,
     Message,
     Plan,
@@ -66,8 +66,8 @@ def messages_of(*settings: str) -> list[Message]:
     return recorded(setup(ticks(TICKS), *CLOSED_LOOP, *settings))
 
 
-def news_of(*settings: str) -> list[Airtime]:
-    """Return the news of the radio of a short run."""
+def reports_of(*settings: str) -> list[Airtime]:
+    """Return the reports of the radio of a short run."""
     return [one for one in messages_of(*settings) if isinstance(one, Airtime)]
 
 
@@ -138,14 +138,14 @@ def test_refused_settings(settings: tuple[str, ...], text: str) -> None:
 
 
 def test_without_a_section_there_is_no_radio() -> None:
-    """A run without `[radio]` has no news of one."""
-    assert news_of() == []
+    """A run without `[radio]` has no reports of one."""
+    assert reports_of() == []
 
 
 def test_slots_deliver_every_plan_within_its_tick() -> None:
     """With slots the radio costs nothing: states have the bits of a run without one."""
-    arrivals = np.vstack([one.arrivals for one in news_of("radio={}")])
-    decided = arrivals[arrivals != NO_NEWS]
+    arrivals = np.vstack([one.arrivals for one in reports_of("radio={}")])
+    decided = arrivals[arrivals != UNREPORTED]
     assert len(decided) == REPORTED_TICKS * PAIRS
     assert np.all((decided > 0.0) & (decided <= PERIOD_S))
     assert states_of("radio={}") == states_of()
@@ -153,8 +153,8 @@ def test_slots_deliver_every_plan_within_its_tick() -> None:
 
 def test_sends_at_one_instant_deliver_nothing() -> None:
     """Agents that send at one instant lose every plan, and count it."""
-    arrivals = np.vstack([one.arrivals for one in news_of(AT_ONE_INSTANT)])
-    assert Counter(arrivals[arrivals != NO_NEWS]) == {COLLISION: REPORTED_TICKS * PAIRS}
+    arrivals = np.vstack([one.arrivals for one in reports_of(AT_ONE_INSTANT)])
+    assert Counter(arrivals[arrivals != UNREPORTED]) == {COLLISION: REPORTED_TICKS * PAIRS}
     assert lost_of(AT_ONE_INSTANT) == REPORTED_TICKS * PAIRS
     assert states_of(AT_ONE_INSTANT) != states_of()
 
@@ -168,7 +168,7 @@ def test_airtime_is_that_of_the_real_messages() -> None:
         for plan in plans
         if plan.tick < REPORTED_TICKS
     )
-    busy_s = sum(one.busy_s for one in news_of("radio={}"))
+    busy_s = sum(one.busy_s for one in reports_of("radio={}"))
     assert busy_s == pytest.approx(airtime_ns / NS_PER_S, rel=ROUNDING)
 
 
@@ -176,7 +176,7 @@ def test_plans_that_are_not_shared_take_no_air() -> None:
     """With on_change only the plans that are sent take airtime."""
     sharing = ("radio={}", "controller.share=on_change", "controller.received_states=predicted")
     plans = [one for one in messages_of(*sharing) if isinstance(one, Plan) and one.shared]
-    frames = sum(one.transmissions for one in news_of(*sharing))
+    frames = sum(one.transmissions for one in reports_of(*sharing))
     assert frames == sum(plan.tick < REPORTED_TICKS for plan in plans)
     assert frames < REPORTED_TICKS * AGENTS
 
@@ -189,9 +189,9 @@ def test_each_exchange_of_a_negotiation_takes_air() -> None:
         f"controller.negotiation_iterations={iterations}",
         "controller.relaxation=0.25",
     )
-    news = news_of(*three)
-    assert Counter(one.negotiation for one in news) == {2: TICKS, 1: TICKS, 0: REPORTED_TICKS}
-    proposals = [one for one in news if one.negotiation > 0]
+    reports = reports_of(*three)
+    assert Counter(one.negotiation for one in reports) == {2: TICKS, 1: TICKS, 0: REPORTED_TICKS}
+    proposals = [one for one in reports if one.negotiation > 0]
     assert sum(one.transmissions for one in proposals) == (iterations - 1) * TICKS * AGENTS
     for one in proposals:
         ends_s = PERIOD_S / iterations * (iterations - one.negotiation)
@@ -243,9 +243,9 @@ def test_the_length_of_a_plan_is_known_before_the_run() -> None:
 
 def test_slots_that_do_not_fit_into_a_period_take_turns() -> None:
     """At 1 Mb/s two agents send in a tick and two in the next; each plan sent arrives."""
-    news = news_of(SLOW)
-    arrivals = np.vstack([one.arrivals for one in news])
-    sent = np.concatenate([one.of_sent() for one in news])
+    reports = reports_of(SLOW)
+    arrivals = np.vstack([one.arrivals for one in reports])
+    sent = np.concatenate([one.of_sent() for one in reports])
     replaced = np.count_nonzero(arrivals == REPLACED)
     receivers = AGENTS - 1
     assert len(sent) == AGENTS_OF_A_TICK * REPORTED_TICKS * receivers
@@ -253,7 +253,7 @@ def test_slots_that_do_not_fit_into_a_period_take_turns() -> None:
     # At the end the plans of the other two agents wait for their turns.
     waiting = AGENTS - AGENTS_OF_A_TICK
     assert len(sent) + replaced == (AGENTS * REPORTED_TICKS - waiting) * receivers
-    assert all(one.transmissions == AGENTS_OF_A_TICK for one in news)
+    assert all(one.transmissions == AGENTS_OF_A_TICK for one in reports)
 
 
 def test_a_slow_plan_takes_as_long_as_stated() -> None:
@@ -317,10 +317,10 @@ def test_proposals_of_one_window_all_go_on_the_air() -> None:
     proposal = replace(following, negotiation=1)
     for one in (proposal, following):
         radio.send(one, ALL)
-    news = radio.advance(1, run.initial_state())
-    assert news["transmissions"] == 2
-    assert sorted(news["exchanges"]) == [0, 1]
-    arrivals = np.array(news["arrivals"])
+    reports = radio.advance(1, run.initial_state())
+    assert reports["transmissions"] == 2
+    assert sorted(reports["exchanges"]) == [0, 1]
+    arrivals = np.array(reports["arrivals"])
     others = arrivals[:, 1:]  # agent 1 is no receiver of its own plans
     assert np.all((others > 0.0) & (others <= PERIOD_S))
 
@@ -328,8 +328,8 @@ def test_proposals_of_one_window_all_go_on_the_air() -> None:
 def test_slots_of_one_tick_overlap_if_they_are_too_short() -> None:
     """With a cycle of one tick the last plans at 1 Mb/s arrive after the next tick."""
     short = "radio={standard='802.11b',rate_mbps=1.0,cycle_ticks=1}"
-    assert REPLACED not in np.vstack([one.arrivals for one in news_of(short)])
-    assert max(one.arrivals.max() for one in news_of(short)) > PERIOD_S
+    assert REPLACED not in np.vstack([one.arrivals for one in reports_of(short)])
+    assert max(one.arrivals.max() for one in reports_of(short)) > PERIOD_S
 
 
 @pytest.mark.parametrize(
@@ -343,8 +343,8 @@ def test_the_first_input_is_enough_under_the_shared_law(changes: tuple[str, ...]
     """Without the later inputs plans are two fifths shorter, and the run has the same bits."""
     whole, first = "radio={inputs='all'}", "radio={inputs='first'}"
     assert states_of(first, *changes) == states_of(whole, *changes)
-    busy_whole_s = sum(one.busy_s for one in news_of(whole, *changes))
-    busy_first_s = sum(one.busy_s for one in news_of(first, *changes))
+    busy_whole_s = sum(one.busy_s for one in reports_of(whole, *changes))
+    busy_first_s = sum(one.busy_s for one in reports_of(first, *changes))
     least, most = FIRST_INPUT_SHARE
     assert least < busy_first_s / busy_whole_s < most
 
@@ -362,9 +362,9 @@ def test_plans_in_several_frames_arrive_with_the_last() -> None:
     agents = 2
     frames_of_a_plan = 3
     pairs = ("radio={}", "agents.owned=[[1,2],[3,4]]", "controller.horizon=40")
-    news = news_of(*pairs)
-    frames = sum(one.transmissions for one in news)
-    plans = sum(len(one.agents) for one in news)
+    reports = reports_of(*pairs)
+    frames = sum(one.transmissions for one in reports)
+    plans = sum(len(one.agents) for one in reports)
     assert plans == agents * REPORTED_TICKS
     assert frames == frames_of_a_plan * plans
 
@@ -374,9 +374,9 @@ def test_plans_in_several_frames_arrive_with_the_last() -> None:
     assert len(lengths) == frames_of_a_plan
     rate_mbps = RadioSection().rate_mbps
     airtime_ns = sum(OFDM.message_airtime_ns(length, rate_mbps) for length in lengths)
-    for one in news:
+    for one in reports:
         since_sent_s = one.arrivals - one.sent[:, None]
-        assert np.all(since_sent_s[one.arrivals != NO_NEWS] > airtime_ns / NS_PER_S)
+        assert np.all(since_sent_s[one.arrivals != UNREPORTED] > airtime_ns / NS_PER_S)
 
 
 def test_equal_runs_have_equal_news() -> None:
@@ -385,8 +385,8 @@ def test_equal_runs_have_equal_news() -> None:
     first, again = recorded(setup(*settings)), recorded(setup(*settings))
     other = recorded(setup(*settings, "seed=1"))
 
-    def news(messages: list[Message]) -> list[bytes]:
+    def reports(messages: list[Message]) -> list[bytes]:
         return [encode(one) for one in messages if isinstance(one, Airtime)]
 
-    assert news(first) == news(again)
-    assert news(first) != news(other)
+    assert reports(first) == reports(again)
+    assert reports(first) != reports(other)

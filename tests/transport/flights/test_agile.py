@@ -135,7 +135,7 @@ def test_release_changes_the_reference() -> None:
 def test_release_that_the_rest_cannot_fly_is_refused() -> None:
     """Without an outer UAV the payload hangs beside the rods."""
     with pytest.raises(
-        ScenarioError, match="expected all rods of the UAVs left to carry the payload"
+        ScenarioError, match="expected all rods of the remaining UAVs to carry the payload"
     ):
         transport.Scenario("eight", released(1)).setup  # noqa: B018
 
