@@ -25,6 +25,9 @@ class DeployError(TransportError, ValueError):
     """
 
 
+_LINK = r"^((udp|udpclient|tcp):\S+:\d+|serial:\S+)$"
+
+
 class Host(Section):
     """One host of a deployment."""
 
@@ -34,9 +37,11 @@ class Host(Section):
     """address at which the other hosts reach it"""
     runs: Annotated[list[Name], Field(min_length=1)]
     """its processes: coordinator, plant, agent1, ..., vehicle1, ..., recorder, router"""
-    autopilot: Annotated[str, Field(pattern=r"^udp(client)?:\S+:\d+$")] | None = None
-    """MAVLink of its vehicle's autopilot, as of `transport vehicle --link`; if omitted port 14549 plus
-    the number of the UAV, at 127.0.0.1"""
+    autopilot: Annotated[str, Field(pattern=_LINK)] | None = None
+    """MAVLink of its vehicle's autopilot, or MSP of a Betaflight, as of `transport vehicle --link`; if
+    omitted port 14549 plus the number of the UAV, at 127.0.0.1"""
+    pose: Annotated[str, Field(pattern=r"^udp(client)?:\S+:\d+$")] | None = None
+    """motion capture of its Betaflight, as of `transport vehicle --pose`"""
     listen: Address | None = None
     """address to listen on, if it is not `address` (in a container 0.0.0.0)"""
     router: Name | None = None

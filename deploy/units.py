@@ -64,6 +64,7 @@ def command(
         uav = name.removeprefix(VEHICLE)
         usual = f"udp:127.0.0.1:{DEFAULT_VEHICLE_PORT + int(uav) - 1}"
         role = [VEHICLE, "--uav", uav, "--link", placement.host.autopilot or usual]
+        role += ["--pose", placement.host.pose] if placement.host.pose else []
     if name == RECORDER:
         role = ["record", "--no-figures"]
     line = [str(program), *role, "--scenario", str(etc / "scenario.toml")]

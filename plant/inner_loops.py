@@ -13,6 +13,7 @@ from transport.plant.plant_run import PlantRun
 # These start processes, so they are imported by runs with a firmware or autopilots only.
 _FIRMWARE = "transport.plant.firmware.betaflight"
 _AUTOPILOTS = "transport.plant.autopilot.autopilot_processes"
+_BETAFLIGHTS = "transport.plant.autopilot.betaflights"
 # Longest time between two evaluations of an inner loop, s.
 INNER_STEP_S = 1e-3
 
@@ -104,7 +105,8 @@ def checked_firmware(setup: PlantRun) -> str:
     Raises: ScenarioError: it is not usable.
     """
     if setup.section.autopilot is not None:
-        return str(importlib.import_module(_AUTOPILOTS).version(setup))
+        bank = _BETAFLIGHTS if setup.section.autopilot == "betaflight" else _AUTOPILOTS
+        return str(importlib.import_module(bank).version(setup))
     if setup.section.inner_loop != "betaflight":
         return ""
     return str(importlib.import_module(_FIRMWARE).version(setup))

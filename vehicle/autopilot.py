@@ -95,3 +95,6 @@ class Autopilot(Protocol):
 
     def land(self) -> None:
         """Ask it to land by itself."""
+
+    def close(self) -> None:
+        """Close the link."""

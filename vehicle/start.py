@@ -1,40 +1,62 @@
 """Opening of the link to an autopilot, and its check alone."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+from transport.mpc.settings import Limits
 from transport.protocol.network.mavlink import Endpoint, LinkError, MavlinkLink, read_key
+from transport.protocol.network.msp import MspLink
 from transport.protocol.scenario.sections.vehicles_section import VehiclesSection
 from transport.protocol.wire.errors_and_exit_codes import EXIT_CHECK_FAILED
 from transport.vehicle.ardupilot_and_px4 import DIALECTS
+from transport.vehicle.autopilot import Autopilot
+from transport.vehicle.betaflight_driver import BetaflightAutopilot, BetaflightSettings
 from transport.vehicle.mavlink_driver import MavlinkAutopilot, MavlinkSettings
 
 # Time that an autopilot has to answer all questions, and between two looks at it, s.
 _CHECK_S = 10.0
 _LOOK_S = 0.05
 _OWN = (255, 191)  # system of a ground station, component of an onboard computer
+_BETAFLIGHT = "betaflight"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Links:
+    """Options of `transport vehicle` about its autopilot, as given."""
+
+    link: str
+    autopilot: str | None = None
+    pose: str | None = None
+    key: Path | None = None
 
 
 def open_autopilot(
     vehicles: VehiclesSection,
-    most_N: float,
+    limits: Limits,
     uav: int,
-    link: str,
-    autopilot: str | None,
-    key: Path | None,
-) -> MavlinkAutopilot:
-    """Return the driver of the autopilot of a UAV, 1-based, on its open link.
+    links: Links,
+) -> Autopilot:
+    """Return the driver of the autopilot of a UAV, 1-based, on its open links.
 
-    `most_N` is its largest thrust, where the section has none. Raises: LinkError.
+    `limits` are those of the controller, whose largest thrust counts where the section has none.
+    Raises: LinkError.
     """
-    name = autopilot or vehicles.autopilot
+    name = links.autopilot or vehicles.autopilot
+    thrust_N = vehicles.thrust_N or limits.thrust_N[1]
+    if name == _BETAFLIGHT:
+        return _open_betaflight(vehicles, thrust_N, limits.rates_rads, uav, links)
     if name not in DIALECTS:
-        raise LinkError(f"--autopilot: expected one of {', '.join(DIALECTS)}, got {name!r}")
-    opened = MavlinkLink(Endpoint.of(link), _OWN, uav, None if key is None else read_key(key))
+        known = ", ".join((*DIALECTS, _BETAFLIGHT))
+        raise LinkError(f"--autopilot: expected one of {known}, got {name!r}")
+    if links.pose is not None:
+        raise LinkError(f"--pose: expected none with {name}, which has an estimate of its own")
+    key = None if links.key is None else read_key(links.key)
+    opened = MavlinkLink(Endpoint.of(links.link), _OWN, uav, key)
     settings = MavlinkSettings(
         system=uav,
-        thrust_N=vehicles.thrust_N or most_N,
+        thrust_N=thrust_N,
         origin=vehicles.origin,
         parameters=vehicles.parameters,
         stream_hz=2.0 * vehicles.setpoint_hz,
@@ -42,7 +64,29 @@ def open_autopilot(
     return MavlinkAutopilot(opened, DIALECTS[name](vehicles.setpoint_timeout_s), settings)
 
 
-def check_autopilot(driver: MavlinkAutopilot, say: Callable[[str], object]) -> int:
+def _open_betaflight(
+    vehicles: VehiclesSection,
+    thrust_N: float,
+    rates_rads: Sequence[float],
+    uav: int,
+    links: Links,
+) -> BetaflightAutopilot:
+    """Return the driver of a Betaflight, with its motion capture. Raises: LinkError."""
+    if links.pose is None:
+        raise LinkError(
+            "--pose: expected an endpoint of the motion capture with betaflight, got none"
+        )
+    key = None if links.key is None else read_key(links.key)
+    settings = BetaflightSettings(
+        thrust_N=thrust_N,
+        rates_rads=rates_rads,
+        setpoint_timeout_s=vehicles.setpoint_timeout_s,
+    )
+    pose = MavlinkLink(Endpoint.of(links.pose, "--pose"), _OWN, uav, key)
+    return BetaflightAutopilot(MspLink(links.link), pose, settings)
+
+
+def check_autopilot(driver: Autopilot, say: Callable[[str], object]) -> int:
     """Print the checks of an autopilot, once all are answered or the time is over.
 
     Returns: The exit code: 0 if all are met.

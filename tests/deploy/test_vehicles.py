@@ -15,7 +15,7 @@ insecure = true
 [[host]]
 name = "ground"
 address = "192.0.2.10"
-runs = ["coordinator", "agent3", "agent4", "vehicle3", "vehicle4"]
+runs = ["coordinator", "agent3", "agent4", "vehicle4"]
 [[host]]
 name = "first"
 address = "192.0.2.1"
@@ -25,6 +25,12 @@ autopilot = "udpclient:192.0.2.101:14555"
 name = "second"
 address = "192.0.2.2"
 runs = ["agent2", "vehicle2"]
+[[host]]
+name = "third"
+address = "192.0.2.3"
+runs = ["vehicle3"]
+autopilot = "serial:/dev/ttyACM0"
+pose = "udp:0.0.0.0:14600"
 """
 
 
@@ -43,4 +49,6 @@ def test_a_vehicle_knows_its_autopilot(tmp_path: Path) -> None:
     line = command(placed["vehicle1"], inventory)
     assert line[1:6] == ["vehicle", "--uav", "1", "--link", "udpclient:192.0.2.101:14555"]
     assert "udp:127.0.0.1:14551" in command(placed["vehicle2"], inventory)
+    betaflight = ["--link", "serial:/dev/ttyACM0", "--pose", "udp:0.0.0.0:14600"]
+    assert command(placed["vehicle3"], inventory)[4:8] == betaflight
     assert "Restart=on-failure" in unit(placed["vehicle2"], inventory, [])

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.plant.test_betaflight import installed
 from tests.support.bench import Bench
 from tests.support.commands import processes_of, settings, start, transport, wait_for
 from tests.support.live_log import LiveLog
@@ -220,6 +221,26 @@ def test_a_run_without_a_plant(tmp_path: Path) -> None:
         moved_m = np.linalg.norm(places - places[0], axis=1)
         assert moved_m[: len(moved_m) // 4].max() < 0.5
         assert places[-1, 2] - places[0, 2] == pytest.approx(-1.0, abs=0.4)
+
+
+@installed
+def test_betaflight_over_its_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MSP and motion capture: 200 ms and 30 % loss, and a vehicle process that ends and returns.
+
+    Meanwhile the firmware's own fail-safe keeps its UAV level, at the throttle of a hover.
+    """
+    late = ("links.delay_s=0.2", "links.loss=0.3")
+    ends = (
+        "faults.event=[{at_s=2.0,do='kill',target='vehicle2'},"
+        "{at_s=2.5,do='restart',target='vehicle2'}]"
+    )
+    options = ("plant.autopilot=betaflight", SHORT, *late, ends)
+    # The physics take a step of a millisecond for each exchange with the firmwares.
+    summary, statuses = flown(tmp_path, *options, monkeypatch=monkeypatch, speeds=(0.25, 0.1))
+    assert summary["payload_tracking"]["rms_m"] < 0.05
+    assert summary["attitude_max_deg"] < 3.0
+    back = [status for status in statuses if status.uav == 2 and status.incarnation > 0]
+    assert back[-1].plan_tick >= 0
 
 
 class Flown:

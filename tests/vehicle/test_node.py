@@ -100,6 +100,10 @@ class Recording:
         """Record the request."""
         self.asked.append("land")
 
+    def close(self) -> None:
+        """Record the request."""
+        self.asked.append("close")
+
 
 class Flight:
     """A vehicle and its autopilot in virtual time."""

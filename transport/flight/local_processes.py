@@ -181,6 +181,7 @@ class Harness:
     keys: Path | None = None  # folder of keys in place of the scenario's
     vehicle_port: int = 0  # UDP port of the link to the autopilot of UAV 1; 0 without vehicles
     stands: bool = False  # whether UAVs stand until tick 0, and vehicles arm them
+    autopilot: str | None = None  # of the vehicles, in place of the scenario's
     children: list[Child] = field(default_factory=list)  # processes in the order of their starts
 
     def ended(self) -> list[Child]:
@@ -237,8 +238,11 @@ class Harness:
             arguments = [AGENT, "--id", name.removeprefix(AGENT)]
         if role == VEHICLE:
             uav = int(name.removeprefix(VEHICLE))
-            link = f"udp:127.0.0.1:{self.vehicle_port + uav - 1}"
-            arguments = [VEHICLE, "--uav", str(uav), "--link", link]
+            place = f"127.0.0.1:{self.vehicle_port + uav - 1}"
+            arguments = [VEHICLE, "--uav", str(uav), "--link", f"udp:{place}"]
+            if self.autopilot == "betaflight":
+                links = ["--link", f"tcp:{place}", "--pose", f"udp:{place}"]
+                arguments = [VEHICLE, "--uav", str(uav), "--autopilot", self.autopilot, *links]
             if self.stands:
                 arguments.append("--stands")
         arguments.append("--allow-large")  # the parent has checked the scenario's size

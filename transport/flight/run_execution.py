@@ -209,8 +209,10 @@ def _harness(
         given = scenario.network.vehicle_port
         harness.vehicle_port = given or free_udp_ports(progress.setup.system.N)
         harness.stands = True
+        harness.autopilot = scenario.plant.autopilot
     elif scenario.has_vehicles:
         harness.vehicle_port = scenario.network.vehicle_port or DEFAULT_VEHICLE_PORT
+        harness.autopilot = scenario.vehicles.autopilot
     try:
         yield harness
     finally:

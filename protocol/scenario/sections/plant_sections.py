@@ -159,10 +159,11 @@ class PlantSection(Section):
     kind: Literal["simulated", "vehicles"] = "simulated"
     """simulated: one process is the team; vehicles: there is none, each UAV has a process between its
     agent and its autopilot ([flight.md](../flight.md))"""
-    autopilot: Literal["ardupilot", "stand_in"] | None = None
+    autopilot: Literal["ardupilot", "betaflight", "stand_in"] | None = None
     """autopilots fly the simulated UAVs, a program for each, with the same processes of vehicles as
-    outside: ArduCopter, named by the environment variable ARDUCOPTER, or a stand-in of this project
-    for tests. Default: none, the plant follows the plans itself"""
+    outside: ArduCopter, named by the environment variable ARDUCOPTER, Betaflight on its real links,
+    whose place a motion capture tells, or a stand-in of this project for tests. Default: none, the
+    plant follows the plans itself"""
     engine: Annotated[
         str, or_class("rods", "mujoco"), Key(type="rods, mujoco, package.module:Class")
     ] = "rods"

@@ -13,7 +13,7 @@ DEFAULT_VEHICLE_PORT = 14550
 class VehiclesSection(Section):
     """Processes of the UAVs, with `plant.kind` vehicles or `plant.autopilot`."""
 
-    autopilot: Literal["ardupilot", "px4"] = "ardupilot"
+    autopilot: Literal["ardupilot", "px4", "betaflight"] = "ardupilot"
     """autopilot of each UAV, which decides modes, parameters and throttle ([flight.md](../flight.md))"""
     thrust_N: Positive | None = None
     """thrust of a UAV at full throttle; default: the upper limit of `controller.limits.thrust_N`"""

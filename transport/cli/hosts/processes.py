@@ -246,12 +246,17 @@ def plant(options: ProcessOptions) -> None:
         node = PlantNode(plant_run(setup), place.incarnation)
     else:
         from transport.plant.autopilot.autopilot_processes import Autopilots
-        from transport.plant.autopilot.node import PlayedPlant
+        from transport.plant.autopilot.betaflights import Betaflights
+        from transport.plant.autopilot.node import AutopilotBank, PlayedPlant
         from transport.protocol.scenario.sections.vehicles_section import DEFAULT_VEHICLE_PORT
 
         port = setup.scenario.network.vehicle_port or DEFAULT_VEHICLE_PORT
-        autopilots = Autopilots(plant_run(setup), port)
-        node = PlayedPlant(plant_run(setup), autopilots, place.incarnation, wall_offset_ns())
+        run = plant_run(setup)
+        is_betaflight = setup.scenario.plant.autopilot == "betaflight"
+        autopilots: AutopilotBank = (
+            Betaflights(run, port) if is_betaflight else Autopilots(run, port)
+        )
+        node = PlayedPlant(run, autopilots, place.incarnation, wall_offset_ns())
     node.warm_up()
     raise typer.Exit(_run(node, place, setup))
 
@@ -273,10 +278,16 @@ def vehicle(
     link: str = Option(
         ...,
         metavar="ENDPOINT",
-        help="MAVLink to the autopilot: udp:HOST:PORT to listen, udpclient:HOST:PORT to call.",
+        help="MAVLink to the autopilot: udp:HOST:PORT to listen, udpclient:HOST:PORT to call. "
+        "MSP to Betaflight: serial:DEVICE, or tcp:HOST:PORT.",
     ),
     autopilot: str | None = Option(
-        None, metavar="NAME", help="ardupilot or px4; by default the scenario's."
+        None, metavar="NAME", help="ardupilot, px4 or betaflight; by default the scenario's."
+    ),
+    pose: str | None = Option(
+        None,
+        metavar="ENDPOINT",
+        help="Motion capture of a Betaflight, as MAVLink ODOMETRY: udp:HOST:PORT to listen.",
     ),
     key: Path | None = Option(
         None, metavar="FILE", help="Key of MAVLink signing: 64 hexadecimal digits."
@@ -293,15 +304,16 @@ def vehicle(
     Example: transport vehicle --uav 2 --autopilot ardupilot --link udp:127.0.0.1:14550
     """
     from transport.vehicle.node import Conduct, VehicleNode
-    from transport.vehicle.start import check_autopilot, open_autopilot
+    from transport.vehicle.start import Links, check_autopilot, open_autopilot
 
     setup = options.setup() if check else options.compiled_setup()
     if uav > setup.system.N:
         allowed = f"1 to {setup.system.N} of scenario {setup.scenario.name}"
         fail(f"--uav: expected a UAV from {allowed}, got {uav}")
     section = setup.scenario.vehicles
-    most_N = setup.settings.limits.thrust_N[1]
-    driver = open_autopilot(section, most_N, uav, link, autopilot, key)
+    limits = setup.scenario.controller.limits
+    links = Links(link=link, autopilot=autopilot, pose=pose, key=key)
+    driver = open_autopilot(section, limits, uav, links)
     try:
         if check:
             raise typer.Exit(check_autopilot(driver, typer.echo))
