@@ -20,8 +20,8 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.protocol.network.mavlink import MavlinkLink
-from transport.protocol.network.msp import MspLink
 from transport.vehicle.autopilot import AutopilotState, Finding
+from transport.vehicle.msp import MspLink
 
 _RC_TUNING, _RX_CONFIG, _FAILSAFE, _ADVANCED = 111, 44, 75, 90
 _STATUS_EX, _RAW_IMU, _SET_RAW_RC = 150, 102, 200

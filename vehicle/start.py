@@ -7,13 +7,13 @@ from pathlib import Path
 
 from transport.mpc.settings import Limits
 from transport.protocol.network.mavlink import Endpoint, LinkError, MavlinkLink, read_key
-from transport.protocol.network.msp import MspLink
 from transport.protocol.scenario.sections.vehicles_section import VehiclesSection
 from transport.protocol.wire.errors_and_exit_codes import EXIT_CHECK_FAILED
 from transport.vehicle.ardupilot_and_px4 import DIALECTS
 from transport.vehicle.autopilot import Autopilot
 from transport.vehicle.betaflight_driver import BetaflightAutopilot, BetaflightSettings
 from transport.vehicle.mavlink_driver import MavlinkAutopilot, MavlinkSettings
+from transport.vehicle.msp import MspLink
 
 # Time that an autopilot has to answer all questions, and between two looks at it, s.
 _CHECK_S = 10.0

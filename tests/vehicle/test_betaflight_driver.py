@@ -13,8 +13,8 @@ import pytest
 from tests.support.bench import free_udp_port
 from tests.support.commands import wait_for
 from transport.protocol.network.mavlink import Endpoint, MavlinkLink, messages
-from transport.protocol.network.msp import MspLink, framed
 from transport.vehicle.betaflight_driver import BetaflightAutopilot, BetaflightSettings
+from transport.vehicle.msp import MspLink, framed
 
 LARGEST_N = 34.2
 RATES = (3.0, 3.0, 1.0)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from transport.protocol.network.mavlink import LinkError
-from transport.protocol.network.msp import MspLink, framed
+from transport.vehicle.msp import MspLink, framed
 
 ANSWER, REFUSAL = b"$M>", b"$M!"
 # MSP_API_VERSION as Betaflight 4.6 answers it: protocol 0, API 1.47. The sum is 0x03 ^ 0x01 ^ 0x00 ^ 0x01 ^ 0x2F.
