@@ -23,7 +23,7 @@ _BETAFLIGHT = "betaflight"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Links:
+class LinkOptions:
     """Options of `transport vehicle` about its autopilot, as given."""
 
     link: str
@@ -36,7 +36,7 @@ def open_autopilot(
     vehicles: VehiclesSection,
     limits: Limits,
     uav: int,
-    links: Links,
+    links: LinkOptions,
 ) -> Autopilot:
     """Return the driver of the autopilot of a UAV, 1-based, on its open links.
 
@@ -69,7 +69,7 @@ def _open_betaflight(
     thrust_N: float,
     rates_rads: Sequence[float],
     uav: int,
-    links: Links,
+    links: LinkOptions,
 ) -> BetaflightAutopilot:
     """Return the driver of a Betaflight, with its motion capture. Raises: LinkError."""
     if links.pose is None:

@@ -304,7 +304,7 @@ def vehicle(
     Example: transport vehicle --uav 2 --autopilot ardupilot --link udp:127.0.0.1:14550
     """
     from transport.vehicle.node import Conduct, VehicleNode
-    from transport.vehicle.start import Links, check_autopilot, open_autopilot
+    from transport.vehicle.start import LinkOptions, check_autopilot, open_autopilot
 
     setup = options.setup() if check else options.compiled_setup()
     if uav > setup.system.N:
@@ -312,7 +312,7 @@ def vehicle(
         fail(f"--uav: expected a UAV from {allowed}, got {uav}")
     section = setup.scenario.vehicles
     limits = setup.scenario.controller.limits
-    links = Links(link=link, autopilot=autopilot, pose=pose, key=key)
+    links = LinkOptions(link=link, autopilot=autopilot, pose=pose, key=key)
     driver = open_autopilot(section, limits, uav, links)
     try:
         if check:
