@@ -304,3 +304,18 @@ def test_each_table_has_its_own_name(docs: SimpleNamespace) -> None:
     names = [one.name for tables in pages.values() for one in tables]
     names += import_module("results_page").EXPERIMENTS
     assert sorted(names) == sorted(docs.figures.TABLES)
+
+
+@pytest.mark.parametrize(
+    ("completed", "runs", "text"),
+    [
+        (60, 60, "60 of 60 (94 to 100 %)"),  # 0.025 ** (1 / 60) = 0.940
+        (0, 10, "0 of 10 (0 to 31 %)"),  # 1 - 0.025 ** (1 / 10) = 0.308
+        (5, 10, "5 of 10 (19 to 81 %)"),  # table of Clopper and Pearson
+    ],
+)
+def test_counts_have_the_exact_interval(
+    docs: SimpleNamespace, completed: int, runs: int, text: str
+) -> None:
+    """The ends are the shares at which so many, or so few, completed runs have the probability 2.5 %."""
+    assert import_module("tables").completed_of(completed, runs) == text
