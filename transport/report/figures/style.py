@@ -53,7 +53,7 @@ MARKER = 3.2  # size, points
 # Colour, marker and line of what many figures show, the same in each, by name: controllers and networks.
 _KNOWN = {
     "centralized": ("#000000", "D", "-"),
-    "centralized_lq": ("#CC79A7", "v", "-"),
+    "centralized_lq": ("#CC79A7", "v", ":"),
     "paper": ("#004488", "o", "-"),
     "paper's algorithm": ("#004488", "o", "-"),
     "resilient": ("#D55E00", "s", "--"),
