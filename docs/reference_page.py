@@ -35,11 +35,12 @@ KEYS, COMMANDS = (
 _COMMANDS_HEAD = """\
 # Commands and options
 
-Made by `make reference` from the help texts. Every command explains itself with `-h` or `--help`."""
+Made by `make reference` from the help texts. Every command explains itself, with an example, by `-h` or
+`--help`. Arguments come before options."""
 # Parts of a command's description that its name, arguments and sections say.
 _LEFT_OUT = re.compile(
     r"\*\*Usage\*\*:\n\n```console\n(?:.*\n)*?```\n|\*\*Commands\*\*:\n\n(?:\* .*\n)+"
-    r"|\*\*Options\*\*:\n+(?=\* `--help`)|^\* `--help`: .*\n",
+    r"|\*\*(?:Arguments|Options)\*\*:\n+|^\* `--help`: .*\n|^Example: .*\n(?:\S.*\n)*",
     re.MULTILINE,
 )
 _OPTION = re.compile(r"^\* `--.*$", re.MULTILINE)
@@ -106,7 +107,7 @@ def _with_shared(part: str, shared: Mapping[str, object]) -> str:
         )
     names = ", ".join(f"`{line.split()[1].strip('`:')}`" for line in own)
     listed = part.strip() + (f"\n\n[Shared](#shared-options): {names}." if names else "")
-    return re.sub(r"\n{3,}", "\n\n", re.sub(r"\*\*Options\*\*:\n+(?=\[Shared|$)", "", listed))
+    return re.sub(r"\n{3,}", "\n\n", listed)
 
 
 def _load(group: object) -> None:
