@@ -131,8 +131,8 @@ def test_names_of_the_python_page() -> None:
     assert dict(re.findall(r"^\| `(\w+)` \| `([\w.]+)` \|$", text, re.MULTILINE)) == dict(KEY_OF)
     series = (ROOT / "docs" / "reference" / "series.md").read_text(encoding="utf-8")
     table = series.partition("<!-- series -->")[2].partition("<!-- end of series -->")[0]
-    rows = re.findall(r"^\| `(\w+)` \| \(([^)]+)\) \| ([^|]*) \| (.*) \|$", table, re.MULTILINE)
-    assert [(name, unit.strip(), meaning) for name, _, unit, meaning in rows] == [
+    rows = re.findall(r"^- `(\w+)` \(([^;)]+)(?:; ([^)]+))?\): (.*)$", table, re.MULTILINE)
+    assert [(name, unit, meaning) for name, _, unit, meaning in rows] == [
         (name, quantity.unit, quantity.meaning) for name, quantity in QUANTITIES.items()
     ]
     for name in transport.__all__:

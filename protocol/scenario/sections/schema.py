@@ -128,12 +128,10 @@ class ControllerSection(ControllerSettings):
     share_heartbeat_s: Annotated[Positive, Key(label="longest time without a plan")] = 1.0
     """with on_change: longest interval between two plans sent, so that a lost plan is replaced"""
     silence: Literal["alone", "law", "stop"] = "alone"
-    """with closed_loop, what an agent does when its information about the others is overdue, or late on average
-    with a filter. alone: each of its UAVs gradually follows its part of the motion of the team alone,
-    by its own sensors ([equations](../equations/information.md#silence)); law: they follow the shared control law
-    by the agent's estimate; stop: as alone, and the agent's path comes to a rest within 1 s, or its
-    speed over 1 m/s^2, and goes on with the others once there is information
-    ([equations](../equations/information.md#stop-in-silence))"""
+    """with closed_loop, what an agent does when its information about the others is overdue
+    ([equations](../equations/information.md#silence)). alone: each of its UAVs gradually follows its part of
+    the motion of the team alone, by its own sensors; law: they follow the shared control law; stop: as
+    alone, and the agent's path comes to a rest, and goes on with the others once there is information"""
     targets: Literal["eager", "confirmed"] = "eager"
     """when an agent follows a target that it has heard of in a plan, or that only some are told: eager: at
     once; confirmed: once all agents on the roster are known to have it, and the path before goes on
