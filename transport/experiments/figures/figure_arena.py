@@ -12,13 +12,15 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import NullLocator
 
 from transport.experiments.arena.arena_tasks_and_networks import NETWORKS
 from transport.experiments.statistics import PointStatistics
 from transport.report.figures.column import Room, column_panels, head, text_width_in
-from transport.report.figures.style import COLUMN_IN, MARKER, label_decades, styles_of
+from transport.report.figures.style import COLUMN_IN, MARKER, styles_of
 
 _ROW_IN = 0.27
+_LEAST_IN = 0.5  # height of the matrix, so that numbers of a scale are apart
 _SLANT_DEG = 40.0  # of the names of algorithms
 _BELOW_IN = 0.1  # beside the height of the names
 _BESIDE_NAME_IN = 0.08
@@ -67,7 +69,8 @@ def draw_measure(
     colours = ScalarMappable(scale)
     panel = _matrix(figure, measured, right_in=_RIGHT_OF_SCALE_IN)
     rows = [networks[i : i + _ACROSS] for i in range(0, len(networks), _ACROSS)]
-    head(panel, f"{title}; in a cell {' / '.join(', '.join(row) for row in rows)}", legend=False)
+    cell = f"; in a cell {' / '.join(', '.join(row) for row in rows)}" if len(networks) > 1 else ""
+    head(panel, f"{title}{cell}", legend=False)
     for one, (column, row) in _places(measured, networks):
         corner = (column - _TILE / 2.0, row - _TILE / 2.0)
         mean = means.get(id(one))
@@ -77,12 +80,21 @@ def draw_measure(
         elif one.runs and not one.completed:
             panel.add_patch(Rectangle(corner, _TILE, _TILE, **_NONE))
 
+    _draw_scale(figure, panel, colours, (min(values), max(values)))
+
+
+def _draw_scale(
+    figure: Figure, panel: Axes, colours: ScalarMappable, ends: tuple[float, float]
+) -> None:
+    """Draw the colour bar beside a matrix, with its ends and its middle as numbers."""
     place = panel.get_position()
     left = place.x1 + _BAR_GAP_IN / COLUMN_IN
-    bar = figure.colorbar(
-        colours, cax=figure.add_axes((left, place.y0, _BAR_IN / COLUMN_IN, place.height))
-    )
-    label_decades(bar.ax.yaxis)
+    axes = figure.add_axes((left, place.y0, _BAR_IN / COLUMN_IN, place.height))
+    bar = figure.colorbar(colours, cax=axes)
+    low, high = ends
+    ticks = list(dict.fromkeys([low, math.sqrt(low * high), high]))
+    axes.yaxis.set_minor_locator(NullLocator())
+    bar.set_ticks(ticks, labels=[f"{tick:.3g}" for tick in ticks])
 
 
 def _has(one: PointStatistics, number: str) -> bool:
@@ -129,7 +141,9 @@ def _matrix(
         top_in=0.12 if legend else 0.2,
         bottom_in=_BELOW_IN + math.sin(math.radians(_SLANT_DEG)) * max(map(text_width_in, names)),
     )
-    (panel,) = column_panels(figure, [_ROW_IN * len(tasks)], legend=legend, x_label="", room=room)
+    (panel,) = column_panels(
+        figure, [max(_ROW_IN * len(tasks), _LEAST_IN)], legend=legend, x_label="", room=room
+    )
     panel.set(xlim=(-0.5, len(algorithms) - 0.5), ylim=(len(tasks) - 0.5, -0.5))
     slant: Any = {"rotation": _SLANT_DEG, "ha": "right", "rotation_mode": "anchor"}
     panel.set_xticks(range(len(algorithms)), names, **slant)
