@@ -43,6 +43,8 @@ _LEFT_OUT = re.compile(
     r"|\*\*(?:Arguments|Options)\*\*:\n+|^\* `--help`: .*\n|^Example: .*\n(?:\S.*\n)*",
     re.MULTILINE,
 )
+_MOST = 10  # commands that are named one by one
+_READY = re.compile(r", or name: [\w, ]+\.")  # names of ready scenarios, which docs/scenario.md has
 _OPTION = re.compile(r"^\* `--.*$", re.MULTILINE)
 _LIST = re.compile(r"(<!-- keys of (\S+) -->\n).*?(\n<!-- end of keys -->)", re.DOTALL)
 _NOUNS = {int: "integer", float: "number", str: "text", bool: "true, false"}
@@ -54,7 +56,7 @@ def commands_page() -> str:
     root = typer.main.get_command(app)
     _load(root)
     text = get_docs_for_click(obj=root, ctx=typer.Context(root), name="transport")
-    text = re.sub(r"(?<! )<(?=[a-z])", "&lt;", text.replace("\b\n", ""))
+    text = _READY.sub(" or name.", re.sub(r"(?<! )<(?=[a-z])", "&lt;", text.replace("\b\n", "")))
     parts = re.split(r"^#+ `(transport[^`]*)`\n", text, flags=re.MULTILINE)
     described = {
         name: re.sub(r"\n{3,}", "\n\n", _LEFT_OUT.sub("", part)).strip()
@@ -63,8 +65,7 @@ def commands_page() -> str:
     shared = dict(sorted(_shared(described).items()))
     sections = [f"## `{name}`\n\n{_with_shared(part, shared)}" for name, part in described.items()]
     lists = "\n".join(
-        f"{line} ({', '.join(f'`{one}`' for one in names)})" if names else line
-        for line, names in shared.items()
+        f"{line} ({', '.join(names)})" if names else line for line, names in shared.items()
     )
     return (
         "\n\n".join(
@@ -95,7 +96,8 @@ def _shared(described: Mapping[str, str]) -> dict[str, list[str]]:
 
 def _of_group(names: Sequence[str]) -> list[str]:
     """Return names of commands, those of a group as the group."""
-    return list(dict.fromkeys(name.partition(" ")[0] for name in names))
+    groups = list(dict.fromkeys(name.partition(" ")[0] for name in names))
+    return groups if len(groups) <= _MOST else ["most"]
 
 
 def _with_shared(part: str, shared: Mapping[str, object]) -> str:

@@ -199,6 +199,25 @@ def test_files_in_text_exist(document: Path) -> None:
             assert any((folder / span).is_file() for folder in (ROOT, SHORT)), span
 
 
+GUIDE_WORDS, ALL_WORDS = 1500, 60_000
+
+
+def words(document: Path) -> int:
+    """Words of a document as `wc -w` counts them."""
+    return len(document.read_text(encoding="utf-8").split())
+
+
+@pytest.mark.parametrize("document", [*GUIDE, *DEVELOPMENT], ids=lambda path: path.name)
+def test_a_page_that_teaches_is_short(document: Path) -> None:
+    """A page has one subject: at most 1,500 words; what was measured belongs to docs/record."""
+    assert words(document) <= GUIDE_WORDS
+
+
+def test_guide_and_reference_can_be_read() -> None:
+    """Guide and reference have at most 60,000 words together; development and record count apart."""
+    assert sum(map(words, [*GUIDE, *REFERENCE])) <= ALL_WORDS
+
+
 @pytest.fixture
 def docs_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
     """Import modules of the folder docs."""
