@@ -119,7 +119,7 @@ def test_commands_parse(program: ModuleType) -> None:
         for command in commands(program)
         if command.startswith("transport ")
     ]
-    assert len(ours) > 5
+    assert len(ours) > 3
     for words in ours:
         found, names, rest = command_of(words)
         found.make_context(names[-1], rest)
