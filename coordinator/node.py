@@ -114,6 +114,7 @@ class CoordinatorNode:
         self._taking_part = {PLANT, *self._roster.agents, *vehicles}
         self._not_ready = {*plant, *self._roster.agents, *vehicles, *observers}
         self._observers = set(observers)  # that have not departed
+        self._departed: set[str] = set()  # observers that have
 
     @property
     def state(self) -> State:
@@ -236,6 +237,8 @@ class CoordinatorNode:
             return self._agent_returned(event, now_ns)
         if event.name in self._vehicles and self._fleet is not None:
             return self._vehicle_returned(event, self._fleet, now_ns)
+        if event.name in self._departed and self._fleet is not None:
+            return self._observer_returned(event.name)
         return ()
 
     def _process_ready(self, event: Presence, now_ns: int) -> Sequence[Message]:
@@ -271,13 +274,22 @@ class CoordinatorNode:
             fleet.word(now_ns),
         ]
 
+    def _observer_returned(self, name: str) -> Sequence[Message]:
+        """Tell an observer that was started again what it has missed: vehicles went on without it."""
+        self._departed.remove(name)
+        self._observers.add(name)
+        reason = f"{name} has returned at {self._roster.time(self.tick)}"
+        return [*self._changes.repeated(), self._roster.message(reason, self.tick)]
+
     def _process_gone(self, event: Presence, now_ns: int) -> Sequence[Message]:
         """Handle the end of a process: take it off the roster, or end the run."""
         self._roster.gone(event.name, event.incarnation)
         if not self._roster.is_newest(event.name, event.incarnation):
             return ()
 
-        self._observers.discard(event.name)
+        if event.name in self._observers:
+            self._observers.remove(event.name)
+            self._departed.add(event.name)
         if event.name == PLANT:
             return self._stop(EXIT_UNREACHABLE, "plant is gone")
         if event.name in self._vehicles:

@@ -315,6 +315,24 @@ def test_without_any_agent_the_vehicles_can_be_landed(low_run: Setup) -> None:
     assert asked(node, "target", land=True)[0]["point_m"][2] == pytest.approx(-0.275)
 
 
+def test_a_recorder_that_returns_is_told_what_it_missed(low_run: Setup) -> None:
+    """Targets and roster again, in a run whose vehicles go on without it."""
+    node = coordinator_of(low_run, observers=["recorder"], wall_offset_ns=WALL_NS)
+    node.receive(Presence("recorder", 0, alive=True), NOW_NS)
+    ready(node)
+    for uav in (1, 2, 3, 4):
+        node.receive(status(low_run, uav), NOW_NS + 2 * MS)
+    until(node, 3)
+    told = asked(node, "target", points_m=[[0.5, 0.0, -1.3]])[1][0]
+    assert isinstance(told, Target)
+    node.receive(Presence("recorder", 0, alive=False), NOW_NS + 1200 * MS)
+    assert node.state is State.OPEN
+    assert asked(node, "status")[0]["observers"] == []
+    said = node.receive(Presence("recorder", 1, alive=True), NOW_NS + 1200 * MS)
+    assert [type(message) for message in said[:2]] == [Target, Roster]
+    assert asked(node, "status")[0]["observers"] == ["recorder"]
+
+
 def test_a_landing_that_does_not_fit_is_told(run: Setup) -> None:
     """From 10 m the ready maneuver leaves no time at its end: the record has the reason."""
     node = flying(run)

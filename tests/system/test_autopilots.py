@@ -16,7 +16,7 @@ import pytest
 
 from tests.plant.test_betaflight import installed
 from tests.support.bench import Bench
-from tests.support.commands import processes_of, settings, start, transport, wait_for
+from tests.support.commands import free_base, processes_of, settings, start, transport, wait_for
 from tests.support.live_log import LiveLog
 from tests.support.outside import BEHIND as BEHIND_CODE
 from tests.support.relay import Relay
@@ -241,6 +241,44 @@ def test_betaflight_over_its_links(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert summary["attitude_max_deg"] < 3.0
     back = [status for status in statuses if status.uav == 2 and status.incarnation > 0]
     assert back[-1].plan_tick >= 0
+
+
+@pytest.mark.slow
+def test_a_recorder_is_started_again(tmp_path: Path) -> None:
+    """Of processes started by hand the recorder ends and returns: the others fly on, and the new log has the path."""
+    port, base = free_udp_ports(4), free_base()
+    given = ("clock.speed=0.25", LOW, f"network.base_port={base}", f"network.vehicle_port={port}")
+    common = ["--run", "by-hand", "--scenario", "flight", "--join-timeout", "100"]
+    options = [*common, *settings(*given)]
+    record = ("record", "--no-figures", "--out")
+    roles = [
+        ["coordinator", "--observer", "recorder"],
+        ["plant"],
+        *(["agent", "--id", str(n)] for n in range(1, 5)),
+        *(
+            ["vehicle", "--stands", "--uav", str(n), "--link", f"udp:127.0.0.1:{port + n - 1}"]
+            for n in range(1, 5)
+        ),
+    ]
+    first = start(*record, "first", *options, cwd=tmp_path)
+    started = [first, *(start(*role, *options, cwd=tmp_path) for role in roles)]
+    try:
+        before = LiveLog(tmp_path / "first" / "run.mcap")
+        assert wait_for((tmp_path / "first" / "run.mcap").exists)
+        assert wait_for(lambda: any(target.number == 1 for target in before.of(Target)))
+        first.kill()
+        again = start(*record, "again", *options, cwd=tmp_path)
+        started.append(again)
+        after = LiveLog(tmp_path / "again" / "run.mcap")
+        assert wait_for((tmp_path / "again" / "run.mcap").exists)
+        assert wait_for(lambda: len(after.of(VehicleStatus)) > 40), again.communicate(timeout=10)
+        assert [target.number for target in after.of(Target)] == [1]
+        assert any("recorder has returned" in roster.reason for roster in after.of(Roster))
+        assert after.of(VehicleStatus)[-1].tick > before.of(VehicleStatus)[-1].tick
+    finally:
+        for process in started:
+            process.kill()
+            process.communicate()
 
 
 class Flown:
