@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import pytest
@@ -41,6 +42,8 @@ FIRST = (
     "test_mujoco",
     "test_worst",
 )
+# Tests of a minute in real time, mostly waiting: a worker takes them apart from the others of their file.
+APART = ("test_each_failure_is_handled", "test_ten_seconds_without_a_coordinator")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -125,6 +128,18 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     )
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Return the scheduler of `--dist loadfile`, with the tests of `APART` by themselves."""
+    from xdist.scheduler import LoadFileScheduling  # type: ignore[import-untyped]
+
+    class ByFile(LoadFileScheduling):  # type: ignore[misc]
+        def _split_scope(self, nodeid: str) -> str:
+            return nodeid if nodeid.endswith(APART) else super()._split_scope(nodeid)
+
+    return ByFile(config, log) if config.getoption("dist") == "loadfile" else None
+
+
 @pytest.fixture(params=[2, 4, 8])
 def vector_width(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
     """Kernels with vectors of each width, in doubles; the compiler divides those wider than a register."""
@@ -148,6 +163,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     slow = {item.path for item in items if item.get_closest_marker("slow")}
 
     def rank(item: pytest.Item) -> int:
+        if item.name in APART:
+            return len(FIRST)  # others in real time come first, not at the same time
         if item.path.stem in FIRST:
             return FIRST.index(item.path.stem)
         if (
