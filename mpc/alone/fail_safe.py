@@ -126,7 +126,7 @@ class FailSafe:
                 u = u + U_forces[0, :, -2:] @ further_drag
             return setpoint_of(self._system, uav, x, u)
         if self.motion is not None:
-            return setpoint_of(self._system, uav, *self.motion.at(tick))
+            return self.motion.setpoint(uav, tick)
         x_ref = self._X_ref[min(tick, len(self._X_ref) - 1)]
         return setpoint_of(self._system, uav, x_ref, self.u_hover)
 

@@ -14,12 +14,14 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.linear.linearisation import Model
+from transport.mpc.alone.uav_motion import Setpoint, setpoint_of
 from transport.mpc.reference import KEPT
 
 _STEPS = 2  # of the integration in a sampling period
 # Times from which on the motion is held: after the end of the reference, s, and after the last instant
 # at which it moves, s. A long hover costs nothing.
 _SETTLES_S, _RESTS_S = 20.0, 60.0
+_KEPT_INSTANTS = 512  # of setpoints: more than estimators look back and horizons ahead
 
 
 class AtInstant(NamedTuple):
@@ -66,6 +68,7 @@ class UndisturbedMotion:
         at_rest = int(moving.max(initial=-1)) + 1 + round(_RESTS_S / team.period_s)
         at_end = len(X_ref) - 1 + round(_SETTLES_S / team.period_s)
         self._last = max(first, min(at_rest, at_end))
+        self._setpoints: dict[tuple[int, int], Setpoint] = {}  # by UAV and instant
         # Instants known, and the number of the first of them.
         self._known: list[AtInstant] = []
         self._first = first
@@ -91,6 +94,17 @@ class UndisturbedMotion:
         while len(self._known) <= index:
             self._extend()
         return self._known[index]
+
+    def setpoint(self, uav: int, instant: int) -> Setpoint:
+        """Return the part of a UAV, 0-based, at an instant, computed once for all that follow it."""
+        setpoint = self._setpoints.get((uav, instant))
+        if setpoint is None:
+            system = self._team.model.system
+            if len(self._setpoints) >= _KEPT_INSTANTS * system.N:
+                del self._setpoints[next(iter(self._setpoints))]
+            setpoint = setpoint_of(system, uav, *self.at(instant))
+            self._setpoints[uav, instant] = setpoint
+        return setpoint
 
     def over(self, instant: int, steps: int) -> Sequence[AtInstant]:
         """Return the motion at successive instants."""

@@ -17,7 +17,7 @@ from transport.model.physics.hover import Hover
 from transport.mpc.alone.alone_law import AloneLaw
 from transport.mpc.alone.compiled_alone_law import CompiledAloneLaw, CompiledSetpoint
 from transport.mpc.alone.fail_safe import FailSafe
-from transport.mpc.alone.uav_motion import Setpoint, motion_of, setpoint_of
+from transport.mpc.alone.uav_motion import Setpoint, motion_of
 from transport.mpc.alone.undisturbed_motion import UndisturbedMotion
 from transport.mpc.law.present_law import Regulation
 from transport.mpc.law.reconfiguration import undisturbed
@@ -113,18 +113,15 @@ class AloneTeam:
 
     def _kept_setpoint(self, uav: int, tick: int) -> Setpoint:
         """Return the setpoint of a UAV at a tick >= 0 under the newest law, computed once."""
+        if self._motion is not None and not self._off:
+            return self._motion.setpoint(uav, tick)
         setpoint = self._setpoints.get((uav, tick))
         if setpoint is None:
             while len(self._setpoints) > _KEPT * self._system.N:
                 del self._setpoints[next(iter(self._setpoints))]
-            setpoint = self._setpoint(uav, tick)
+            setpoint = self._remaining.setpoint(uav, tick, self._further_drag)
             self._setpoints[uav, tick] = setpoint
         return setpoint
-
-    def _setpoint(self, uav: int, tick: int) -> Setpoint:
-        if self._off or self._motion is None:
-            return self._remaining.setpoint(uav, tick, self._further_drag)
-        return setpoint_of(self._system, uav, *self._motion.at(tick))
 
     def _renew(self, tick: int) -> None:
         """Take the motion under the newest law, asked for at a tick first."""
@@ -139,4 +136,3 @@ class AloneTeam:
         self._version = law.gain_source
         first = max(0, tick - round(_LEAD_S / settings.sampling_period_s))
         self._motion = undisturbed(law, self._reference, first)
-        self._setpoints.clear()

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 from transport.protocol.scenario.scenario_file import validate
@@ -12,12 +13,17 @@ from transport.search.drawn_events import Death, DrawnSilence, Event
 from transport.search.silent_links import changes_of_links
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Base:
     """The scenario that a search disturbs."""
 
     scenario: Scenario
     source: str  # its file, for errors
+
+    @cached_property
+    def digest(self) -> str:
+        """Fingerprint of the scenario, which each case has in its key."""
+        return self.scenario.digest()
 
     def of_size(self, uavs: int) -> "Base":
         """Return the same with a smaller team, each agent with one UAV."""

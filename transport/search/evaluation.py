@@ -85,7 +85,7 @@ class FoundProblem:
     def key(self, candidate: Candidate) -> str:
         """Return the fingerprint of a candidate."""
         events = [(type(event).__name__, asdict(event)) for event in candidate.events]
-        content = [self.base.scenario.digest(), asdict(self.objective), events]
+        content = [self.base.digest, asdict(self.objective), events]
         text = json.dumps(content, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -118,17 +118,18 @@ class Evaluations:
         self, problem: FoundProblem, candidates: Sequence[Candidate], fly: Fly
     ) -> list[Evaluation]:
         """Return the evaluations of candidates, flying those that are missing."""
+        keys = [problem.key(candidate) for candidate in candidates]
         missing = {
-            problem.key(candidate): candidate
-            for candidate in candidates
-            if problem.key(candidate) not in self._by_key
+            key: candidate
+            for key, candidate in zip(keys, candidates, strict=True)
+            if key not in self._by_key
         }
         for evaluation in fly(problem, list(missing.values())):
             if self._file is not None:
                 self._file.add(orjson.dumps(asdict(evaluation)))
             self._by_key[evaluation.key] = evaluation
 
-        return [self._by_key[problem.key(candidate)] for candidate in candidates]
+        return [self._by_key[key] for key in keys]
 
 
 def _identify(folder: Path, identity: dict[str, Any]) -> None:
