@@ -71,6 +71,8 @@ class Sight:
 
     def take(self, measurement: Measurement) -> bool:
         """Keep what the own UAVs see; return whether an obstacle is a new one."""
+        if not len(measurement.seen):
+            return False
         numbers = {int(number) for number in measurement.seen[:, 0]} - self._seen.keys()
         for number in numbers:
             rows = measurement.seen[measurement.seen[:, 0] == number]

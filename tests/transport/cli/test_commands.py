@@ -12,13 +12,13 @@ import pytest
 from tests.support.command_tree import command_of
 from transport.cli.lazy import LazyGroup
 
-# Names the project modules and the top-level packages that a program imports, on its last line.
+# Names the modules and the top-level packages that a program imports, on its last line.
 IMPORTED = """
 import contextlib, json, sys
 from importlib import import_module
 {program}
-names = {{name for name in sys.modules if name.startswith("transport.cli.")}}
-print("\\n" + json.dumps(sorted(names | {{name.partition(".")[0] for name in sys.modules}})))
+packages = {{name.partition(".")[0] for name in sys.modules}}
+print("\\n" + json.dumps(sorted(packages | sys.modules.keys())))
 """
 HELP = """
 from transport.cli.main import app
@@ -52,7 +52,7 @@ COMMANDS = [(*names, name) for names in GROUPS for name in group_of(names).table
 
 
 def imported(program: str) -> set[str]:
-    """Return the modules of the command line, and all top-level packages, that a program imports."""
+    """Return the modules, and their top-level packages, that a program imports."""
     code = IMPORTED.format(program=program)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return set(json.loads(done.stdout.splitlines()[-1]))
@@ -105,6 +105,23 @@ def test_a_run_imports_viewer_and_report_when_needed() -> None:
 
     reads = 'import_module("transport.cli.options").read_setup("resilient")'
     assert "numpy.ma" not in imported(reads)
+
+
+def test_an_agent_starts_without_what_its_run_does_not_have() -> None:
+    """Before its first tick an agent of `paper` has imported no radio, no class of the user and no masked arrays."""
+    starts = """
+from transport.cli.hosts.processes import import_processes, read_setup
+from transport.agent.node import AgentNode
+import_processes()
+AgentNode(read_setup("paper").run, 1).warm_up()
+"""
+    names = imported(starts)
+    assert "transport.agent.node" in names
+    assert not names & {
+        "numpy.ma",
+        "transport.agent.user_class.user_planner",
+        "transport.protocol.scenario.radio.team_radio",
+    }
 
 
 def test_docs_list_every_command() -> None:
