@@ -5,7 +5,6 @@ from itertools import zip_longest
 from typing import Any
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from transport.analysis.distances_and_violations import limits_reached
 from transport.analysis.estimates import estimates_of
@@ -150,13 +149,13 @@ def consistency(series: Series, log: RunLog) -> dict[str, Any] | None:
     estimates = estimates_of(series, log)
     if estimates is None:
         return None
+    from scipy.special import gammaincinv  # 0.1 s of a run, most of which have no covariance
 
     # NEES = e^T P^-1 e, with the error e = true - estimated.
     error = estimates.true - estimates.pose
     weighted = np.linalg.solve(estimates.P, error[:, :, None])[:, :, 0]
     nees = np.einsum("ki,ki->k", error, weighted)
-    # Chi-square with n degrees of freedom:  P(nees <= b) = gammainc(n / 2, b / 2).  From
-    # scipy.stats it would take 0.3 s of every run to import.
+    # Chi-square with n degrees of freedom:  P(nees <= b) = gammainc(n / 2, b / 2).
     band = 2.0 * gammaincinv(error.shape[1] / 2, _BAND)
 
     # NIS = sum nu^T S^-1 nu / number of measurements, with the innovations nu of (64).
