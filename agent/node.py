@@ -246,6 +246,8 @@ class AgentNode(Participant):
     def _look(self, measurement: Measurement) -> list[Message]:
         """Make a target that keeps clear of what has been seen, where the path does not; return a note."""
         sees_more = self._sight.take(measurement)
+        if sees_more:
+            self._planner.see(self._sight.seen)
         if not (sees_more or self._is_path_new) or not self._sight.seen:
             return []
         period_s = self._setup.settings.sampling_period_s

@@ -5,6 +5,7 @@ from typing import Protocol, TypeVar
 
 from transport.agent.estimation.filter.belief import Belief
 from transport.agent.received import Received
+from transport.model.physics.obstacles import Obstacle
 from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import Message, Plan
 from transport.protocol.wire.node_interface import Outbox
@@ -42,6 +43,9 @@ class AgentPlanner(Protocol[S]):
 
     def follow(self, setup: TeamRun) -> None:
         """Follow the reference of the run with a further target, from that target's tick on."""
+
+    def see(self, seen: tuple[Obstacle, ...]) -> None:
+        """Take in all obstacles that UAVs of this agent have seen, once there is a new one."""
 
     def announce(self) -> None:
         """Send the next plan to the others, whatever it is: it carries a target."""

@@ -16,6 +16,7 @@ from transport.agent.planning.step_report import step_plan, step_report
 from transport.agent.received import Received
 from transport.model import state
 from transport.model.arrays import Array
+from transport.model.physics.obstacles import Obstacle
 from transport.mpc.alone.alone_law import steps_alone
 from transport.mpc.alone.motion_by_own_sensors import OwnSensors
 from transport.mpc.alone.uav_motion import UavMotion, ahead, motion_of
@@ -93,6 +94,9 @@ class AlonePlanner:
     def share_alone(self) -> float:
         """0: silence does not change what it does."""
         return 0.0
+
+    def see(self, seen: tuple[Obstacle, ...]) -> None:
+        """Do nothing: the path keeps clear of what the agent sees."""
 
     def announce(self) -> None:
         """Do nothing: all plans are sent."""

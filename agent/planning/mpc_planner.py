@@ -26,6 +26,7 @@ from transport.agent.planning.step_report import (
 from transport.agent.received import Received
 from transport.agent.silence.failed_or_repeated_steps import Freshness
 from transport.model.arrays import Array, frozen
+from transport.model.physics.obstacles import Obstacle
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller, Horizon, StepResult
 from transport.mpc.program.qp_solvers import unsolved
@@ -103,6 +104,9 @@ class Planner:
     def share_alone(self) -> float:
         """Share, 0 to 1, of the law alone in the newest inputs."""
         return self._handover.share
+
+    def see(self, seen: tuple[Obstacle, ...]) -> None:
+        """Do nothing: the path keeps clear of what the agent sees."""
 
     def announce(self) -> None:
         """Share the next plan."""

@@ -14,6 +14,7 @@ from transport.agent.user_class.user_estimate import OwnEstimate
 from transport.model.arrays import Array, frozen
 from transport.model.linear.linearisation import Model
 from transport.model.path.target_and_stop import PathTarget
+from transport.model.physics.obstacles import Obstacle
 from transport.model.physics.parameters import System
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.setup.team_run import TeamRun
@@ -54,6 +55,7 @@ class Run(Layout):
     must_send: bool = True
     data_shape: tuple[int, ...] | None = None  # of the own data; None if none are declared
     _setup: TeamRun
+    _seen: tuple[Obstacle, ...] = ()
     _estimate: OwnEstimate | None = None  # None unless the class has asked for it
     _is_starting: bool = True
 
@@ -99,6 +101,15 @@ class Run(Layout):
     def targets(self) -> tuple[PathTarget, ...]:
         """Targets that this agent knows and follows, in the order in which they were told."""
         return self._setup.maneuver.targets
+
+    @property
+    def seen(self) -> tuple[Obstacle, ...]:
+        """Obstacles with `seen_within_m` that UAVs of this agent have seen, in the order of the scenario."""
+        return self._seen
+
+    def see(self, seen: tuple[Obstacle, ...]) -> None:
+        """Take over what UAVs of this agent have seen."""
+        self._seen = seen
 
     def follow(self, setup: TeamRun) -> None:
         """Take the reference from a run with a further target."""

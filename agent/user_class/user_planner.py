@@ -23,6 +23,7 @@ from transport.agent.user_class.returned_values import Outcome
 from transport.agent.user_class.run_for_user import run_of
 from transport.agent.user_class.user_object import OwnObject
 from transport.model.arrays import Array
+from transport.model.physics.obstacles import Obstacle
 from transport.model.state import REPORTS, StateView, input_indices
 from transport.mpc.alone.fail_safe import PLAYED_S
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
@@ -135,6 +136,10 @@ class OwnPlanner:
         self._setup = setup
         self.announce()
         self._run.follow(setup)
+
+    def see(self, seen: tuple[Obstacle, ...]) -> None:
+        """Let the class know what UAVs of this agent have seen."""
+        self._run.see(seen)
 
     @property
     def share_alone(self) -> float:

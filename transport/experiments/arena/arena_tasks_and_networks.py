@@ -6,8 +6,10 @@ A task has system, maneuver, weights, limits and weather. Algorithms differ in t
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 # Of the arena as a whole: increased with every change of a task, a network or a measure.
-VERSION = 1
+VERSION = 2
 
 # Scenario of all tasks, for its system, weights, horizon and limits.
 SCENARIO = "paper"
@@ -28,6 +30,40 @@ _EIGHT = (
     "{name='hover',duration_s=2.0,displacement_m=[0,0,0]}]"
 )
 _SILENT_S, _HEARD_S = 3.0, 8.0
+
+# Only one agent knows what the others need.
+_TOLD = (
+    "maneuver.phase=[{name='hover',duration_s=14.0,displacement_m=[0,0,0]}]",
+    "maneuver.target=[{at_s=1.0,points_m=[[1.5,0,-10]],to=[1]},{at_s=6.0,points_m=[[1.5,1.5,-11]],to=[3]}]",
+)
+# A platform that one agent sees: a target for it every half second, at 1 m/s with random turns.
+_FOLLOW_S, _EVERY_S, _PLATFORM_MPS = 10.0, 0.5, 1.0
+_TURN_RAD = 0.6  # standard deviation of each turn
+_TURNS_SEED = 5
+
+
+def _follow() -> tuple[str, ...]:
+    """Return the settings of a platform to follow, and a hover after it."""
+    turns = np.random.default_rng(_TURNS_SEED).normal(0.0, _TURN_RAD, round(_FOLLOW_S / _EVERY_S))
+    headings = np.cumsum(turns)
+    steps_m = _PLATFORM_MPS * _EVERY_S * np.column_stack([np.cos(headings), np.sin(headings)])
+    targets = []
+    for number, (x, y) in enumerate(np.cumsum(steps_m, axis=0).tolist()):
+        at_s = 1.0 + _EVERY_S * number
+        targets.append(f"{{at_s={at_s},points_m=[[{x:.3f},{y:.3f},-10]],to=[1]}}")
+    duration_s = _FOLLOW_S + 8.0
+    hover = f"maneuver.phase=[{{name='hover',duration_s={duration_s},displacement_m=[0,0,0]}}]"
+    return hover, f"maneuver.target=[{','.join(targets)}]"
+
+
+# Past a wall that reaches into the way of one side only, seen from 1.2 m on: UAV 1 is next to it.
+_BLOCKED = (
+    "maneuver.phase=["
+    "{name='hover',duration_s=1.0,displacement_m=[0,0,0]},"
+    "{name='go',kind='spline',points_m=[[6,0,0]],speed_mps=0.8,ramp_s=2.0},"
+    "{name='hover',duration_s=12.0,displacement_m=[0,0,0]}]",
+    "obstacle=[{kind='box',at_m=[3.0,1.25,-10],size_m=[0.2,1.5,8],margin_m=0.3,seen_within_m=1.2}]",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,6 +122,18 @@ TASKS: Mapping[str, Task] = {
         ),
     ),
     "eight UAVs": Task(text="the same path with eight UAVs", settings=(_HOP,), uavs=8),
+    "told": Task(
+        text="a hover of 14 s; at 1 s agent 1 alone is told a target 1.5 m away, at 6 s agent 3 another one",
+        settings=_TOLD,
+    ),
+    "follow": Task(
+        text="a platform at 1 m/s with random turns: every half second its place is a target for agent 1 alone",
+        settings=_follow(),
+    ),
+    "blocked": Task(
+        text="6 m at 0.8 m/s past a wall that no agent knows before its own UAV is within 1.2 m",
+        settings=_BLOCKED,
+    ),
 }
 
 NETWORKS: Mapping[str, tuple[str, ...]] = {
@@ -95,6 +143,8 @@ NETWORKS: Mapping[str, tuple[str, ...]] = {
     "bursts": (f"links.gilbert_elliott={{enter={0.1 * 0.3 / 0.7!r},leave=0.1,loss=1.0}}",),
     # Computation short enough for ten exchanges within a period of 50 ms.
     "radio": ("radio={background=0.2,computation_mean_s=0.002,computation_deviation_s=0.0005}",),
+    # Every algorithm is one without messages here: what it does as well here needs none.
+    "none": ("links.loss=1.0",),
 }
 PERFECT = "perfect"
 NETWORK_TEXTS: Mapping[str, str] = {
@@ -102,4 +152,5 @@ NETWORK_TEXTS: Mapping[str, str] = {
     "late": "200 ms delay, 30 % packet loss",
     "bursts": "30 % of the plans lost, in bursts of 0.5 s on average",
     "radio": "one 802.11a channel at 6 Mb/s with a slot for each agent and 20 % traffic of others",
+    "none": "no plan arrives: what is done as well here needs no messages",
 }
