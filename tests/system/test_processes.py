@@ -51,6 +51,13 @@ TOLD = (
     "maneuver.phase=[{name='hover',duration_s=5.5,displacement_m=[0,0,0]}]",
     "maneuver.target=[{at_s=0.5,points_m=[[0.2,0,-10]],to=[2]}]",
 )
+# UAVs 1 and 2 see a wall at the same tick: the team rests before it and goes round it.
+SEEN = (
+    "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
+    "{name='go',kind='spline',points_m=[[3.5,0,0]],speed_mps=0.5,ramp_s=1.5},"
+    "{name='hover',duration_s=9.0,displacement_m=[0,0,0]}]",
+    "obstacle=[{kind='box',at_m=[2.1,0.5,-10],size_m=[0.2,1,8],margin_m=0.3,seen_within_m=1.2}]",
+)
 STOP = (
     *("controller.silence=stop", "controller.targets=confirmed"),
     "links.change=[{at_s=0.4,loss=1.0},{at_s=2.4,loss=0.1}]",
@@ -138,6 +145,7 @@ def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]
         pytest.param(
             (RADIO, *CLOSED_LOOP, *TOLD), id="radio, a target told to one", marks=pytest.mark.slow
         ),
+        pytest.param((RADIO, *CLOSED_LOOP, *SEEN), id="radio, a wall seen", marks=pytest.mark.slow),
         pytest.param(
             (*CLOSED_LOOP, *TOLD, *STOP),
             id="stop in silence, confirmed, a death",

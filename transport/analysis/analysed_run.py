@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass, replace
 
-from transport.analysis.series import Series, series_of
+from transport.analysis.series import Series, led_as_logged, series_of
 from transport.log.run_log import Recorded, RunLog
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.messages import Plan, Roster, StepReport, Target, Tick
+from transport.protocol.wire.messages import Plan, Roster, StepReport, Tick
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,7 +19,7 @@ class AnalysedRun:
     @classmethod
     def of(cls, setup: Setup, log: RunLog) -> "AnalysedRun":
         """Return a run with the series of the plant states in its log."""
-        led = setup.after(log.of(Target))
+        led = led_as_logged(setup, log)
         return cls(setup=led, log=log, series=series_of(led, log))
 
 

@@ -182,7 +182,9 @@ def targets(setup: Setup, series: Series, log: RunLog) -> list[dict[str, Any]]:
     last_s = series.times_s.max(initial=-np.inf)
     known_s = _known_after_s(setup, log)
     rows = []
-    for number, (path, following) in enumerate(zip_longest(paths, paths[1:]), start=1):
+    number = 0  # of targets that were told; those of agents have none
+    for path, following in zip_longest(paths, paths[1:]):
+        number += not path.brakes
         next_s = np.inf if following is None else following.since_s
         judged_s = min(path.ends_s + SETTLED_S, last_s, next_s)
         rows.append(
@@ -191,7 +193,7 @@ def targets(setup: Setup, series: Series, log: RunLog) -> list[dict[str, Any]]:
                 "arrives_s": round(path.ends_s, TIME_DIGITS),
                 "position_m": path.end_I.tolist(),
                 "error_m": _distance_m(series, path, judged_s),
-                "known_s": known_s.get(number),
+                "known_s": None if path.brakes else known_s.get(number),
             }
         )
     return rows

@@ -184,6 +184,28 @@ def test_a_class_knows_the_targets_of_its_own_agent(monkeypatch: pytest.MonkeyPa
     assert {number for tick, number in known if tick < first} == {0.0}
 
 
+def test_a_class_knows_what_its_own_uavs_see(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the tick of the measurement that says so on, and for good."""
+    code = "return np.outer([len(self.run.seen) * 0.1 + 1.0], self.u)"
+    run = own(
+        tmp_path,
+        monkeypatch,
+        code,
+        "pass",
+        "obstacle=[{kind='box',at_m=[5,0,-10],size_m=[1,1,8],margin_m=0.4,seen_within_m=3.0}]",
+    )
+    node = AgentNode(run, 1)
+    messages = list(node.receive(roster(), 0))
+    row = [1.0, 5.0, 0.0, -10.0, 0.0, 0.5, 0.5, 4.0, 0.0, 0.4, 0.0]
+    for k in range(4):
+        seen = np.array([row]) if k == 2 else np.zeros((0, len(row)))
+        messages += node.receive(structs.replace(measurement(run, 1, k, shared=()), seen=seen), 0)
+    thrusts = [message.inputs[0, 0] for message in messages if isinstance(message, Plan)]
+    np.testing.assert_allclose(np.array(thrusts) / thrusts[0], [1.0, 1.0, 1.1, 1.1])
+
+
 @pytest.mark.parametrize("step", WRONG)
 def test_a_wrong_step_is_a_failure(
     step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from tests.support import logs, runs
+from transport.analysis.analysed_run import AnalysedRun
+from transport.analysis.summary_assembly import summarise
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.physics.obstacles import clearances
@@ -31,6 +33,7 @@ GO = (
 MARGIN_M, LOAD_MARGIN_M, SIGHT_M = 0.4, 0.1, 3.0
 LATE = "links.delay_s=0.2", "links.loss=0.3"
 ARRIVED_M = 0.1
+TRACKED_M = 0.3  # payload error rms; that towards the path through the wall is 1.7 m
 
 
 def wall(along_m: float, wide_m: float, heading_deg: float = 0.0, *, seen: bool = True) -> str:
@@ -90,6 +93,9 @@ def test_a_wall_is_gone_round_and_the_path_s_end_reached(network: Sequence[str])
     followed = {plan.agent for plan in log.of(Plan) if plan.targets}
     assert followed == {1, 2, 3, 4}
     assert any("sees obstacle 1: goes round it" in note.problem for note in log.of(Note))
+    # Errors are towards the path that the team took.
+    errors = summarise(AnalysedRun.of(run, log))["payload_tracking"]
+    assert errors["rms_m"] < TRACKED_M
     assert first in {note.sender for note in log.of(Note)}
 
 
