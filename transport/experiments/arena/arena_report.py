@@ -103,6 +103,16 @@ class ArenaResult:
         """Names of the tasks."""
         return list(dict.fromkeys(task for task, _, _ in self.by_place))
 
+    @property
+    def tasks_that_tell_apart(self) -> list[str]:
+        """Names of the tasks that not all algorithms complete on all networks, or of all if there are none."""
+        missed = [
+            task
+            for (task, _, _), (one, refused) in self.by_place.items()
+            if refused or one.completed < one.runs
+        ]
+        return [task for task in self.tasks if task in missed] or self.tasks
+
     def tables(self) -> list[Table]:
         """Return a table for each axis that has numbers."""
         tables = [self._table(axis) for axis in AXES]
@@ -112,7 +122,8 @@ class ArenaResult:
         """Return the table of an axis: a row for each algorithm, in each cell a line per network."""
         table = Table(box=None, title=axis.title, padding=(0, 1, 0, 0), min_width=_TITLE_WIDTH)
         table.title_justify = "left"
-        for heading in ("algorithm", "network", *self.tasks):
+        tasks = self.tasks if axis.number else self.tasks_that_tell_apart
+        for heading in ("algorithm", "network", *tasks):
             table.add_column(heading, no_wrap=True)
 
         is_empty = True
@@ -121,11 +132,14 @@ class ArenaResult:
                 dict.fromkeys(net for _, net, name in self.by_place if name == algorithm)
             )
             cells = []
-            for task in self.tasks:
+            for task in tasks:
                 texts = [self._text(axis, (task, net, algorithm)) for net in networks]
                 is_empty = is_empty and all(text in (_MISSING, _REFUSED) for text in texts)
                 cells.append("\n".join(texts))
             table.add_row(algorithm, "\n".join(networks), *cells)
+        if not axis.number and len(tasks) < len(self.tasks):
+            others = [task for task in self.tasks if task not in tasks]
+            table.add_row(f"every one, on {', '.join(others)}", "every one", "all complete")
         return None if is_empty else table
 
     def _text(self, axis: ArenaAxis, place: tuple[str, str, str]) -> str:

@@ -34,7 +34,7 @@ _SILENT_S, _HEARD_S = 3.0, 8.0
 # Only one agent knows what the others need.
 _TOLD = (
     "maneuver.phase=[{name='hover',duration_s=14.0,displacement_m=[0,0,0]}]",
-    "maneuver.target=[{at_s=1.0,points_m=[[1.5,0,-10]],to=[1]},{at_s=6.0,points_m=[[1.5,1.5,-11]],to=[3]}]",
+    "maneuver.target=[{at_s=1.0,points_m=[[1.5,0,-10]],to=[1]},{at_s=6.0,points_m=[[1.5,1.5,-11]],to=[1]}]",
 )
 # A platform that one agent sees: a target for it every half second, at 1 m/s with random turns.
 _FOLLOW_S, _EVERY_S, _PLATFORM_MPS = 10.0, 0.5, 1.0
@@ -123,7 +123,7 @@ TASKS: Mapping[str, Task] = {
     ),
     "eight UAVs": Task(text="the same path with eight UAVs", settings=(_HOP,), uavs=8),
     "told": Task(
-        text="a hover of 14 s; at 1 s agent 1 alone is told a target 1.5 m away, at 6 s agent 3 another one",
+        text="a hover of 14 s; agent 1 alone is told a target 1.5 m away at 1 s, and another one at 6 s",
         settings=_TOLD,
     ),
     "follow": Task(
