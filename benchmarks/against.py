@@ -52,6 +52,10 @@ REAL_TIME = (
 )  # fmt: skip
 
 
+# A measurement of one version: its folder and environment in, the values of its quantities out.
+Measurement = Callable[[Path, Mapping[str, str]], dict[str, float]]
+
+
 def command(tree: Path, *arguments: str) -> list[str]:
     """Return the command that runs `transport` of a version."""
     return [python_of(tree), "-P", "-m", "transport", *arguments]
@@ -62,10 +66,14 @@ def python_of(tree: Path) -> str:
     return str(tree / ".venv" / "bin" / "python")
 
 
-def in_memory(
-    name: str, uavs: int = 0, runs: int = 4
-) -> Callable[[Path, Mapping[str, str]], dict[str, float]]:
-    """Return the measurement of runs in memory, with `uavs` of a team of another size."""
+def in_memory(name: str, uavs: int = 0, runs: int = 4) -> Measurement:
+    """Return the measurement of the processor time of one run of a scenario in memory.
+
+    Args:
+        name: The ready scenario.
+        uavs: Size of the team in place of the scenario's; 0 for the scenario's.
+        runs: Number of runs, of which the fastest counts.
+    """
 
     def measured(tree: Path, environment: Mapping[str, str]) -> dict[str, float]:
         with tempfile.TemporaryDirectory(prefix="against-") as parent:
@@ -134,7 +142,7 @@ def real_time(tree: Path, environment: Mapping[str, str]) -> dict[str, float]:
     }
 
 
-PARTS: Mapping[str, Callable[[Path, Mapping[str, str]], dict[str, float]]] = {
+PARTS: Mapping[str, Measurement] = {
     "paper": in_memory("paper"),
     "resilient": in_memory("resilient"),
     "sixteen": in_memory("resilient", uavs=16, runs=1),
@@ -162,6 +170,26 @@ def environments(folder: Path) -> dict[str, dict[str, str]]:
     return {"AVX-512": own, "AVX2": {**own, "CC": str(compiler)}}
 
 
+def in_turns(
+    measured: Measurement, versions: Mapping[str, tuple[Path, Mapping[str, str]]], turns: int
+) -> dict[str, dict[str, list[float]]]:
+    """Return the values of each quantity by version, one for each turn.
+
+    Args:
+        measured: The measurement of one version.
+        versions: Folder and environment of each version, by its name.
+        turns: Number of turns that count. One before them compiles the models, and is left out.
+    """
+    found: dict[str, dict[str, list[float]]] = {}
+    for turn in range(turns + 1):
+        for version, (tree, environment) in versions.items():
+            for quantity, value in measured(tree, environment).items():
+                if turn > 0:
+                    values = found.setdefault(quantity, {name: [] for name in versions})
+                    values[version].append(value)
+    return found
+
+
 def main() -> int:
     """Measure both versions in turns, and print medians and ratios; return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.against", description=__doc__)
@@ -177,18 +205,15 @@ def main() -> int:
         for processor, environment in environments(Path(parent)).items():
             if options.processor not in (None, processor):
                 continue
+            caches = {version: Path(parent) / f"{version}-{processor}" for version in trees}
+            versions = {
+                version: (tree, {**environment, "PAYLOAD_TRANSPORT_CACHE": str(caches[version])})
+                for version, tree in trees.items()
+            }
             for part in options.only or PARTS:
-                found: dict[str, dict[str, list[float]]] = {}
-                for turn in range(options.turns + 1):  # the first compiles
-                    for version, tree in trees.items():
-                        cache = Path(parent) / f"{version}-{processor}"
-                        own = {**environment, "PAYLOAD_TRANSPORT_CACHE": str(cache)}
-                        for quantity, value in PARTS[part](tree, own).items():
-                            if turn:
-                                values = found.setdefault(quantity, {"before": [], "now": []})
-                                values[version].append(value)
-                for quantity, values in found.items():
-                    before, now = (statistics.median(values[version]) for version in trees)
+                for quantity, values in in_turns(PARTS[part], versions, options.turns).items():
+                    before = statistics.median(values["before"])
+                    now = statistics.median(values["now"])
                     ratio = digits(now / before) if before else ""
                     rows.append([processor, quantity, digits(before), digits(now), ratio])
                     sys.stderr.write(f"{' | '.join(rows[-1])}\n")

@@ -24,9 +24,8 @@ from transport.protocol.wire.key_expressions import OPERATOR, RECORDER, ROUTER, 
 AUTHORITY_KEY = "ca.key"  # the authority's own, needed to sign further certificates; no host has it
 OTHERS = (RECORDER, WATCHER, OPERATOR, ROUTER)  # names with keys besides the processes of a run
 LOOPBACK = ("127.0.0.1", "::1", "localhost")  # addresses of a certificate by default
-_BEFORE = timedelta(
-    days=2
-)  # clocks of hosts may differ: a certificate is valid from before it was made
+# A certificate is valid from before it was made: clocks of hosts may differ.
+_BEFORE = timedelta(days=2)
 
 
 def make_certificates(folder: Path, addresses: Mapping[str, Sequence[str]], days: int) -> None:

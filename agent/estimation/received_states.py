@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from transport.agent.communication.announced_inputs import AnnouncedInputs
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.wire.messages import Measurement, Plan
@@ -71,6 +72,16 @@ class Reports:
         for uav, report in self.uavs(tick).items():
             if report.inputs is not None:
                 u[state.input_slice(uav)] = report.inputs
+
+    def inputs_until(self, k: int, newest: Array | None, announced: AnnouncedInputs) -> Array:
+        """Return the inputs in force until tick k, (4 N,): the announced ones, or those reported.
+
+        `newest` are the announced ones over the newest period of an estimate, (4 N,), where there is
+        one: they answer to its states.
+        """
+        u = announced.in_force(k - 1, before=k) if newest is None else newest.copy()
+        self.apply_inputs(k, u)
+        return u
 
     def rows(self, k: int, uavs: Sequence[int]) -> Array:
         """Return measurements and inputs of some UAVs for a plan of tick k, (uavs, 80).

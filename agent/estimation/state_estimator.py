@@ -121,14 +121,8 @@ class StateEstimator:
         return self._history.entry(tick)
 
     def inputs_until(self, k: int, announced: AnnouncedInputs) -> Array:
-        """Return the inputs in force until tick k, after `estimate` for it, (4 N,).
-
-        They are the announced ones, the own ones as reported.
-        """
-        newest = self._newest_inputs
-        u = announced.in_force(k - 1, before=k) if newest is None else newest.copy()
-        self._reports.apply_inputs(k, u)
-        return u
+        """Return the inputs in force until tick k, after `estimate` for it, (4 N,)."""
+        return self._reports.inputs_until(k, self._newest_inputs, announced)
 
     def reported(self, k: int, x: Array) -> Array:  # noqa: ARG002  # the estimate is of this tick
         """Return the estimated states of the own UAVs for the plan of tick k, (owned, 12)."""

@@ -36,6 +36,10 @@ from transport.mpc.program.stage_cost import Cost
 from transport.protocol.scenario.setup.run_setup import Setup
 
 _FILE = Path(__file__).resolve()
+# Shares of a sampling period before the plant reads the inputs, when all agents have answered, and after.
+_BEFORE_READING = 0.9
+_AFTER_READING = 0.1
+_STEPS = 10  # of the plant's integration in a sampling period
 
 
 @dataclass(slots=True)
@@ -59,43 +63,43 @@ class Team(CasadiModel):
     agent: ClassVar[int]
 
     def setup_system(self) -> Any:
-        """Return the agent's share of the stage cost."""
+        """Set the model, x' = f(x, u); return the agent's share of the stage cost, (21)."""
         setup = Flight.now.setup
-        symbols = Symbols.of(*setup.system.kind)
         cost = Cost(setup.settings.weights, setup.system, setup.hover)
-        x, u, y_ref = (
-            ca.vertcat(*(getattr(self, f"{name}_{k}").sym for k in range(size)))
-            for name, size in (
-                ("x", len(setup.hover.x)),
-                ("u", len(setup.hover.u)),
-                ("y", len(cost.Q)),
-            )
-        )
+        x = self._symbols("x", len(setup.hover.x))
+        u = self._symbols("u", len(setup.hover.u))
+        y_ref = self._symbols("y", len(cost.Q))
+
+        # f and the outputs with these symbols, the numbers of the team, and no external forces.
+        symbols = Symbols.of(*setup.system.kind)
+        arguments = [symbols.x, symbols.u, symbols.p, symbols.F]
         values = [x, u, ca.DM(setup.system.vector()), ca.DM.zeros(symbols.F.shape)]
-        derivative, y = (
-            ca.Function("value", [symbols.x, symbols.u, symbols.p, symbols.F], [expression])(
-                *values
-            )
-            for expression in (motion(symbols).derivative, outputs(symbols))
-        )
+        derivative = ca.Function("value", arguments, [motion(symbols).derivative])(*values)
+        y = ca.Function("value", arguments, [outputs(symbols)])(*values)
+
         for k in range(len(setup.hover.x)):
             getattr(self, f"x_{k}").ode = derivative[k]
         # Outputs w equal the own inputs u: ADMM couples an agent's outputs with the others' inputs.
         for j in range(INPUTS * self.agent, INPUTS * (self.agent + 1)):
             getattr(self, f"w_{j}").alg = 1.0 * getattr(self, f"u_{j}")
+        # ((y - y_ref)' Q (y - y_ref) + (u - u_hover)' R (u - u_hover)) / N
         effort = u - setup.hover.u
         return (ca.dot(cost.Q, (y - y_ref) ** 2) + ca.dot(cost.R, effort**2)) / setup.system.N
+
+    def _symbols(self, name: str, size: int) -> Any:
+        """Return the symbols of AgentLib's variables `name`_0, `name`_1, ... as a column, (size,)."""
+        return ca.vertcat(*(getattr(self, f"{name}_{k}").sym for k in range(size)))
 
 
 def model_of(agent: int, setup: Setup) -> type[Team]:
     """Return the model class of an agent, 0-based."""
     own = range(INPUTS * agent, INPUTS * (agent + 1))
-    p = 4 * setup.system.N + 9
+    outputs_y = setup.Y_ref.shape[1]
 
     class Config(CasadiModelConfig):
         inputs: list[CasadiInput] = [
             *(CasadiInput(name=f"u_{j}", value=float(v)) for j, v in enumerate(setup.hover.u)),
-            *(CasadiInput(name=f"y_{k}", value=0.0) for k in range(p)),
+            *(CasadiInput(name=f"y_{k}", value=0.0) for k in range(outputs_y)),
         ]
         states: list[CasadiState] = [
             CasadiState(name=f"x_{k}", value=float(v)) for k, v in enumerate(setup.hover.x)
@@ -118,7 +122,8 @@ class PlantConfig(BaseModuleConfig):
 class Plant(BaseModule):
     """The plant of this project in AgentLib's environment.
 
-    Inputs act from the instant at which they are found on.
+    The inputs of an instant are read shortly before the next one: they act from the instant for
+    which the agents have found them.
     """
 
     config: PlantConfig
@@ -135,73 +140,87 @@ class Plant(BaseModule):
         while True:
             for k, value in enumerate(x):
                 self.set(f"x_{k}", float(value))
-            yield self.env.timeout(0.9 * setup.settings.sampling_period_s)
+            yield self.env.timeout(_BEFORE_READING * setup.settings.sampling_period_s)
             u = np.array([self.get_value(f"u_{j}") for j in range(len(setup.hover.u))])
             flight.X.append(x)
             flight.U.append(u)
-            x, _ = model.integrate(x, u, setup.settings.sampling_period_s, 10)
-            yield self.env.timeout(0.1 * setup.settings.sampling_period_s)
+            x, _ = model.integrate(x, u, setup.settings.sampling_period_s, _STEPS)
+            yield self.env.timeout(_AFTER_READING * setup.settings.sampling_period_s)
 
 
 def _agents(setup: Setup, iterations: int) -> list[dict[str, Any]]:
     """Return the configurations of all agents, one for each UAV, and of the plant."""
-    here = str(_FILE)
-    period_s = setup.settings.sampling_period_s
-    t_s = period_s * np.arange(len(setup.Y_ref))
-    y = {f"y_{k}": pd.Series(setup.Y_ref[:, k], index=t_s) for k in range(setup.Y_ref.shape[1])}
-    lower = setup.settings.lower(setup.system.N)
-    upper = setup.settings.upper(setup.system.N)
-    agents: list[dict[str, Any]] = []
-    for agent in range(setup.system.N):
-        own = range(INPUTS * agent, INPUTS * (agent + 1))
-        limits = [{"lb": float(lower[j]), "ub": float(upper[j])} for j in range(len(setup.hover.u))]
-        controller = {
-            "module_id": "admm",
-            "type": "agentlib_mpc.admm_local",
-            "optimization_backend": {
-                "type": "casadi_admm",
-                "model": {"type": {"file": here, "class_name": f"Team{agent}"}},
-                "discretization_options": {
-                    "collocation_order": 2,
-                    "collocation_method": "legendre",
-                },
-                "solver": {"name": "ipopt", "options": {"ipopt.print_level": 0, "ipopt.tol": 1e-3}},
-            },
-            "time_step": period_s,
-            "prediction_horizon": setup.settings.horizon,
-            "max_iterations": iterations,
-            "penalty_factor": 1e-2,
-            "sync_delay": 5e-4,
-            # The default of 2 s is subtracted from the sampling period and would leave time for
-            # one iteration only.
-            "registration_period": 0.0,
-            "inputs": [{"name": name, "value": series} for name, series in y.items()],
-            "controls": [
-                {"name": f"u_{j}", "value": float(setup.hover.u[j]), **limits[j]} for j in own
-            ],
-            "states": [
-                {"name": f"x_{k}", "value": float(v)} for k, v in enumerate(setup.initial_state())
-            ],
-            "couplings": [
-                {
-                    "name": f"{'w' if j in own else 'u'}_{j}",
-                    "alias": f"c_{j}",
-                    "value": float(v),
-                    **limits[j],
-                }
-                for j, v in enumerate(setup.hover.u)
-            ],
-        }
-        agents.append(
-            {"id": f"uav{agent + 1}", "modules": [{"type": "local_broadcast"}, controller]}
-        )
-    plant = {
+    modules = {
+        f"uav{agent + 1}": _controller(setup, agent, iterations) for agent in range(setup.system.N)
+    }
+    modules["plant"] = {
         "module_id": "plant",
-        "type": {"file": here, "class_name": "Plant"},
-        "x": [{"name": f"x_{k}", "value": float(v)} for k, v in enumerate(setup.initial_state())],
+        "type": {"file": str(_FILE), "class_name": "Plant"},
+        "x": _start(setup),
         "u": [{"name": f"u_{j}", "value": float(v)} for j, v in enumerate(setup.hover.u)],
     }
-    return [*agents, {"id": "plant", "modules": [{"type": "local_broadcast"}, plant]}]
+    return [
+        {"id": name, "modules": [{"type": "local_broadcast"}, module]}
+        for name, module in modules.items()
+    ]
+
+
+def _start(setup: Setup) -> list[dict[str, Any]]:
+    """Return the states at t = 0 as AgentLib's variables."""
+    return [{"name": f"x_{k}", "value": float(v)} for k, v in enumerate(setup.initial_state())]
+
+
+def _controller(setup: Setup, agent: int, iterations: int) -> dict[str, Any]:
+    """Return the configuration of the controller of an agent, 0-based: consensus by ADMM.
+
+    Coupled are the inputs of all UAVs: the own ones as outputs w of the model, the others' as its
+    inputs u, both under the alias c.
+    """
+    own = range(INPUTS * agent, INPUTS * (agent + 1))
+    period_s = setup.settings.sampling_period_s
+    instants_s = period_s * np.arange(len(setup.Y_ref))
+    references = [
+        {"name": f"y_{k}", "value": pd.Series(y_ref, index=instants_s)}
+        for k, y_ref in enumerate(setup.Y_ref.T)
+    ]
+    bounds = zip(
+        setup.settings.lower(setup.system.N), setup.settings.upper(setup.system.N), strict=True
+    )
+    limits = [{"lb": float(lower), "ub": float(upper)} for lower, upper in bounds]
+    couplings = [
+        {
+            "name": f"{'w' if j in own else 'u'}_{j}",
+            "alias": f"c_{j}",
+            "value": float(v),
+            **limits[j],
+        }
+        for j, v in enumerate(setup.hover.u)
+    ]
+    backend = {
+        "type": "casadi_admm",
+        "model": {"type": {"file": str(_FILE), "class_name": f"Team{agent}"}},
+        "discretization_options": {"collocation_order": 2, "collocation_method": "legendre"},
+        "solver": {"name": "ipopt", "options": {"ipopt.print_level": 0, "ipopt.tol": 1e-3}},
+    }
+    return {
+        "module_id": "admm",
+        "type": "agentlib_mpc.admm_local",
+        "optimization_backend": backend,
+        "time_step": period_s,  # s
+        "prediction_horizon": setup.settings.horizon,
+        "max_iterations": iterations,
+        "penalty_factor": 1e-2,
+        "sync_delay": 5e-4,  # s
+        # The default of 2 s is subtracted from the sampling period and would leave time for
+        # one iteration only.
+        "registration_period": 0.0,
+        "inputs": references,
+        "controls": [
+            {"name": f"u_{j}", "value": float(setup.hover.u[j]), **limits[j]} for j in own
+        ],
+        "states": _start(setup),
+        "couplings": couplings,
+    }
 
 
 def fly(setup: Setup, iterations: int) -> tuple[Array, Array, float]:

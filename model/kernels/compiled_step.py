@@ -53,9 +53,8 @@ class CompiledStep:
         self._functions = functions
         self._length_s = np.zeros(1)
         self._kept = native.Addresses()
-        self._copies = (
-            native.Addresses()
-        )  # of arrays that controllers with the same model differ in
+        # Copies of arrays in which controllers with the same model differ.
+        self._copies = native.Addresses()
 
         # CasADi's sizes of the rooms: arguments, results, integers and numbers.
         sizes = (ctypes.c_longlong * 4)()

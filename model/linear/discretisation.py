@@ -11,8 +11,8 @@ from transport.model.arrays import Array, ShapeError
 from transport.model.kernels import native
 from transport.model.linear.linearisation import Linearisation
 
-# theta = max(b_2^(1/2), b_3^(1/3)), b_k the largest column sum of |X|^k, entry by entry, with X =
-# A_c T, stands for the norm: every k >= 2 is a sum of twos and threes, so |X^k| <= theta^k, and for
+# theta = max(b_2^(1/2), b_3^(1/3)) stands for the norm of X = A_c T, with b_k the largest column sum
+# of |X|^k, entry by entry: every k >= 2 is a sum of twos and threes, so |X^k| <= theta^k, and for
 # a mechanical system theta is several times smaller than |X| (Al-Mohy, Higham 2009).
 _THETA_MAX = 2.0  # above it the period is halved: a short series without cancellation
 _THETA_POSSIBLE = 300.0  # products of exp(theta) stay far below the float64 range

@@ -210,39 +210,40 @@ class Maneuver:
         return self.press_m * level, self.press_m * rate
 
     def _path_jets(self, t_s: Array, orders: int) -> Array:
-        """Return the jets of the path, (orders, k, 3), SI: (20), (75), (77)."""
-        if self.slowings:
-            along = self._warped(t_s, orders)
-            return jets.composed(replace(self, slowings=())._path_jets(along[0], orders), along)
-        # From the newest target back: the times along the path before it, and where it brakes, also that
-        # of its rest.
-        steps = []
-        times_s = t_s
-        w: Array | None
-        for target in reversed(self.targets):
-            w = target.braking.warped(times_s, orders) if target.brakes else None
-            steps.append((target, times_s, w))
-            if w is not None:
-                times_s = np.append(w[0], target.rest_s)
+        """Return the jets of the path at times of the clock, (k,), s: (orders, k, 3), SI, inertial.
 
-        r = np.zeros((orders, len(times_s), 3))
+        Each target leads away from the path of the phases and of the targets before it.
+        Source: (20), (75), (77).
+        """
+        if self.slowings:
+            # r(w(t)), with the path r without losses of time.
+            w = self._warped(t_s, orders)
+            return jets.composed(replace(self, slowings=())._path_jets(w[0], orders), w)
+        # Backwards from the newest target: the times along the path that it leads away from.
+        legs = []
+        times_s = t_s
+        for target in reversed(self.targets):
+            leg = _Leg.of(target, times_s, orders)
+            legs.append(leg)
+            times_s = leg.before_s
+
+        # Forwards: the path of the phases, led away by each target.
+        r = self._phase_jets(times_s, orders)
+        for leg in reversed(legs):
+            r = leg.led(r)
+        return r
+
+    def _phase_jets(self, t_s: Array, orders: int) -> Array:
+        """Return the jets of the path of the phases alone, arguments as `_path_jets`: (20)."""
+        r = np.zeros((orders, len(t_s), 3))
         r[0] = self.start_I
         for phase, begin_s in self._timed_phases():
-            r += phase.jets(self.profile, times_s - begin_s, orders)
-
-        for target, times_s, w in reversed(steps):
-            is_led = times_s >= target.since_s
-            rest_I = None
-            if w is not None:
-                rest_I = r[0, -1]
-                r = r[:, :-1]
-                r[:, is_led] = jets.composed(r[:, is_led], w[:, is_led])
-            if is_led.any():
-                r[:, is_led] = target.joined(times_s[is_led], r[:, is_led], rest_I)
+            r += phase.jets(self.profile, t_s - begin_s, orders)
         return r
 
     def _warped(self, t_s: Array, orders: int) -> Array:
-        """Return the jets of the time along the phases, (orders, k), s."""
+        """Return the jets of the time along the path without losses of time, (orders, k), s: (77)."""
+        # w(t) = t without losses, then w_1(w_2(...)): the last one is nearest to the clock.
         w = np.zeros((orders, len(t_s)))
         w[0] = t_s
         if orders > 1:
@@ -250,6 +251,43 @@ class Maneuver:
         for slowing in reversed(self.slowings):
             w = jets.composed(slowing.warped(w[0], orders), w)
         return w
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Leg:
+    """A target at the times at which the path is evaluated, and the times along the path before it."""
+
+    target: PathTarget
+    t_s: Array  # times of the maneuver, (k,), s
+    # Jets of the time w(t) along the path before, (orders, k), s, on which the payload brakes; None
+    # if it leaves that path in flight: then w(t) = t.
+    w: Array | None
+
+    @staticmethod
+    def of(target: PathTarget, t_s: Array, orders: int) -> "_Leg":
+        """Return the leg of a target at times of the maneuver, (k,), s."""
+        w = target.braking.warped(t_s, orders) if target.brakes else None
+        return _Leg(target=target, t_s=t_s, w=w)
+
+    @property
+    def before_s(self) -> Array:
+        """Times at which `led` needs the path before: w(t), and last that of its rest; else t."""
+        return self.t_s if self.w is None else np.append(self.w[0], self.target.rest_s)
+
+    def led(self, r: Array) -> Array:
+        """Return the jets of the path with the target, (orders, k, 3): (75), (77), (78).
+
+        r: Those of the path before at the times `before_s`, which are changed.
+        """
+        is_led = self.t_s >= self.target.since_s
+        rest_I = None
+        if self.w is not None:
+            rest_I = r[0, -1]
+            r = r[:, :-1]
+            r[:, is_led] = jets.composed(r[:, is_led], self.w[:, is_led])
+        if is_led.any():
+            r[:, is_led] = self.target.joined(self.t_s[is_led], r[:, is_led], rest_I)
+        return r
 
 
 def _check_ground(phases: Sequence[Phase]) -> None:

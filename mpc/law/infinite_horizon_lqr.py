@@ -68,8 +68,8 @@ class Regulator:
     A: Array  # state matrix without any feedback, (r, r)
     B_uncontrolled: Array  # effect of the uncontrolled inputs, (r, m_u)
     A_closed: Array  # state matrix with all feedback, (r, r)
-    # Controlled inputs per slope of the cost-to-go one step later, -M^-1 B', (m_c, r), with M = R +
-    # B'PB; with the discount of (45) R is divided by its square.
+    # Controlled inputs per slope of the cost-to-go one step later, -M^-1 B', (m_c, r).
+    #   M = R + B'PB; with the discount of (45) R is divided by its square.
     preview_gain: Array
 
 

@@ -220,23 +220,28 @@ class TeamAlone:
         if self.team_gain is None:
             return True
         system = self.system
+        period_s = self.settings.sampling_period_s
         at_rest = hover(system)
+
+        # The team about hover in coordinates xi = T' (x - x_hover):  xi(k + 1) = A xi(k) + B du(k).
         T = tangent(at_rest.x)
-        held = zero_order_hold(
-            Model(system).linearise(at_rest.x, at_rest.u), self.settings.sampling_period_s
-        )
-        A, B = T.T @ held.A @ T, T.T @ held.B
-        K_team = self.team_gain @ T
+        discrete = zero_order_hold(Model(system).linearise(at_rest.x, at_rest.u), period_s)
+        A = T.T @ discrete.A @ T
+        B = T.T @ discrete.B
+
+        # Gains in xi, (m, r): that of the team's law, and the rows of each UAV alone.
         thrusts_N = at_rest.u[:: state.INPUTS]
         laws = [AloneLaw(system, uav, float(thrusts_N[uav]), gains) for uav in range(system.N)]
+        K_team = self.team_gain @ T
         K_alone = np.vstack([law.gain() for law in laws]) @ T
 
-        steps = []
+        # du = ((1 - s) K_team + s K_alone) xi, with the share s of each UAV that acts alone.
+        closed_loops = []
         for shares in _mixtures(system.N):
-            alone = np.repeat(shares, state.INPUTS)[:, None]
-            steps.append(A + B @ ((1.0 - alone) * K_team + alone * K_alone))
-        largest = float(np.abs(np.linalg.eigvals(np.array(steps))).max())
-        return math.log(largest) / self.settings.sampling_period_s <= GROWTH
+            s = np.repeat(shares, state.INPUTS)[:, None]
+            closed_loops.append(A + B @ ((1.0 - s) * K_team + s * K_alone))
+        largest = float(np.abs(np.linalg.eigvals(np.array(closed_loops))).max())
+        return math.log(largest) / period_s <= GROWTH
 
 
 def _mixtures(N: int) -> list[Array]:

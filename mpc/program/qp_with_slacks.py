@@ -76,10 +76,18 @@ class Program:
         law: FeedbackLaw | None,
         along: Rollout | None = None,
     ) -> Prediction:
-        """Predict the team about x0 and u0, or exactly along a given trajectory, (35a).
+        """Predict the team over the horizon, at steps 1..N_p.
 
-        The others apply U, or with a control law what it says for their corrections; U is then not
-        used.
+        Args:
+            linear: Expansion of the model about x0 and u0.
+            discrete: Its zero-order hold over the sampling period.
+            U: Inputs of the team that the others apply, (N_p, m), N and N m (or rad/s); not used with a
+                control law.
+            law: Shared control law by which the others answer, with their corrections; None: they
+                apply U.
+            along: Trajectory of the nonlinear model about which the prediction is exact, (35a); None:
+                by the expansion about x0 alone.
+        Source: docs/equations.md (22)-(24), (35), (36).
         """
         if self.compiled is None:
             prediction = predict(discrete, linear.u0, self.decision.own, U, law)
@@ -108,14 +116,16 @@ class Program:
         discrete: Discrete,
         u0: Array,
     ) -> None:
-        """Make the free response of a prediction exact along a trajectory, (35a)."""
+        """Make the free response of a prediction exact along a trajectory, (35a), in place."""
         own = self.decision.own
+        # Closed loop of the others: A + B_q K, with B_q = B without the own columns.
         if self._closed_loop is None:
             B_others = discrete.B.copy()
             B_others[:, own] = 0.0
             self._closed_loop = discrete.A + B_others @ law.K, discrete.B[:, own]
-        V = along.U[:, own] - u0[own]
-        by_own = own_response(*self._closed_loop, V)
+        A_closed, B_own = self._closed_loop
+        v = along.U[:, own] - u0[own]
+        by_own = own_response(A_closed, B_own, v)
         follow(prediction, along, by_own, law, u0, own)
 
     def condense(
@@ -126,7 +136,16 @@ class Program:
         law: FeedbackLaw | None,
         end: CostToGo | None,
     ) -> QP:
-        """Return the QP of a prediction: equations.md (26)-(30), (36e), (48); paper (25)-(27)."""
+        """Return the QP of a prediction in the scaled decision and the slacks.
+
+        Args:
+            linear: Expansion of the model, as in `predict`.
+            prediction: The newest result of `predict`, or an older one without compiled kernels.
+            y_ref: References of the outputs at steps 0..N_p, (N_p + 1, p), as the outputs.
+            law: Shared control law, as in `predict`.
+            end: Cost-to-go of the last state; None: the terminal weight on its outputs.
+        Source: docs/equations.md (26)-(30), (36e), (48); paper (25)-(27).
+        """
         objective = self._objective(linear, y_ref, law, end)
         announced = None
         if self._announced is not None and self._announced[0] is prediction:
@@ -146,7 +165,10 @@ class Program:
     def relaxed(
         self, prediction: Prediction, law: FeedbackLaw, z: Array, w: float
     ) -> tuple[Array, Array]:
-        """Return inputs and corrections, relaxed: the solution z has weight w, 0 without one, (36a)."""
+        """Return own inputs and corrections, (N_p, m_own) each, with relaxation: (36a).
+
+        z is the solution of `condense`, w its weight, 0 without one.
+        """
         if self.compiled is not None and self.compiled.follows(prediction, law):
             return self.compiled.relaxed(z, w)
         own = self.decision.own
@@ -179,18 +201,22 @@ class Program:
         )
 
     def _without_kernels(self, objective: Objective, trajectory: TimeInvariant) -> QP:
-        """Return the QP by products of matrices."""
+        """Return the QP by products of matrices.
+
+        min 1/2 z'Hz + g'z + sum_i p_i (s_i^2 / 2 + s_i), with the slacks s >= 0 behind z and their
+        penalties p.
+        """
         H, g = condense(self.decision, trajectory.prediction, objective)
         penalties = self.stack.penalties
-        size = len(g)
-        whole = np.diag(np.concatenate([np.zeros(size), penalties]))
-        whole[:size, :size] = H
+        decided = len(g)
+        H_with_slacks = np.diag(np.concatenate([np.zeros(decided), penalties]))
+        H_with_slacks[:decided, :decided] = H
 
         U_free = trajectory.prediction.U_free
         lower, upper = self.decision.bounds(U_free, objective.linear.u0)
         rows = self.stack.about(trajectory)
         return QP(
-            H=whole,
+            H=H_with_slacks,
             g=np.concatenate([g, penalties]),
             lower=np.concatenate([lower, np.zeros(len(penalties))]),
             upper=np.concatenate([upper, np.full(len(penalties), np.inf)]),

@@ -11,9 +11,8 @@ _DECADE_DB = 0.85
 _STEEPNESS = 10.0 / _DECADE_DB
 _REFERENCE_BYTES = 1536  # of `Standard.required_sinr_db`
 _CERTAIN = 1e-6  # a smaller exponent counts as none
-CERTAIN_MARGIN = _CERTAIN ** (
-    -1.0 / _STEEPNESS
-)  # ratio to the required signal from which a payload is always decoded
+# Ratio to the required signal from which a payload is always decoded.
+CERTAIN_MARGIN = _CERTAIN ** (-1.0 / _STEEPNESS)
 
 
 class Interference(NamedTuple):

@@ -182,48 +182,70 @@ def _aside(path: Array, system: System) -> float:
 def _extremes(
     flown: Flight, team: RemainingTeam, settings: ControllerSettings
 ) -> Iterator[Extreme]:
-    """Yield the extremes of the quantities of the remaining UAVs, always in the same order."""
-    remaining = team.remaining
-    uavs = [(uav,) for uav in remaining]
-    inputs = flown.u.reshape(len(flown.x), team.system.N, INPUTS)[:, remaining]
-    tensions_N = flown.tensions[:, remaining]
-    shares_of_hover = tensions_N / team.hover.tensions[remaining]
+    """Yield the extremes of the quantities of the remaining UAVs, always in the same order.
 
-    def highest(quantity: str, unit: str, bound: float, values: Array) -> Extreme:
-        return _furthest(quantity, unit, bound, values, uavs, is_upper=True)
-
-    def lowest(quantity: str, unit: str, bound: float, values: Array) -> Extreme:
-        return _furthest(quantity, unit, bound, values, uavs, is_upper=False)
-
-    yield highest("a thrust of at most", " N", settings.limits.thrust_N[1], inputs[..., 0])
-
-    Theta = StateView(flown.x).Theta[:, remaining]
-    tilt_deg = math.degrees(MOST_TILT)
-    if settings.tilt is not None:
-        tilt_deg = min(tilt_deg, settings.tilt.limit_deg)
-    largest_deg = np.degrees(np.abs(Theta)).max(axis=-1)
-    yield highest("a UAV tilt of at most", " deg", tilt_deg, largest_deg)
-
-    kind, unit = (
-        ("a commanded rate", " rad/s") if team.system.commands_rates else ("a moment", " N m")
-    )
-    for axis, bound in enumerate(settings.upper(1)[1:], start=1):
-        quantity = f"{kind} about axis {axis} of at most"
-        yield highest(quantity, unit, float(bound), np.abs(inputs[..., axis]))
-
-    yield lowest("a thrust of at least", " N", settings.limits.thrust_N[0], inputs[..., 0])
-
-    share = "a share of the rod tension at hover of at least"
-    yield lowest(share, "", LEAST_TENSION, shares_of_hover)
-    if settings.tension is not None:
-        yield lowest("a rod tension of at least", " N", settings.tension.minimum_N, tensions_N)
-
-    if settings.separation is not None and len(remaining) > 1:
-        pairs = list(combinations(remaining, 2))
+    The order decides between limits that are exceeded alike. Source: docs/equations.md (69).
+    """
+    yield from _largest(flown, team, settings)
+    yield from _smallest(flown, team, settings)
+    if settings.separation is not None and len(team.remaining) > 1:
+        pairs = list(combinations(team.remaining, 2))
         distances_m = _distances(flown, team)
         quantity = "a distance of UAVs of at least"
         minimum_m = settings.separation.minimum_m
         yield _furthest(quantity, " m", minimum_m, distances_m.T, pairs, is_upper=False)
+
+
+def _largest(flown: Flight, team: RemainingTeam, settings: ControllerSettings) -> Iterator[Extreme]:
+    """Yield the extremes with an upper bound: thrust, tilt, moments or commanded rates."""
+    remaining = team.remaining
+    inputs = _inputs_of_remaining(flown, team)
+    Theta = StateView(flown.x).Theta[:, remaining]
+
+    tilt_deg = math.degrees(MOST_TILT)
+    if settings.tilt is not None:
+        tilt_deg = min(tilt_deg, settings.tilt.limit_deg)
+    largest_deg = np.degrees(np.abs(Theta)).max(axis=-1)
+
+    turning = "a moment"
+    turning_unit = " N m"
+    if team.system.commands_rates:
+        turning = "a commanded rate"
+        turning_unit = " rad/s"
+
+    def highest(quantity: str, unit: str, bound: float, values: Array) -> Extreme:
+        uavs = [(uav,) for uav in remaining]
+        return _furthest(f"{quantity} of at most", unit, bound, values, uavs, is_upper=True)
+
+    yield highest("a thrust", " N", settings.limits.thrust_N[1], inputs[..., 0])
+    yield highest("a UAV tilt", " deg", tilt_deg, largest_deg)
+    for axis, bound in enumerate(settings.upper(1)[1:], start=1):
+        quantity = f"{turning} about axis {axis}"
+        yield highest(quantity, turning_unit, float(bound), np.abs(inputs[..., axis]))
+
+
+def _smallest(
+    flown: Flight, team: RemainingTeam, settings: ControllerSettings
+) -> Iterator[Extreme]:
+    """Yield the extremes with a lower bound: thrust, and tension of the rods."""
+    remaining = team.remaining
+    thrusts_N = _inputs_of_remaining(flown, team)[..., 0]
+    tensions_N = flown.tensions[:, remaining]
+    shares_of_hover = tensions_N / team.hover.tensions[remaining]
+
+    def lowest(quantity: str, unit: str, bound: float, values: Array) -> Extreme:
+        uavs = [(uav,) for uav in remaining]
+        return _furthest(f"{quantity} of at least", unit, bound, values, uavs, is_upper=False)
+
+    yield lowest("a thrust", " N", settings.limits.thrust_N[0], thrusts_N)
+    yield lowest("a share of the rod tension at hover", "", LEAST_TENSION, shares_of_hover)
+    if settings.tension is not None:
+        yield lowest("a rod tension", " N", settings.tension.minimum_N, tensions_N)
+
+
+def _inputs_of_remaining(flown: Flight, team: RemainingTeam) -> Array:
+    """Return thrust and moments or rates of the remaining UAVs at k instants, (k, remaining, 4)."""
+    return flown.u.reshape(len(flown.x), team.system.N, INPUTS)[:, team.remaining]
 
 
 def _furthest(

@@ -79,30 +79,36 @@ def off_hover(hover: Hover, settings: ControllerSettings, plant: PlantSection) -
 
 def touching_at_hover(model: Model, hover: Hover, radii_m: Sequence[float | None]) -> Problems:
     """Yield the radii of UAVs that touch at hover."""
-    r = model.outputs(hover.x)[: 3 * model.system.N].reshape(-1, 3)
-    for (i, a), (j, b) in combinations(enumerate(radii_m), 2):
-        apart_m = float(np.linalg.norm(r[i] - r[j]))
-        if a and b and apart_m <= a + b:
-            pair = f"UAV{i + 1} and UAV{j + 1} at hover"
+    for (one, other), apart_m in _distances_at_hover(model, hover).items():
+        radius_m = radii_m[one - 1]
+        other_radius_m = radii_m[other - 1]
+        if radius_m and other_radius_m and apart_m <= radius_m + other_radius_m:
+            pair = f"UAV{one} and UAV{other} at hover"
             expected = f"expected less than {apart_m:.3f} m in all ({pair})"
-            yield f"system.uav.{j + 1}.radius_m", f"{expected}, got {a + b:.3f} m"
+            got = f"got {radius_m + other_radius_m:.3f} m"
+            yield f"system.uav.{other}.radius_m", f"{expected}, {got}"
 
 
 def too_close_at_hover(model: Model, hover: Hover, settings: ControllerSettings) -> Problems:
     """Yield the least distance of UAVs if they are closer at hover."""
     if settings.separation is not None:
         minimum_m = settings.separation.minimum_m
-        r = model.outputs(hover.x)[: 3 * model.system.N].reshape(-1, 3)
-        distances_m = {
-            (i, j): float(np.linalg.norm(a - b))
-            for (i, a), (j, b) in combinations(enumerate(r, start=1), 2)
-        }
+        distances_m = _distances_at_hover(model, hover)
         pair = min(distances_m, key=distances_m.__getitem__, default=None)
         if pair is not None and distances_m[pair] < minimum_m:
             apart = f"{distances_m[pair]:.3f} m (UAV{pair[0]} and UAV{pair[1]} at hover)"
             remedy = "move their attachments apart, or take a smaller minimum"
             problem = f"expected at most {apart}, got {minimum_m}; {remedy}"
             yield "controller.separation.minimum_m", problem
+
+
+def _distances_at_hover(model: Model, hover: Hover) -> dict[tuple[int, int], float]:
+    """Return the distance of each pair of UAVs, counted from 1, at hover, m."""
+    r_I = model.outputs(hover.x)[: 3 * model.system.N].reshape(-1, 3)
+    return {
+        (one, other): float(np.linalg.norm(r_one - r_other))
+        for (one, r_one), (other, r_other) in combinations(enumerate(r_I, start=1), 2)
+    }
 
 
 def _not_within(quantity: str, limits: Sequence[float]) -> str:
@@ -123,7 +129,7 @@ def off_limits(
     """
     if not reference.is_flat:
         return
-    field = "maneuver.profile"
+    field = "maneuver.profile"  # blamed for an error of the path itself
     try:
         instants_s = checked_instants(reference)
         path = reference.maneuver.jets(instants_s)
@@ -134,11 +140,11 @@ def off_limits(
             problem = exceeded(path[:, after], team, settings, when)
             if problem:
                 # After slowing, the release may be anywhere on the path.
-                every = least_slowing(path, team, settings)
-                one = None
+                factor = least_slowing(path, team, settings)
+                phase = None
                 if not team.released:
-                    one = least_longer(reference, team, settings)
-                yield field, problem + _slower(reference.maneuver, every, one)
+                    phase = least_longer(reference, team, settings)
+                yield field, problem + _slower(reference.maneuver, factor, phase)
             field = "faults.event"  # of the teams after releases
     except ParameterError as error:
         yield field, str(error)
@@ -171,15 +177,15 @@ def least_longer(
     instants_s = checked_instants(reference)
     numbers = np.array([phase_number(maneuver, t_s) for t_s in instants_s])
     path = maneuver.jets(instants_s)
-    wrong = [
+    too_fast = [
         number
         for number in np.unique(numbers)
         if exceeded(path[:, numbers == number], team, settings) is not None
     ]
-    if len(wrong) != 1:
+    if len(too_fast) != 1:
         return None
 
-    number = int(wrong[0])
+    number = int(too_fast[0])
     phase = maneuver.phases[number - 1]
     if isinstance(phase.way, np.ndarray) or (isinstance(phase.way, Curve) and len(phase.way.table)):
         return None  # a table has its own times
@@ -195,14 +201,20 @@ def least_longer(
     return None if factor is None else (number, factor)
 
 
-def _slower(maneuver: Maneuver, factor: float | None, one: tuple[int, float] | None) -> str:
-    """Return the remedies for a reference that exceeds limits, if there are any."""
+def _slower(maneuver: Maneuver, factor: float | None, phase: tuple[int, float] | None) -> str:
+    """Return the remedies for a reference that exceeds limits, if there are any.
+
+    Args:
+        maneuver: The maneuver.
+        factor: On the durations of all phases; None if none helps.
+        phase: One phase, from 1, that may be longer in their place, and the factor on its duration.
+    """
     if factor is None:
         return ""
     text = f"; feasible if all phases take {factor:.3f} times as long"
-    if one is None:
+    if phase is None:
         return text
-    number, longer = one
+    number, longer = phase
     # Rounded up: the factor in the text is large enough.
     times = f"{math.ceil(1e3 * longer) / 1e3:.3f} times"
     name = maneuver.phases[number - 1].name

@@ -48,11 +48,11 @@ class _Message:
     begin_ns: int  # of its tick
     sent_ns: int
     lengths: list[int]  # of its frames, bytes
-    missing: dict[int, int]  # frames without an outcome, by receiving station that lacks some
+    # Number of frames without an outcome, by receiving station that lacks some.
+    missing: dict[int, int]
     sequences: list[int] = field(default_factory=list)  # numbers of its frames, once on the air
-    losses: dict[int, FrameResult] = field(
-        default_factory=dict
-    )  # the first one, by receiving station
+    # The first loss of one of its frames, by receiving station.
+    losses: dict[int, FrameResult] = field(default_factory=dict)
 
     @property
     def station(self) -> int:

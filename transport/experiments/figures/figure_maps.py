@@ -61,6 +61,7 @@ def draw_maps(
     if is_named:
         room = replace(room, left_in=_NAMES_IN, bottom_in=_BELOW_NAMES_IN)
     panels = column_panels(figure, heights_in, x_label=x.title, room=room)
+
     for panel, (scenario, own) in zip(panels, scenarios.items(), strict=True):
         cells = {}
         for statistics in own:
@@ -70,13 +71,24 @@ def draw_maps(
         panel.patch.set(facecolor="none")
         panel.imshow(values, norm=scale, aspect="auto", origin="upper" if is_named else "lower")
         head(panel, scenario, legend=False)
-        names = [_tick(x, value).replace(" ", "\n") for value in columns]
-        panel.set_xticks(range(len(columns)), names, fontsize=SMALL)
-        panel.set_yticks(range(len(rows)), [_tick(y, value) for value in rows])
-        panel.set_ylabel("" if is_named else y.title)
-        panel.tick_params(length=0.0)
-        panel.grid(visible=False)
+        _label_axes(panel, (x, columns), (y, rows))
     _draw_scale(figure, panels, (shown, scale))
+
+
+def _label_axes(
+    panel: Axes, along: tuple[Axis, list[str | float]], up: tuple[Axis, list[str | float]]
+) -> None:
+    """Label the columns and rows of a map: an axis and its values each."""
+    x, columns = along
+    names = [_tick(x, value).replace(" ", "\n") for value in columns]
+    panel.set_xticks(range(len(columns)), names, fontsize=SMALL)
+
+    y, rows = up
+    is_named = isinstance(rows[0], str)
+    panel.set_yticks(range(len(rows)), [_tick(y, value) for value in rows])
+    panel.set_ylabel("" if is_named else y.title)  # names say by themselves what they are
+    panel.tick_params(length=0.0)
+    panel.grid(visible=False)
 
 
 def _values(measured: Sequence[PointStatistics], axis: Axis) -> list[str | float]:
