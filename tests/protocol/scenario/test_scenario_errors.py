@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Literal, get_origin
+from typing import Annotated, Literal, get_args, get_origin
 
 import hypothesis
 import pytest
@@ -634,12 +634,17 @@ def _not_finite(_: str, field: FieldInfo) -> tuple[str, str] | None:
 
 
 def _out_of_bounds(_: str, field: FieldInfo) -> tuple[str, str] | None:
-    """Beyond the first bound of a number."""
-    if field.annotation not in (int, float):
+    """Beyond the first bound of a number, which may be left out."""
+    bounds, kind = list(field.metadata), field.annotation
+    for inner in get_args(kind):
+        if get_origin(inner) is Annotated and type(None) in get_args(field.annotation):
+            kind, *more = get_args(inner)
+            bounds += more
+    if kind not in (int, float):
         return None
     limits = {
         sign: getattr(bound, sign)
-        for bound in field.metadata
+        for bound in bounds
         for sign in ("gt", "ge", "lt", "le")
         if getattr(bound, sign, None) is not None
     }
@@ -673,7 +678,7 @@ KINDS: Mapping[
     "unknown key": (_unknown_key, 44),
     "choice": (_no_choice, 39),
     "not finite": (_not_finite, 150),
-    "bounds": (_out_of_bounds, 157),
+    "bounds": (_out_of_bounds, 189),
     "milliseconds": (_milliseconds, 20),
 }
 
