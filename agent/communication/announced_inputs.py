@@ -109,17 +109,22 @@ class AnnouncedInputs:
 
     # Over the horizon, (32).
 
-    def sequence(self, start: int, steps: int, before: int) -> Array:
+    def sequence(self, start: int, steps: int, before: int, *, of_all: bool = True) -> Array:
         """Return the announced inputs over the horizon: the newest plans, held at their ends.
 
         Of an agent off the roster: its last plan as far as the actuators play it, or what is assumed in
-        its place, then hover. Of one whose plans are stale and over: hover.
+        its place, then hover. Of one whose plans are stale and over: hover. Without `of_all` only
+        the own ones are looked up, and those of all others are hover.
 
         Returns: Inputs over N_p steps from tick `start` on, (N_p, 4 N).
         Source: docs/equations.md (32); paper, section IV-A.
         """
         U = np.empty((steps, len(self._u_hover)))
-        for agent, columns in self._columns.items():
+        agents = self._columns if of_all else (self._own,)
+        if not of_all:
+            U[:] = self._u_hover
+        for agent in agents:
+            columns = self._columns[agent]
             plan = self.plans.newest(agent, before)
             assumed = self._assumed.get(agent)
 

@@ -31,7 +31,9 @@ class StepProblem:
     """Problem of an agent at a tick: the same in all iterations but for the announced plans."""
 
     y_ref: Array  # reference outputs at steps 0..N_p, (N_p + 1, p)
-    U: Array  # announced inputs of all UAVs, (N_p, m); the owned columns hold the previous plan
+    # Announced inputs of all UAVs, (N_p, m), with a law the own ones alone; the owned columns hold the
+    # previous plan.
+    U: Array
     law: FeedbackLaw | None  # shared control law with the announced corrections
     end: CostToGo | None  # cost after the horizon
     linear: Linear
@@ -74,12 +76,13 @@ def step_problem(
     steps = setup.settings.horizon
     first = start.tick
 
-    # U(j) = U_a(min(s + j - s_a, N_p - 1)), each agent's newest plan shifted by its age: (32).
-    U = announced.sequence(first, steps, before=k)
-
     # u(j) = u_hov + K (x(j) - x_ref(j)) + c_ff(j) + c(j): (35), along a flat reference (71).
     c = announced.corrections(first, steps, before=k)
     law = controller.law(start.x0, setup.X_ref[first : first + steps], c, forces, first)
+
+    # U(j) = U_a(min(s + j - s_a, N_p - 1)), each agent's newest plan shifted by its age: (32).
+    # With the law the own ones alone count, after a step without solution.
+    U = announced.sequence(first, steps, before=k, of_all=law is None)
 
     # The cost of all later steps under that law: (36d).
     end = controller.end(start.x0, setup.X_ref[first + steps], forces, first + steps)

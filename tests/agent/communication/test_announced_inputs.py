@@ -150,6 +150,16 @@ def test_shift_and_hold(age: int, delay: int) -> None:
     np.testing.assert_array_equal(rows(1, U), shifted)
 
 
+def test_own_inputs_without_those_of_the_others() -> None:
+    """Where only the own inputs are looked up they are the same, and the others' are hover."""
+    inputs = announced(labelled(1, 7), labelled(2, 7), own=1)
+    of_all = inputs.sequence(8, STEPS, before=8)
+    own = inputs.sequence(8, STEPS, before=8, of_all=False)
+    np.testing.assert_array_equal(rows(1, own), rows(1, of_all))
+    np.testing.assert_array_equal(rows(2, own), np.tile(rows(2, U_HOVER), (STEPS, 1)))
+    assert (rows(2, of_all) != rows(2, own)).any()
+
+
 @pytest.mark.parametrize("age", range(STEPS + 3))
 @pytest.mark.parametrize("delay", [0, 1])
 def test_corrections_end(age: int, delay: int) -> None:
