@@ -1,4 +1,32 @@
-"""The Zenoh bus: one session per process, liveliness in and out, one queue of all that arrives."""
+"""The Zenoh bus: one session per process, liveliness in and out, one queue of all that arrives.
+
+Zenoh's callbacks, signal handlers and other threads only add items to the queue. The thread of the node
+takes them out: with `join` until all expected processes are up, then with `next`, and at the end with
+`leave`. The stage of the process in between is that of its tokens (`protocol.network.presence`: CONNECTED,
+ALIVE, READY, RENEWING, LEAVING), and the bus has no state beside it but the order of its items:
+
+    item in the queue            in `join`                        in `next`
+    ---------------------------  -------------------------------  ----------------------------------
+    message                      kept for `next`                  through the gate, one by one
+    token "alive" appears        must fit this process (or        taken in
+                                 BusError), then taken in
+    token "alive" disappears     taken in                         event: the process is gone
+    token "ready" appears        kept; the coordinator's starts   event: the process takes part
+                                 the questions who takes part
+    note that one has left       kept for `next`                  event, for the recorder
+    request for the health       answered                         answered
+    another request              kept for `next`, if it serves    event, if it serves
+    interruption                 ends the wait                    event
+    note of a new incarnation    none: only READY processes       new tokens, and the gate knows them
+                                 renew
+
+`leave` reads as `next`, drops all events, and ends with an interruption, with the processes that it waits
+for, or after `LINGER_S`. Three orders hold:
+
+    Subscriptions are declared before the token: who sees the token may send at once, and nothing is lost.
+    What `join` keeps is older than all in the queue, and `next` gives it first.
+    A new incarnation is announced by a note in the queue: behind all that came before it.
+"""
 
 import queue
 import time

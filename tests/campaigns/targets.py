@@ -31,7 +31,7 @@ from transport.analysis.cost_and_tracking_metrics import SETTLED_S
 from transport.analysis.replay.replay_difference import Comparison
 from transport.analysis.replay.replay_of_agent import Replay
 from transport.flight import live
-from transport.log.run_log import open_run
+from transport.log.run_folder import open_run
 from transport.protocol.wire.messages import PlantState, Target
 
 Place = tuple[float, float, float]

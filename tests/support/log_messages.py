@@ -118,7 +118,7 @@ def estimate_note(run: Setup, agent: int, tick: int) -> Note:
 def radio_report(run: Setup, tick: int) -> Airtime:
     """Return the coordinator's report that agent 1's last plan reached agent 2 and was lost at agent 3.
 
-    For the other agents there is no news of it.
+    For the other agents nothing is reported of it.
     """
     arrivals = np.full((1, len(run.agents)), UNREPORTED)
     arrivals[0, run.agents.index(2)] = ARRIVED_S

@@ -27,7 +27,8 @@ from tests.support.browser import (
 from tests.support.commands import PATIENCE_S, processes_of, settings, start, wait_for
 from tests.support.live_log import LiveLog
 from tests.support.same_flight import before, flight_bits, simulated_before
-from transport.log.run_log import read_log, setup_of
+from transport.log.run_folder import setup_of
+from transport.log.run_log import read_log
 from transport.model.arrays import Array
 from transport.protocol.wire.messages import LinkChange, PlantState, Target
 

@@ -190,13 +190,13 @@ def test_faults_by_hand(
         ("agent3", ["is gone", "joined"]),
         ("agent4", ["did not answer", "joined"]),
     ):
-        news = [
+        events = [
             event
             for event in operated[0]["faults"]
             if event["processes"] == [name] and event["kind"] != "fault"
         ]
-        assert [event["kind"] for event in news] == ["detected", "rejoined"]
-        assert all(word in event["what"] for word, event in zip(words, news, strict=True))
+        assert [event["kind"] for event in events] == ["detected", "rejoined"]
+        assert all(word in event["what"] for word, event in zip(words, events, strict=True))
     *_, last = log.of(Roster)
     assert (last.agents, last.incarnations) == ((1, 2, 3, 4), (0, 0, 1, 1))
     end = max(report.tick for report in log.of(StepReport))

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from tests.support.commands import PATIENCE_S, is_flying, processes_of, settings, start, wait_for
 from transport.analysis.series import series_of
 from transport.cli.main import app
-from transport.log.run_log import open_run
+from transport.log.run_folder import open_run
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "active-runs.md"
 TEAM = ["coordinator", "plant", "agent1", "agent2", "agent3", "agent4"]

@@ -32,7 +32,8 @@ from transport.cli.main import app
 from transport.flight import live
 from transport.flight.live import LiveRun
 from transport.flight.run_execution import simulate as run_processes
-from transport.log.run_log import LogTail, read_log, setup_of
+from transport.log.run_folder import setup_of
+from transport.log.run_log import LogTail, read_log
 from transport.protocol.network.parent import PARENT_PIPE
 from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE
 from transport.scene.history import RunHistory

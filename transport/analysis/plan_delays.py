@@ -81,12 +81,14 @@ def _links(setup: Setup, log: RunLog) -> dict[tuple[int, int], Link]:
 def _aired(log: RunLog) -> dict[tuple[int, int, int], float]:
     """Return when plans came through the air, s after their tick, by sender, receiver and tick."""
     arrivals: dict[tuple[int, int, int], float] = {}
-    for news in log.of(Airtime):
-        frames = zip(news.agents, news.plan_ticks, news.exchanges, news.arrivals, strict=True)
+    for airtime in log.of(Airtime):
+        frames = zip(
+            airtime.agents, airtime.plan_ticks, airtime.exchanges, airtime.arrivals, strict=True
+        )
         for sender, tick, exchange, at_s in frames:
             if exchange:  # a proposal of a negotiation
                 continue
-            for receiver, arrival_s in zip(news.receivers, at_s, strict=True):
+            for receiver, arrival_s in zip(airtime.receivers, at_s, strict=True):
                 if arrival_s >= 0.0:
                     arrivals[sender, receiver, tick] = float(arrival_s)
     return arrivals

@@ -18,7 +18,7 @@ import psutil
 import tomli_w
 
 from transport.flight.roles import plant_run
-from transport.log.run_log import LATEST, point_latest
+from transport.log.run_folder import LATEST, point_latest
 from transport.model.kernels import native
 from transport.plant.engines import checked_engine
 from transport.protocol.network.security import SHARED

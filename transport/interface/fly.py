@@ -16,7 +16,8 @@ from transport.flight.run_files import checked, run_header
 from transport.interface.recorded_run import Run
 from transport.interface.scenario_builder import Scenario, path_phase
 from transport.interface.setting_arguments import ArgumentError, Settings, ShortSettings, plain
-from transport.log.run_log import Recorded, RunLog, open_run
+from transport.log.run_folder import open_run
+from transport.log.run_log import Recorded, RunLog
 from transport.protocol.scenario.files.named_files import points_of
 from transport.protocol.scenario.scenario_file import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup

@@ -1,14 +1,12 @@
-"""Log of a run in memory, read from its file or its run folder.
+"""Log of a run in memory, read from its file, also while it is being written.
 
-`transport.log.writer` describes the file.
+`transport.log.writer` describes the file, `transport.log.run_folder` opens the folder of a run.
 """
 
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar, cast
 
@@ -18,14 +16,12 @@ from mcap.exceptions import McapError
 from transport.log.parser import Parser
 from transport.protocol.admission.acceptance_and_refusals import Gate
 from transport.protocol.scenario.radio.radio_parameters import PlanShape
-from transport.protocol.scenario.scenario_file import ScenarioError, read_scenario, validate
+from transport.protocol.scenario.scenario_file import ScenarioError, validate
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire import messages as wire
 from transport.protocol.wire.codec import VERSION, decode
 from transport.protocol.wire.errors_and_exit_codes import MessageError, TransportError
 from transport.protocol.wire.key_expressions import RECORDER, Keys
 from transport.protocol.wire.messages import LinkChange, Message, Plan, Target
-from transport.protocol.wire.names import COORDINATOR
 
 METADATA = "run"  # name of the metadata record that describes the run
 # Encoding of the bytes of messages; each version of the protocol has another.
@@ -262,177 +258,3 @@ def _problems(tail: LogTail) -> list[str]:
             f"{tail.unknown} entries are not of this version, the first {tail.first_unknown}"
         )
     return problems
-
-
-# Folder whose runs have a link to the most recent one, and the name of the link.
-_RUNS = "runs"
-LATEST = "latest"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordedRun:
-    """A recorded run."""
-
-    folder: Path
-    setup: Setup
-    log: RunLog  # `cut` names what the file lacks and what did not reach the recorder
-
-    @property
-    def scenario_file(self) -> Path:
-        """Path of the scenario of the run, with every default."""
-        return self.folder / "scenario.toml"
-
-
-def open_run(folder: Path, *, horizons: bool = True, setup: Setup | None = None) -> RecordedRun:
-    """Read run.mcap of a run folder, as `read_log`, and the run from scenario.toml.
-
-    Raises: ScenarioError: the scenario is refused.
-    """
-    path = folder / "run.mcap"
-    if setup is None and path.exists():  # otherwise the folder is none of a run, which says more
-        setup = setup_of(folder)
-
-    log = read_log(path, horizons=horizons, setup=setup)
-    setup = setup or setup_of(folder)
-    cut = "; ".join(filter(None, (log.cut, missing(log, setup))))
-    return RecordedRun(folder=folder, setup=setup, log=replace(log, cut=cut))
-
-
-def setup_of(folder: Path) -> Setup:
-    """Return the run of a folder without reading its log.
-
-    Raises: ScenarioError: the scenario is refused.
-    """
-    path = folder / "scenario.toml"
-    return Setup.of(read_scenario(path, allow_large=True), str(path))  # its run has been allowed
-
-
-# Ticks between a timeout of the coordinator and the next roster, at most.
-_SLACK_TICKS = 3
-
-
-def missing(log: RunLog, setup: Setup | None) -> str:
-    """Return a sentence with the ticks between which messages are missing; empty if none is.
-
-    Every process numbers its messages. Those missing at its end leave no gap: they are known from
-    the messages of others, and from the roster if the run is known.
-    """
-    # Rejections have numbers of their own.
-    messages = [
-        entry.message for entry in log.messages if not isinstance(entry.message, wire.Rejected)
-    ]
-    ticks = _ticks_around_gaps(messages)
-
-    last_recorded = max((state.tick for state in log.of(wire.PlantState)), default=-1)
-    has_plant = setup is None or setup.scenario.has_plant
-    last_simulated = _last_simulated(log, messages) if has_plant else -1
-    if last_simulated > last_recorded:
-        ticks += [last_recorded + 1, last_simulated]
-    ticks += _ticks_of_unrecorded_plans(log)
-    if setup is not None:
-        ticks += _ticks_of_silent_members(log, setup)
-
-    if not ticks:
-        return ""
-    return f"some messages of ticks {min(ticks)} to {max(ticks)} did not reach the recorder"
-
-
-def _ticks_around_gaps(messages: Sequence[Message]) -> list[int]:
-    """Return the ticks of the messages before and behind each gap in the numbers of a process."""
-    # Ticks by sender and incarnation, then by number; each process begins before number 0.
-    ticks: dict[tuple[str, int], dict[int, int]] = {}
-    for message in messages:
-        if message.sender == RECORDER:  # its own notes cannot get lost
-            continue
-        process = (message.sender, message.incarnation)
-        ticks.setdefault(process, {-1: 0})[message.sequence] = message.tick
-
-    around: list[int] = []
-    for tick_of in ticks.values():
-        for before, behind in pairwise(sorted(tick_of)):
-            if behind > before + 1:
-                around += [tick_of[before], tick_of[behind]]
-    return around
-
-
-def _ticks_of_unrecorded_plans(log: RunLog) -> list[int]:
-    """Return the first and last tick of plans that the plant followed and the recorder lacks."""
-    recorded: dict[int, int] = {}  # newest tick by UAV, 1-based
-    for plan in log.of(Plan):
-        for uav in plan.uavs:
-            recorded[uav] = max(plan.tick, recorded.get(uav, -1))
-
-    followed: dict[int, int] = {}
-    for state in log.of(wire.PlantState):
-        for uav, tick in enumerate(state.plan_ticks, start=1):
-            followed[uav] = max(tick, followed.get(uav, -1))
-
-    ticks: list[int] = []
-    for uav, last_followed in followed.items():
-        last_recorded = recorded.get(uav, -1)
-        if last_followed > last_recorded:
-            ticks += [last_recorded + 1, last_followed]
-    return ticks
-
-
-def _ticks_of_silent_members(log: RunLog, setup: Setup) -> list[int]:
-    """Return the ticks on the roster of agents after their last plan, if these are too many.
-
-    In real time the coordinator removes a member of which it does not hear within its timeout. The
-    plan that it hears then may itself be as old: twice the timeout is allowed.
-    """
-    clock = setup.scenario.clock
-    if clock.mode != "realtime":
-        return []
-
-    timeout_s = clock.speed * clock.barrier_timeout_s
-    longest = 2.0 * timeout_s / setup.settings.sampling_period_s + _SLACK_TICKS
-    member: dict[int, int] = {}
-    for opened in log.of(wire.Tick):
-        member |= dict.fromkeys(opened.members, opened.tick)
-    # Newest tick with a plan, or before the newest return to the roster.
-    planned: dict[int, int] = {}
-    before: tuple[int, ...] = ()
-    for roster in log.of(wire.Roster):
-        planned |= {agent: roster.tick - 1 for agent in roster.agents if agent not in before}
-        before = roster.agents
-    for plan in log.of(Plan):
-        planned[plan.agent] = max(plan.tick, planned.get(plan.agent, -1))
-
-    ticks: list[int] = []
-    for agent, last_member in member.items():
-        last_planned = planned.get(agent, -1)
-        if last_member > last_planned + longest:
-            ticks += [last_planned + 1, last_member]
-    return ticks
-
-
-def _last_simulated(log: RunLog, messages: Iterable[Message]) -> int:
-    """Return the last tick that the plant has simulated, as the other messages tell.
-
-    Returns: -1 for none.
-    """
-    # The plant measures at a tick after simulating the one before.
-    kinds = (wire.Measurement, Plan, wire.StepReport)
-    ticks = [message.tick - 1 for message in messages if isinstance(message, kinds)]
-    ticks += [
-        end.tick
-        for end in log.of(wire.Control)
-        if end.outcome in ("completed", "failed") and end.sender == COORDINATOR
-    ]
-    return max(ticks, default=-1)
-
-
-def point_latest(folder: Path) -> None:
-    """Point the link `latest` beside a run folder at it.
-
-    Only folders in one named `runs` have the link, and nothing else of that name is replaced.
-    """
-    if folder.resolve().parent.name != _RUNS or folder.name == LATEST:
-        return
-
-    link = folder.parent / LATEST
-    with suppress(OSError):
-        if link.is_symlink():
-            link.unlink()
-        link.symlink_to(folder.name, target_is_directory=True)

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import track
 
 from transport.analysis.series import Series, series_of
-from transport.log.run_log import open_run
+from transport.log.run_folder import open_run
 from transport.protocol.wire.errors_and_exit_codes import TransportError
 from transport.report.drawn_parts import UP, draw_parts, frame, line
 from transport.report.figures.style import COMPONENTS, RC, REFERENCE, scale_cost, shade_phases

@@ -9,7 +9,7 @@ import orjson
 from transport.analysis.analysed_run import AnalysedRun, counted
 from transport.analysis.steps import steps_columns, steps_rows
 from transport.analysis.summary_assembly import summarise
-from transport.log.run_log import RecordedRun, open_run
+from transport.log.run_folder import RecordedRun, open_run
 from transport.protocol.scenario.files.atomic_writing import write_csv, write_whole
 from transport.protocol.scenario.setup.run_setup import Setup
 

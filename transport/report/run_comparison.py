@@ -14,7 +14,7 @@ from transport.analysis.analysed_run import AnalysedRun, counted
 from transport.analysis.cost_and_tracking_metrics import SWING_S
 from transport.analysis.series import Series
 from transport.analysis.summary_assembly import summarise
-from transport.log.run_log import RecordedRun
+from transport.log.run_folder import RecordedRun
 from transport.model.arrays import Array
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.figures.column import Room, column_panels, head

@@ -53,7 +53,7 @@ class RunHistory:
         self.control: Control | None = None  # the coordinator's message about the end
         # Ticks and sentences about faults, links and roster.
         self.events: list[tuple[int, str]] = []
-        self.airtimes: dict[int, list[Airtime]] = {}  # news of the radio, by tick
+        self.airtimes: dict[int, list[Airtime]] = {}  # messages of the radio, by tick
         self.link_changes: list[LinkChange] = []
         self._rosters: list[Roster] = []
 

@@ -144,15 +144,15 @@ class SceneBuilder:
 
         period_s = self.setup.settings.sampling_period_s
         ticks = max(1, min(round(_AIR_S / period_s), tick))
-        news = []
+        airtimes = []
         for shown in range(tick - ticks + 1, tick + 1):
-            news += self.history.airtimes.get(shown, [])
+            airtimes += self.history.airtimes.get(shown, [])
 
         # Times of arrival, s; lost copies have negative codes.
-        arrivals = [one.of_sent() for one in news]
+        arrivals = [one.of_sent() for one in airtimes]
         decided = np.concatenate(arrivals) if arrivals else np.zeros(0)
         return Air(
-            airtime_share=sum(one.busy_s for one in news) / (ticks * period_s),
+            airtime_share=sum(one.busy_s for one in airtimes) / (ticks * period_s),
             delivered_share=float(np.mean(decided >= 0.0)) if len(decided) else None,
         )
 

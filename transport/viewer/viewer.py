@@ -17,7 +17,8 @@ from typing import Any, Self
 
 from transport.flight.live import Commands, LiveRun
 from transport.flight.live import read as read_live_run
-from transport.log.run_log import LogTail, open_run, setup_of
+from transport.log.run_folder import open_run, setup_of
+from transport.log.run_log import LogTail
 from transport.scene.drawing import Drawing
 from transport.scene.history import RunHistory
 from transport.scene.scene import Scene, SceneBuilder

@@ -115,7 +115,7 @@ def test_stale_plans_are_played_like_a_last_one(agent: int) -> None:
         np.testing.assert_array_equal(c, plan.corrections if is_known else np.zeros_like(c))
 
 
-def test_news_are_as_old_as_the_last_solved_step() -> None:
+def test_age_of_information_is_that_of_the_last_solved_step() -> None:
     """Another agent that only repeats old inputs is as silent as one that sends none."""
     silence = Silence.of(0.05, is_filtered=False)
     repeating = HeardOthers((1, 2), own=OWN, silence=silence)

@@ -164,7 +164,7 @@ def test_eight_agents_with_deaths_and_new_starts() -> None:
     assert 50 < followed < 100
 
 
-def test_start_up_with_loss_is_at_most_that_of_news_without_gossip() -> None:
+def test_start_up_with_loss_is_at_most_that_of_messages_without_gossip() -> None:
     """The shares of starts within 2 d + m ticks, and within d + m of the first one, are at least (76b)."""
     loss, delay, runs = 0.5, 2, 400
     rng = np.random.default_rng(9)

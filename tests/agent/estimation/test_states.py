@@ -411,7 +411,7 @@ def test_a_failure_heard_late_counts_from_its_tick() -> None:
 
 
 @pytest.mark.parametrize("has_others", [True, False])
-def test_without_news_of_the_others_no_force_is_learned(has_others: bool) -> None:
+def test_without_plans_of_the_others_no_force_is_learned(has_others: bool) -> None:
     """What the others do differently would count as a force: once their information is overdue, (41)."""
     ground_truth = flight(FOUR)
     run = ground_truth.run

@@ -108,7 +108,7 @@ def _alone(run: Setup, along: Sequence[tuple[Array, Array]], ticks: int) -> list
     [("eight", ()), ("eight", (FORCES,)), ("gap", ()), ("precise", VEHICLE), ("precise", (*VEHICLE, FORCES)),
      ("windy", VEHICLE)],
 )  # fmt: skip
-def test_without_news_the_covariance_has_a_fixed_point(name: str, settings: Sequence[str]) -> None:
+def test_in_silence_the_covariance_has_a_fixed_point(name: str, settings: Sequence[str]) -> None:
     """At hover, with own measurements alone, every standard deviation settles: (63), (63c), (63d)."""
     run = runs.ready(name, *settings)
     deviations = _alone(run, [(run.initial_state(), run.hover.u)], SETTLED + MORE)
@@ -116,7 +116,7 @@ def test_without_news_the_covariance_has_a_fixed_point(name: str, settings: Sequ
     assert deviations[-1] <= deviations[0]
 
 
-def test_without_news_the_covariance_along_a_path_is_bounded() -> None:
+def test_in_silence_the_covariance_along_a_path_is_bounded() -> None:
     """Along `eight` the largest deviation of a third pass is that of the second, (63c)."""
     run = runs.ready("eight")
     track = run.reference.sampled.track
@@ -284,7 +284,7 @@ def test_a_deaf_agent_takes_what_it_does_not_hear_for_no_force() -> None:
 def test_a_return_is_no_silence(delay_s: float) -> None:
     """The first plan of an agent that has returned is not late before it can be there.
 
-    It goes on alone, as its UAV was before, and is with the team within two seconds of its news.
+    It goes on alone, as its UAV was before, and is with the team within two seconds of its first plans.
     """
     returns_s, back_s = 2.5, 2.0  # until the share is 0 again, (32d)
     faults = (
@@ -323,7 +323,7 @@ def test_before_its_return_an_agent_was_on_its_fail_safe() -> None:
 
 
 @pytest.mark.parametrize("tick", [0, 5])
-def test_after_a_failure_news_are_not_late(tick: int) -> None:
+def test_after_a_failure_plans_are_not_late(tick: int) -> None:
     """From the first tick on the rule is that of a team of which UAVs have failed."""
     rule = Silence.of(0.05, is_filtered=True)
     law = SharedLaw(silence=rule, silence_after_failures=rule.after_failures)
@@ -333,8 +333,8 @@ def test_after_a_failure_news_are_not_late(tick: int) -> None:
     assert announced.heard.silence == rule.after_failures
 
 
-def test_late_news_leave_the_formation_steady() -> None:
-    """A filter's team flies steadily by late and lost news: each agent acts alone in part."""
+def test_late_plans_leave_the_formation_steady() -> None:
+    """A filter's team flies steadily by late and lost plans: each agent acts alone in part."""
     late = ("links.delay_s=0.4", "links.loss=0.6", runs.ticks(120))
     messages = completed(runs.ready("precise", *VEHICLE, FORCES, *late))
     assert largest_attitude(messages) < ATTITUDE_DEG / 2.0
@@ -371,7 +371,7 @@ AUTOPILOT = (*VEHICLE, FORCES)
 # Teams that such a network, death or silence turned once: scenario, settings, ticks (0: all), largest
 # attitude, degrees. Searches have found most.
 HELD = [
-    # News after the silence turned a filter over, which believed itself sure.
+    # Plans after the silence turned a filter over, which believed itself sure.
     pytest.param(
         "eight",
         ("links.delay_s=0.253", "links.jitter_s=0.071", "links.loss=0.353", _without_messages(1.0, 10.987, 0.353)),

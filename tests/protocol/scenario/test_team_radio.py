@@ -379,7 +379,7 @@ def test_plans_in_several_frames_arrive_with_the_last() -> None:
         assert np.all(since_sent_s[one.arrivals != UNREPORTED] > airtime_ns / NS_PER_S)
 
 
-def test_equal_runs_have_equal_news() -> None:
+def test_equal_runs_have_equal_airtime_messages() -> None:
     """The radio draws from the seed alone."""
     settings = (ticks(TICKS), *CLOSED_LOOP, "radio={offsets='random',background=0.3}")
     first, again = recorded(setup(*settings)), recorded(setup(*settings))

@@ -1,4 +1,4 @@
-"""Radio in summary, report and viewer: the numbers of the coordinator's news."""
+"""Radio in summary, report and viewer: the numbers of the coordinator's airtime messages."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from tests.support.runs import recorded, setup, ticks
 from transport.analysis.airtime import radio_of
 from transport.analysis.analysed_run import AnalysedRun
 from transport.experiments.cases import run_in_memory
-from transport.log.run_log import open_run
+from transport.log.run_folder import open_run
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Airtime
 from transport.report.figures.run_figures import fill
@@ -67,7 +67,7 @@ def test_slots_shorter_than_a_plan_are_told() -> None:
 
 
 def test_no_more_time_is_busy_than_there_is() -> None:
-    """The news of the exchanges of the last tick reach beyond it, and so does the time they are of."""
+    """Airtime messages of the exchanges of the last tick reach beyond it, and so does the time they are of."""
     run = run_of(
         "radio={standard='802.11b',rate_mbps=1.0}",
         "controller.negotiation_iterations=5",

@@ -92,10 +92,10 @@ def test_changes_during_the_run_count(settings: tuple[str, ...]) -> None:
 def test_the_air_comes_before_the_link() -> None:
     """With a radio the delay is that on the air and of the link; lost plans have none."""
     run = runs.setup(runs.SHORT, "radio={}", "links.delay_s=0.1")
-    news = [radio_report(run, k) for k in range(1, 4)]
-    delays = plan_delays(run, log_of([*news, *(report(run, 2, k) for k in range(1, 4))]))
-    column = news[0].receivers.index(2)
-    for one in news:
+    airtimes = [radio_report(run, k) for k in range(1, 4)]
+    delays = plan_delays(run, log_of([*airtimes, *(report(run, 2, k) for k in range(1, 4))]))
+    column = airtimes[0].receivers.index(2)
+    for one in airtimes:
         for sender, tick, arrivals in zip(one.agents, one.plan_ticks, one.arrivals, strict=True):
             if sender == 2 or (tick + 1, 2) not in delays:
                 continue

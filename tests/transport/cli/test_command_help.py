@@ -18,7 +18,7 @@ from transport.cli.lazy import LazyGroup
 from transport.cli.main import app
 from transport.cli.options import newest_runs
 from transport.cli.setting_words import complete_setting
-from transport.log.run_log import point_latest
+from transport.log.run_folder import point_latest
 from transport.protocol.scenario.sections.scenario_keys import fields, section_in
 from transport.protocol.scenario.sections.schema import Scenario
 

@@ -1,4 +1,4 @@
-"""The motion that UAVs without news, and without an agent, take the team to be on."""
+"""The motion that UAVs whose agents hear no others, and those without an agent, take the team to be on."""
 
 import numpy as np
 import pytest

@@ -11,7 +11,8 @@ from msgspec import structs
 from tests.support import runs
 from tests.support.logs import log_of
 from tests.support.troubles import FAULTS, RESILIENT
-from transport.log.run_log import missing, read_log
+from transport.log.missing_messages import missing
+from transport.log.run_log import read_log
 from transport.log.writer import LogWriter
 from transport.protocol.wire.messages import FaultNote, Message, PlantState, Rejected
 from transport.report.report import write_report

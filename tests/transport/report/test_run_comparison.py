@@ -10,7 +10,7 @@ from typer.testing import CliRunner, Result
 
 from tests.support import logs, runs
 from transport.cli.main import app
-from transport.log.run_log import open_run
+from transport.log.run_folder import open_run
 from transport.report.run_comparison import ComparedRun, doubts, rows, settings_apart
 
 

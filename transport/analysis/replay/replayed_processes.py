@@ -180,9 +180,9 @@ def in_order_of_need(
 def _tick_of_need(message: Message) -> int:
     """Return the tick whose measurement comes after a message.
 
-    A plan of tick k is needed at k + 1, and a proposal of k after the measurement of k, as are the
-    news of the radio about it: all lie between the measurements of k and k + 1. The news of the
-    radio until k are needed at k.
+    A plan of tick k is needed at k + 1, and a proposal of k after the measurement of k, as is the
+    radio's message about it: all lie between the measurements of k and k + 1. The radio's message
+    about the time until k is needed at k.
     """
     if isinstance(message, Airtime) and message.negotiation == 0:
         return message.tick

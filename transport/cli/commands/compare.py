@@ -10,7 +10,7 @@ from typer import Argument, Option
 from transport.cli.options import FiguresOption, FormatOption, complete_run, newest_runs, run_folder
 from transport.cli.output import Format, blame, fail, rows, show
 from transport.flight.run_files import new_folder
-from transport.log.run_log import open_run
+from transport.log.run_folder import open_run
 from transport.protocol.scenario.files.atomic_writing import write_csv
 from transport.report.run_comparison import (
     ComparedRun,

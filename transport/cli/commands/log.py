@@ -12,7 +12,8 @@ from typer import Argument, Option
 from transport.cli.lazy import with_options
 from transport.cli.options import FormatOption, complete_run, run_folder
 from transport.cli.output import Format, blame, facts, fail, rows, show
-from transport.log.run_log import RunLog, missing, read_log, setup_in, topic_of
+from transport.log.missing_messages import missing
+from transport.log.run_log import RunLog, read_log, setup_in, topic_of
 from transport.log.tables import INPUT_NAMES, RATE_NAMES, Row, columns, tables
 from transport.protocol.scenario.files.atomic_writing import write_csv
 from transport.protocol.scenario.setup.run_setup import Setup

@@ -15,7 +15,8 @@ from typer import Option
 from transport.cli.lazy import load
 from transport.cli.options import FormatOption, RunArgument, run_folder
 from transport.cli.output import Format, blame, fail, show
-from transport.log.run_log import LogError, open_run
+from transport.log.run_folder import open_run
+from transport.log.run_log import LogError
 from transport.protocol.network.parent import is_standby, stand_by
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors_and_exit_codes import (

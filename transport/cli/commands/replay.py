@@ -18,7 +18,7 @@ from transport.cli.output import Format, blame, fail, rows, show
 from transport.cli.setting_words import complete_setting
 from transport.flight.run_files import machine, versions
 from transport.flight.signals import leave_interrupts_to_python
-from transport.log.run_log import RecordedRun, open_run
+from transport.log.run_folder import RecordedRun, open_run
 from transport.log.tables import INPUT_NAMES, RATE_NAMES
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup

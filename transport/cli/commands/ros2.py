@@ -19,7 +19,8 @@ from transport.cli.active import RunOption, find_active
 from transport.cli.output import blame
 from transport.flight.live import Commands
 from transport.flight.live import read as read_live_run
-from transport.log.run_log import LogTail, setup_of
+from transport.log.run_folder import setup_of
+from transport.log.run_log import LogTail
 from transport.protocol.network.rmw_zenoh import RosNode
 from transport.protocol.wire.messages import PlantState
 from transport.protocol.wire.names import agent_name

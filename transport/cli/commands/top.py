@@ -16,7 +16,8 @@ from transport.cli.active import RunOption, find_active
 from transport.cli.options import run_folder
 from transport.cli.output import Format, fail, rows, show
 from transport.flight import live
-from transport.log.run_log import LogTail, setup_of
+from transport.log.run_folder import setup_of
+from transport.log.run_log import LogTail
 from transport.model.state import StateView
 from transport.plant.actuator_schedule import FAIL_SAFE
 from transport.protocol.scenario.setup.cost_of_run import StageCost

@@ -27,7 +27,7 @@ _DOTS: Any = {"linestyle": "none", "marker": "o", "markersize": 1.4, "markeredge
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Means:
-    """Means of S seconds of a run that have news of the radio."""
+    """Means of S seconds of a run that have airtime messages."""
 
     centres_s: Array  # (S,)
     airtime: Array  # share of the time in which the channel was busy, (S,)
@@ -35,25 +35,25 @@ class _Means:
 
 
 def draw_radio(setup: Setup, log: RunLog, _: Series, panels_of: Panels) -> list[Axes]:
-    """Draw airtime, deliveries and delays of the radio; no panel without one, or without news."""
-    news = [one for one in log.of(Airtime) if one.agents]
-    if setup.scenario.radio is None or not news:
+    """Draw airtime, deliveries and delays of the radio; no panel without one, or without airtime messages."""
+    airtimes = [one for one in log.of(Airtime) if one.agents]
+    if setup.scenario.radio is None or not airtimes:
         return []
 
     period_s = setup.settings.sampling_period_s
-    means = _means(news, period_s)
+    means = _means(airtimes, period_s)
     panels = panels_of([_HEIGHT_IN] * 3)
     airtime, delivered, delay = panels
     _draw_share(airtime, means.centres_s, means.airtime, "airtime (%)")
     _draw_share(delivered, means.centres_s, means.delivered, "plans delivered by the radio (%)")
-    _draw_delays(delay, news, period_s)
+    _draw_delays(delay, airtimes, period_s)
     return panels
 
 
-def _means(news: Sequence[Airtime], period_s: float) -> _Means:
-    """Return the means of each second with news."""
+def _means(airtimes: Sequence[Airtime], period_s: float) -> _Means:
+    """Return the means of each second with airtime messages."""
     by_second: dict[int, list[Airtime]] = {}
-    for one in news:
+    for one in airtimes:
         second = int(one.tick * period_s // _BIN_S)
         by_second.setdefault(second, []).append(one)
 
@@ -66,16 +66,16 @@ def _means(news: Sequence[Airtime], period_s: float) -> _Means:
     )
 
 
-def _airtime(news: Sequence[Airtime], period_s: float) -> float:
+def _airtime(airtimes: Sequence[Airtime], period_s: float) -> float:
     """Return the share of the time in which the channel was busy."""
-    ticks = len({one.tick for one in news})
-    busy_s = np.array([one.busy_s for one in news]).sum()
+    ticks = len({one.tick for one in airtimes})
+    busy_s = np.array([one.busy_s for one in airtimes]).sum()
     return float(busy_s / (ticks * period_s))
 
 
-def _delivered(news: Sequence[Airtime]) -> float:
+def _delivered(airtimes: Sequence[Airtime]) -> float:
     """Return the share of plans that arrived, of those that arrived or were lost."""
-    sent = np.concatenate([one.of_sent() for one in news])
+    sent = np.concatenate([one.of_sent() for one in airtimes])
     return float(np.mean(sent >= 0.0)) if len(sent) else math.nan
 
 
@@ -86,11 +86,11 @@ def _draw_share(panel: Axes, centres_s: Array, shares: Array, title: str) -> Non
     head(panel, title)
 
 
-def _draw_delays(panel: Axes, news: Sequence[Airtime], period_s: float) -> None:
+def _draw_delays(panel: Axes, airtimes: Sequence[Airtime], period_s: float) -> None:
     """Draw the time of each plan from its send to its arrival, ms."""
     times_s: list[float] = []
     delays_ms: list[float] = []
-    for one in news:
+    for one in airtimes:
         delay_ms = _MS_PER_S * (one.arrivals - one.sent[:, None])[one.arrivals >= 0.0]
         delays_ms += delay_ms.tolist()
         times_s += [one.tick * period_s] * len(delay_ms)
