@@ -142,6 +142,7 @@ def flown_scenario(case: Case, seed: int, *, is_ready: bool = False) -> Scenario
     Raises: ScenarioError: it is refused.
     """
     template, path = _template()
+    # A ready team has a network and gusts of its own where the case has none.
     tree: dict[str, Any] = (template if is_ready else drawn(seed, template, path)).tree()
     links, gust_mps = case.links, case.gust_mps
     if is_ready:
@@ -152,6 +153,21 @@ def flown_scenario(case: Case, seed: int, *, is_ready: bool = False) -> Scenario
     start_s = round(float(rng.uniform(*_FROM_S)), 3)
     dying = 1 + int(rng.integers(len(tree["system"]["uav"])))
 
+    _set_sensors_and_gusts(tree, case, gust_mps)
+    if links is not None:
+        delay_s, loss = links
+        tree["links"] |= {"delay_s": delay_s, "loss": loss, "jitter_s": 0.0}
+    if case.silent_s:
+        _silence(tree, start_s, start_s + case.silent_s)
+    if case.death:
+        tree["clock"]["on_agent_loss"] = "continue"
+        fault = {"at_s": start_s + _AFTER_S, "do": "kill", "target": f"agent{dying}"}
+        tree["faults"]["event"] = [fault]
+    return validate(tree, f"team {seed}")
+
+
+def _set_sensors_and_gusts(tree: dict[str, Any], case: Case, gust_mps: float | None) -> None:
+    """Set sensors and estimator of a case in a scenario, and gusts, m/s; None leaves those."""
     plant = tree["plant"]
     is_sensed = case.sensors == "vehicle"
     if case.sensors != plant["sensors"]:
@@ -159,26 +175,19 @@ def flown_scenario(case: Case, seed: int, *, is_ready: bool = False) -> Scenario
     tree["controller"]["estimator"] = "kalman" if is_sensed else "measured"
     if gust_mps is not None:
         plant["wind"]["gust_mps"] = [gust_mps] * 3
-    if links is not None:
-        delay_s, loss = links
-        tree["links"] |= {"delay_s": delay_s, "loss": loss, "jitter_s": 0.0}
 
-    if case.silent_s:
-        end_s = start_s + case.silent_s
-        agents = len(tree["system"]["uav"])
-        tree["links"]["partition"] = [
-            {"between": [f"agent{agent}"], "start_s": start_s, "end_s": end_s}
-            for agent in range(1, agents)
-        ]
-        phases = tree["maneuver"]["phase"]
-        total_s = math.fsum(phase["duration_s"] for phase in phases)
-        flown_s = min(end_s + _STAYS_S, start_s + _FOR_GOOD_FLOWN_S)
-        phases[-1]["duration_s"] += max(0.0, math.ceil(flown_s - total_s))
-    if case.death:
-        tree["clock"]["on_agent_loss"] = "continue"
-        fault = {"at_s": start_s + _AFTER_S, "do": "kill", "target": f"agent{dying}"}
-        tree["faults"]["event"] = [fault]
-    return validate(tree, f"team {seed}")
+
+def _silence(tree: dict[str, Any], start_s: float, end_s: float) -> None:
+    """Cut all agents off each other in a scenario from `start_s` to `end_s`, and let the run last beyond it."""
+    agents = len(tree["system"]["uav"])
+    tree["links"]["partition"] = [
+        {"between": [f"agent{agent}"], "start_s": start_s, "end_s": end_s}
+        for agent in range(1, agents)
+    ]
+    phases = tree["maneuver"]["phase"]
+    total_s = math.fsum(phase["duration_s"] for phase in phases)
+    flown_s = min(end_s + _STAYS_S, start_s + _FOR_GOOD_FLOWN_S)
+    phases[-1]["duration_s"] += max(0.0, math.ceil(flown_s - total_s))
 
 
 def fly(case: Case, seed: int, *, is_ready: bool = False) -> Flown:

@@ -1,4 +1,16 @@
-"""Measured tables of the pages below, which `make figures` renews."""
+"""Measured tables of the pages below, which `make figures` renews.
+
+A section for each page, which a comment names: first the runs of its tables as settings of ready
+scenarios, then the tables, which `PAGES` assigns to the page. A table stands in its page between the
+markers of its name, and `docs/simulations.py` has its parts:
+
+    Run       a scenario, its settings, the number of UAVs and of seeds
+    cell      a number of the summary, its format, and a factor to the unit shown (m to cm: 100)
+    listed    a table with a run in each row, and a number in each column
+    grid      a table with a run in each cell
+
+To add a row, add a run; `make figures TABLES=name` simulates what has no kept result.
+"""
 
 import math
 from collections.abc import Mapping
@@ -26,6 +38,7 @@ from simulations import (
 
 from transport.experiments.weather_experiment import SENSORS
 
+# Settings of several tables: impaired networks, errors of the model, the other engine.
 LATE = ("links.delay_s=0.2", "links.loss=0.3")
 IMPAIRED = ("links.delay_s=0.1", "links.loss=0.3")
 ESTIMATE = "controller.disturbance.estimate=true"

@@ -1,8 +1,13 @@
 """The plant as a state machine: measures at each tick, integrates to the next.
 
-At tick k it publishes the measurements of x_k. Once the inputs of [t_k, t_{k+1}) are decided it
-integrates that interval: with actuation "immediate" from the plans of tick k, with "next_tick" from
-those of k - 1, so that plant and agents compute at the same time.
+    AT t_k       has the state x_k                      --tick k, and its roster--> MEASURED
+    MEASURED     has published the measurements of x_k  --the inputs from t_k on are decided--> AT t_{k+1}
+    DIVERGED     has published why it ends              from MEASURED, when x_{k+1} is beyond its limits
+
+The inputs of [t_k, t_{k+1}) are decided by the plans of tick k with actuation "immediate", and by those
+of k - 1 with "next_tick", so that plant and agents compute at the same time. Faults of UAVs, sensors and
+load act with tick k, before its measurements. UAVs without a usable plan follow the fail-safe, which
+follows the targets that the whole team knows.
 """
 
 import math
@@ -125,7 +130,7 @@ class PlantNode(Participant):
         self._off: set[int] = set()  # UAVs without motors, 0-based
         self._released: set[int] = set()  # of these
 
-        self._k = 0  # the tick of the state
+        self._k = 0  # the tick of the state; MEASURED while `_tick`, the newest one open, equals it
         self._x: Array = setup.run.initial_state()
         # In force until tick k: commands, actual inputs and external forces.
         self._u: Array = setup.run.hover.u.copy()

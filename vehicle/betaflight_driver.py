@@ -12,7 +12,7 @@ import math
 import struct
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -160,70 +160,48 @@ class BetaflightAutopilot:
             answers = {command: self._answers.get(command, (b"", 0))[0] for command in _SETTINGS}
         rates = answers[_RC_TUNING]
         failsafe = answers[_FAILSAFE]
+        motors = answers[_ADVANCED]
         least_deg = math.degrees(max(self._settings.rates_rads))
-        wanted: tuple[tuple[str, str, bytes, Callable[[bytes], tuple[bool, str]], str], ...] = (
-            (
+        most_tenths = 10.0 * self._settings.setpoint_timeout_s
+        is_known = bool(answers[_RX_CONFIG] and motors)
+        return [
+            _finding(
                 "rates",
                 f"ACTUAL, linear, {least_deg:.0f} deg/s or more",
-                rates,
-                lambda data: _rates_fit(data, least_deg),
+                _rates_fit(rates, least_deg) if rates else None,
                 "channels are body rates",
             ),
-            (
+            _finding(
                 "throttle",
                 "no expo, no limit",
-                rates,
-                lambda data: (data[7] == 0 and data[14] == 0, f"expo {data[7]}, limit {data[14]}"),
+                _throttle_fits(rates) if rates else None,
                 "thrust follows the channel",
             ),
-            (
+            _finding(
                 "failsafe_procedure",
                 "AUTO-LAND",
-                failsafe,
-                lambda data: (
-                    data[7] == _AUTO_LANDING,
-                    ("AUTO-LAND", "DROP", "GPS-RESCUE")[data[7]],
-                ),
+                _procedure_fits(failsafe) if failsafe else None,
                 "it levels without setpoints",
             ),
-            (
+            _finding(
                 "failsafe_delay",
-                f"at most {self._settings.setpoint_timeout_s * 10:.0f}",
-                failsafe,
-                lambda data: (
-                    data[0] <= self._settings.setpoint_timeout_s * 10 + 1e-6,
-                    str(data[0]),
-                ),
+                f"at most {most_tenths:.0f}",
+                _delay_fits(failsafe, most_tenths) if failsafe else None,
                 "tenths of a second until then",
             ),
-        )
-        found = []
-        for subject, expected, data, judged, reason in wanted:
-            is_met, got = judged(data) if data else (False, "")
-            found.append(
-                Finding(subject=subject, expected=expected, got=got, is_met=is_met, reason=reason)
-            )
-        motors = answers[_ADVANCED]
-        found.append(
-            Finding(
-                subject="gyro_high_fsr",
-                expected="OFF",
-                got="" if not motors else "ON" if motors[11] else "OFF",
-                is_met=bool(motors) and motors[11] == 0,
-                reason="unit of the body rates",
-            )
-        )
-        is_known = bool(answers[_RX_CONFIG] and motors)
-        found.append(
-            Finding(
-                subject="min_check, motor_idle",
-                expected="known",
-                got="known" if is_known else "",
-                is_met=is_known,
-                reason="thrust of the throttle's channel",
-            )
-        )
-        return found
+            _finding(
+                "gyro_high_fsr",
+                "OFF",
+                _gyro_fits(motors) if motors else None,
+                "unit of the body rates",
+            ),
+            _finding(
+                "min_check, motor_idle",
+                "known",
+                (True, "known") if is_known else None,
+                "thrust of the throttle's channel",
+            ),
+        ]
 
     # What goes
 
@@ -295,6 +273,40 @@ def _armed_and_flags(status: bytes) -> tuple[bool, int]:
     further = status[15] & 0x0F
     flags: int = struct.unpack_from("<I", status, 17 + further)[0]
     return bool(modes & 1), flags
+
+
+def _finding(subject: str, expected: str, judged: tuple[bool, str] | None, reason: str) -> Finding:
+    """Return a check of the settings: whether they fit, and they in words; None before they are known."""
+    is_met, got = judged or (False, "")
+    return Finding(subject=subject, expected=expected, got=got, is_met=is_met, reason=reason)
+
+
+# Answers to MSP requests, by the bytes of the firmware's msp/msp.c.
+
+
+def _throttle_fits(rc_tuning: bytes) -> tuple[bool, str]:
+    """Return whether the throttle is passed on as it comes, and its settings in words."""
+    expo = rc_tuning[7]
+    limit = rc_tuning[14]  # type of the limit, 0 for none
+    return expo == 0 and limit == 0, f"expo {expo}, limit {limit}"
+
+
+def _procedure_fits(failsafe: bytes) -> tuple[bool, str]:
+    """Return whether the fail-safe levels and lands, and its procedure by name."""
+    procedure = failsafe[7]
+    return procedure == _AUTO_LANDING, ("AUTO-LAND", "DROP", "GPS-RESCUE")[procedure]
+
+
+def _delay_fits(failsafe: bytes, most_tenths: float) -> tuple[bool, str]:
+    """Return whether the fail-safe begins in time, and its delay in words; tenths of a second."""
+    delay = failsafe[0]
+    return delay <= most_tenths + 1e-6, str(delay)
+
+
+def _gyro_fits(advanced: bytes) -> tuple[bool, str]:
+    """Return whether the gyroscope has the full scale of 2000 deg/s, and `gyro_high_fsr` in words."""
+    is_high = advanced[11] != 0
+    return not is_high, "ON" if is_high else "OFF"
 
 
 def _rates_fit(data: bytes, least_deg: float) -> tuple[bool, str]:

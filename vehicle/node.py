@@ -43,11 +43,10 @@ from transport.vehicle.autopilot import Autopilot, AutopilotState
 from transport.vehicle.law_by_autopilot_state import OwnLaw
 from transport.vehicle.setpoints import BEFORE_ANY_PLAN, NONE, OWN_LAW, Plans
 
-# Share of the newest thrust of a hover in its mean, over a second of turns.
+# Weight of the newest thrust in the mean thrust of a hover: the mean is over about a second of turns.
 _FRESH = 0.02
-# Time between two of its turns before tick 0, and between two of its words there, ns of wall time.
-_TURN_NS = 20_000_000
-_TELL_NS = 200_000_000
+_TURN_NS = 20_000_000  # time between two turns before tick 0, ns of wall time
+_TELL_NS = 200_000_000  # time between two statuses there and after the flight, ns of wall time
 _NO_PLACE = np.zeros(3)
 
 
@@ -114,20 +113,26 @@ class VehicleNode(Participant):
         self._ticking: Ticking | None = None
         self._schedule_ns = 0  # the start that it follows, ns since 1970
         self._told = ToldChanges()
-        self._heard: tuple[int, int] = 0, 0  # `Schedule.sent_ns` and when it arrived
-        self._wakes_ns = 0
-        self._tells_ns = 0
+        # Newest `Schedule.sent_ns`, by the coordinator's clock, and its arrival, by the common clock, ns.
+        self._heard: tuple[int, int] = 0, 0
+        self._wakes_ns = 0  # when its next turn is
+        self._tells_ns = 0  # when its next status is, outside of FLYING
         self._setpoint = 0  # number of the next one since tick 0
-        self._inputs = self._hover  # of the last setpoint
-        self._applied: list[Array] = []  # since the last tick
-        self._own_inputs: Array | None = None  # of its own law at this tick
-        self._shift_I = np.zeros(3)  # jumps of the estimate until now, m
-        self._last: tuple[Array, float] | None = None  # place, and its time by the autopilot, s
+        self._inputs = self._hover  # of the last setpoint, (4,), N and rad/s
+        self._applied: list[Array] = []  # inputs of the setpoints since the last tick
+        self._own_inputs: Array | None = (
+            None  # of the law alone at this tick; None: a plan is fresh
+        )
+        self._shift_I = np.zeros(3)  # sum of the jumps of the estimate, taken out of positions, m
+        # Newest position by the autopilot, (3,), m, and its time by the autopilot's clock, s.
+        self._last: tuple[Array, float] | None = None
         self._source = BEFORE_ANY_PLAN
         self._answered_tick = -1  # newest plan whose first setpoint has been sent
-        self._latency_s = -1.0
-        self._late_s = 0.0
-        self._problem = ""
+        self._latency_s = (
+            -1.0
+        )  # from a usable plan to its first setpoint, since the last status; -1: none
+        self._late_s = 0.0  # largest lateness of a setpoint since the last status
+        self._problem = ""  # why the UAV may not fly, or what is wrong in flight
         self._hover_N: float | None = None  # mean of the autopilot's own thrust before tick 0
 
     @property
@@ -197,7 +202,7 @@ class VehicleNode(Participant):
         return self._fly(told, self._ticking, now_ns)
 
     def _end(self) -> Sequence[Message]:
-        """Let go: the run has ended, in order where it is completed, or the team has landed before."""
+        """Release the autopilot: the run has ended, in order if it is completed or the team has landed."""
         is_completed = self.finished is not None and self.finished.outcome == "completed"
         newest = self._told.targets[-1] if self._told.targets else None
         has_landed = (
@@ -295,7 +300,7 @@ class VehicleNode(Participant):
         return out
 
     def _watch(self, told: AutopilotState | None, now_ns: int) -> Sequence[Message]:
-        """Tell how a UAV is that its autopilot has."""
+        """Return the status of a UAV that its autopilot flies by itself: RELEASED."""
         self._wakes_ns = now_ns + _TELL_NS
         self._source = NONE
         return [self._status(told, max(self._tick, 0), -1.0, now_ns)]
@@ -424,7 +429,7 @@ class VehicleNode(Participant):
     def _status(
         self, told: AutopilotState | None, tick: int, age_s: float, now_ns: int
     ) -> VehicleStatus:
-        """Return how the UAV is."""
+        """Return the status of the UAV at a tick, from the autopilot's state, `age_s` old (-1: none)."""
         has_place = told is not None and told.sensed is not None
         position = _NO_PLACE
         if told is not None and told.sensed is not None:

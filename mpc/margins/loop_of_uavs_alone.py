@@ -44,7 +44,9 @@ class AloneLoop(SampledLoop):
         known_lag_s: float = 0.0,
     ) -> None:
         self.known_lag_s = known_lag_s
-        self.period_s, self._system, self._ahead = period_s, system, int(next_tick)
+        self.period_s = period_s
+        self._system = system
+        self._ahead = int(next_tick)  # sampling periods from the measurement until inputs act
         self._ages = (0,) * 5 if ages is None else tuple(ages)
         self._moving_s = period_s * (self._ahead + self._ages[0])
         self._observes = ages is not None and gains.swing > 0.0
@@ -67,14 +69,20 @@ class AloneLoop(SampledLoop):
             self._add(uav, law)
 
     def _add(self, uav: int, law: AloneLaw) -> None:
-        """Add the feedback of a UAV."""
+        """Add the feedback of a UAV, 0-based: du = sum_i (gain by quantity i) (slope of i) T xi, (31a)-(31c)."""
         own_inputs = state.input_slice(uav)
         slopes = hover_motion_slopes(self._system, uav)
         T_own = self._T[state.uav_slice(uav)]
-        sensed = [slopes.position_I @ self._T, slopes.velocity_I @ self._T]
-        sensed += [T_own[state.THETA], T_own[state.OMEGA]]
+        # What its sensors measure, by deviations xi: position, velocity, attitude, body rates.
+        sensed = [
+            slopes.position_I @ self._T,
+            slopes.velocity_I @ self._T,
+            T_own[state.THETA],
+            T_own[state.OMEGA],
+        ]
 
-        # Deviations of position and attitude go on at their rates to the time at which inputs act.
+        # Deviations of position and attitude go on at their rates to the time at which inputs act: a gain
+        # by position counts for velocity as well, times that time, and one by attitude for body rates.
         turning_s = self.period_s * (self._ahead + self._ages[2])
         by_sensors = law.by_sensors()
         by_position = by_sensors[:, state.POSITION]
@@ -82,6 +90,7 @@ class AloneLoop(SampledLoop):
         by_velocity = by_sensors[:, state.VELOCITY] + self._moving_s * by_position
         by_rates = by_sensors[:, state.OMEGA] + turning_s * by_attitude
         if self._ahead:
+            # The inputs in force turn the UAV until the new ones act.
             before, tilted, turned = law.by_inputs_before(self.period_s)
             self._by_before[own_inputs, own_inputs] = before
             half_way_s = turning_s - 0.5 * self.period_s
@@ -112,25 +121,27 @@ class AloneLoop(SampledLoop):
         Raises: ParameterError: the bodies have no hover.
         """
         plant_step = delayed_step(self._system, self._T, plant, self.period_s)
-        whole = self._blocks(plant_step)
-        deviations = [whole.motion[: self._T.shape[1]], *whole.past]
+        before = self._blocks(plant_step)
+        deviations = [before.motion[: self._T.shape[1]], *before.past]  # by age, in periods
 
-        offset, rate = whole.offset, whole.rate
+        offset = before.offset
+        rate = before.rate
         if self._observes:
             #   sigma' = nu + G_sigma (s - sigma),  nu' = G_nu (s - sigma)    (31d)
             error = self._rods @ deviations[self._ages[4]] - offset
             offset = offset + self.period_s * (rate + OFFSET_GAIN * error)
             rate = rate + self.period_s * RATE_GAIN * error
 
-        issued = self._by_held @ whole.integrals + self._by_before @ whole.commands[0]
+        # The command of each UAV by what its sensors tell, by its integral and by inputs in force.
+        issued = self._by_held @ before.integrals + self._by_before @ before.commands[0]
         for by_motion, age in zip(self._by_motion, self._ages, strict=True):
             issued = issued + by_motion @ deviations[age]
         if self._observes:
             issued = issued + self._by_observed @ rate
 
-        commands = [issued, *whole.commands]  # newest first
-        moved = plant_step.moved(whole.motion, commands[self._ahead :])
-        integrals = self._kept * whole.integrals
+        commands = [issued, *before.commands]  # newest first
+        moved = plant_step.moved(before.motion, commands[self._ahead :])
+        integrals = self._kept * before.integrals
         for by_motion, age in zip(self._integrals, self._ages[:2], strict=True):
             integrals = integrals + self.period_s * (by_motion @ deviations[age])
         return np.vstack([moved, integrals, offset, rate, *deviations[:-1], *commands[:-1]])

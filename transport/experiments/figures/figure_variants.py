@@ -109,14 +109,18 @@ def draw_tracking(figure: Figure, measured: Sequence[PointStatistics], x: Axis, 
     legend = [Line2D([], [], label=text, **style) for text, style in styles.items()]
     (whole,) = column_panels(figure, [_ROW_IN * len(cases)], legend=legend, x_label="", room=room)
     whole.set_axis_off()
+
+    # Each point with the row of its mark, and the style of its value.
+    marks = []
+    for row, own in enumerate(cases.values()):
+        for one in own:
+            value = x.text(one.point.labels[x.label])
+            marks.append((one, row + _beside(values, value), styles[value]))
+
     for place, strip in enumerate(_STRIPS):
         panel = whole.inset_axes((place / len(_STRIPS), 0.0, _STRIP / len(_STRIPS), 1.0))
-        highest = 0.0
-        for row, own in enumerate(cases.values()):
-            for one in own:
-                style = styles[x.text(one.point.labels[x.label])]
-                at = row + _beside(values, x.text(one.point.labels[x.label]))
-                highest = max(highest, _draw_in_strip(panel, strip, one, at, style))
+        ends = [_draw_in_strip(panel, strip, *mark) for mark in marks]
+        highest = max(ends, default=0.0)
         head(panel, strip.title, legend=False)
         panel.set(xlim=(0.0, 1.1 * highest or 1.0), ylim=(len(cases) - 0.5, -0.5))
         panel.set_yticks(range(len(cases)), cases if place == 0 else [""] * len(cases))
