@@ -104,7 +104,7 @@ def measured(name: str) -> Measured:
 
     def text(results: Sequence[Result]) -> str:
         if asked.shown is not None:
-            return asked.shown(_rows(name, results))
+            return f"{asked.shown(_rows(name, results))}\n"
         found = swept(experiment, cases, results).measured
         return markdown(conclusions(found), table_of("", found))
 

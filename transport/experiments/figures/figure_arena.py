@@ -24,15 +24,18 @@ _LEAST_IN = 0.5  # height of the matrix, so that numbers of a scale are apart
 _SLANT_DEG = 40.0  # of the names of algorithms
 _BELOW_IN = 0.1  # beside the height of the names
 _BESIDE_NAME_IN = 0.08
+_TITLE_IN = 0.3  # of two lines
 _RIGHT_IN, _RIGHT_OF_SCALE_IN = 0.08, 0.42
 _BAR_GAP_IN, _BAR_IN = 0.08, 0.09
 _LEAST_SPAN = 1.001  # of a scale, at least this ratio
-# Marks and tiles of a cell: two columns, as many rows as needed; distance of marks, size of a tile.
-_ACROSS = 2
-_APART = 0.44
-_TILE = 0.4
+# Marks and tiles of a cell stand in two rows: distance of marks, and size of a tile of that distance.
+_DOWN = 2
+_SPREAD = 0.88
+_TILE = 0.9
 _NONE: Any = {"facecolor": "#ffffff", "edgecolor": "#b0b0b0", "linewidth": 0.4, "hatch": "//////"}
-_FILLS = {"all complete": "full", "some": "left", "none": "none"}
+_FILLS = {"all complete": "full", "some do": "left", "none does": "none"}
+
+_LABELS = {"none": "no network"}  # of networks in the legend
 
 _Place = tuple[float, float]
 
@@ -44,7 +47,10 @@ def draw_arena(figure: Figure, measured: Sequence[PointStatistics]) -> None:
     """
     networks = _networks(measured)
     styles = styles_of(networks)
-    shown = [Line2D([], [], label=name, **_mark(styles[name], "full")) for name in networks]
+    shown = [
+        Line2D([], [], label=_LABELS.get(name, name), **_mark(styles[name], "full"))
+        for name in networks
+    ]
     grey = ("#555555", "o", "")
     fills = [Line2D([], [], label=text, **_mark(grey, fill)) for text, fill in _FILLS.items()]
     pairs = zip_longest(shown, fills)  # a legend is filled by columns: networks are its first row
@@ -68,17 +74,19 @@ def draw_measure(
     scale = LogNorm(min(values), max(*values, _LEAST_SPAN * min(values)))
     colours = ScalarMappable(scale)
     panel = _matrix(figure, measured, right_in=_RIGHT_OF_SCALE_IN)
-    rows = [networks[i : i + _ACROSS] for i in range(0, len(networks), _ACROSS)]
-    cell = f"; in a cell {' / '.join(', '.join(row) for row in rows)}" if len(networks) > 1 else ""
+    across = _across(networks)
+    rows = [networks[i : i + across] for i in range(0, len(networks), across)]
+    width, height = _TILE * _SPREAD / across, _TILE * _SPREAD / _DOWN
+    cell = f"\nin a cell: {' / '.join(', '.join(row) for row in rows)}" if len(networks) > 1 else ""
     head(panel, f"{title}{cell}", legend=False)
     for one, (column, row) in _places(measured, networks):
-        corner = (column - _TILE / 2.0, row - _TILE / 2.0)
+        corner = (column - width / 2.0, row - height / 2.0)
         mean = means.get(id(one))
         if mean:
             (colour,) = colours.to_rgba(np.array([factor * mean]))
-            panel.add_patch(Rectangle(corner, _TILE, _TILE, color=colour, linewidth=0.0))
+            panel.add_patch(Rectangle(corner, width, height, color=colour, linewidth=0.0))
         elif one.runs and not one.completed:
-            panel.add_patch(Rectangle(corner, _TILE, _TILE, **_NONE))
+            panel.add_patch(Rectangle(corner, width, height, **_NONE))
 
     _draw_scale(figure, panel, colours, (min(values), max(values)))
 
@@ -138,7 +146,7 @@ def _matrix(
     room = Room(
         left_in=max(map(text_width_in, tasks)) + _BESIDE_NAME_IN,
         right_in=right_in,
-        top_in=0.12 if legend else 0.2,
+        top_in=0.12 if legend else _TITLE_IN,
         bottom_in=_BELOW_IN + math.sin(math.radians(_SLANT_DEG)) * max(map(text_width_in, names)),
     )
     (panel,) = column_panels(
@@ -163,16 +171,21 @@ def _places(
     """Return each point with its place in its cell: column and row of the matrix."""
     tasks = _index(_values(measured, "task"))
     algorithms = _index(_values(measured, "algorithm"))
-    down = -(-len(networks) // _ACROSS)
-    across = min(_ACROSS, len(networks))
+    across = _across(networks)
+    down = -(-len(networks) // across)
     places = []
     for one in measured:
         labels = one.point.labels
-        row, column = divmod(networks.index(str(labels["network"])), _ACROSS)
-        x = algorithms[str(labels["algorithm"])] + _APART * (column - (across - 1) / 2.0)
-        y = tasks[str(labels["task"])] + _APART * (row - (down - 1) / 2.0)
+        row, column = divmod(networks.index(str(labels["network"])), across)
+        x = algorithms[str(labels["algorithm"])] + _SPREAD / across * (column - (across - 1) / 2.0)
+        y = tasks[str(labels["task"])] + _SPREAD / _DOWN * (row - (down - 1) / 2.0)
         places.append((one, (x, y)))
     return places
+
+
+def _across(networks: Sequence[str]) -> int:
+    """Return the number of marks beside each other in a cell."""
+    return -(-len(networks) // _DOWN)
 
 
 def _index(names: Sequence[str]) -> Mapping[str, int]:
