@@ -11,10 +11,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import tomli_w
@@ -74,17 +74,32 @@ LOOP_TEXT = (
 )
 
 
+_Case = TypeVar("_Case", bound=tuple[Any, ...])
+
+
+def in_turns(cases: Sequence[_Case], times_of: Callable[..., Array]) -> dict[_Case, Array]:
+    """Return the times of the stages `SHOWN` of each case, (steps, stages), ms.
+
+    The cases run in turns, so that a slow period of the machine affects all alike, until each has
+    `STEPS` steps. `times_of` returns those of one run of a case, with all `STAGES`.
+    """
+    taken: dict[_Case, list[Array]] = {case: [] for case in cases}
+    while waiting := [case for case, runs in taken.items() if sum(map(len, runs)) < STEPS]:
+        for case in waiting:
+            taken[case].append(times_of(*case))
+    columns = [STAGES.index(stage) for stage in SHOWN]
+    return {case: np.concatenate(runs)[:, columns] for case, runs in taken.items()}
+
+
 def step() -> str:
     """Return the table of the stages of an agent's step, over teams and horizons."""
-    taken: dict[tuple[str, int, int], list[Array]] = {case: [] for case in CASES}
-    while waiting := [case for case, runs in taken.items() if sum(map(len, runs)) < STEPS]:
-        for name, uavs, horizon in waiting:
-            size = uavs if name == "resilient" else None
-            run = setup(name, CLIMB, f"controller.horizon={horizon}", uavs=size)
-            taken[name, uavs, horizon].append(step_times(run))
+
+    def times_of(name: str, uavs: int, horizon: int) -> Array:
+        size = uavs if name == "resilient" else None
+        return step_times(setup(name, CLIMB, f"controller.horizon={horizon}", uavs=size))
+
     rows = []
-    for (name, uavs, horizon), runs in taken.items():
-        ms = np.concatenate(runs)[:, [STAGES.index(stage) for stage in SHOWN]]
+    for (name, uavs, horizon), ms in in_turns(CASES, times_of).items():
         numbers = [*np.median(ms, axis=0), np.percentile(ms[:, -1], 99)]
         rows.append([f"`{name}`", str(uavs), str(horizon), *map(digits, numbers)])
     return f"{STEP_TEXT}\n\n{table(['scenario', 'UAVs', 'N_p', *SHOWN[:-1], 'step', 'p99'], rows)}"
@@ -94,18 +109,15 @@ def widths() -> str:
     """Return the table of a step with vectors of each width that this processor has, and without kernels."""
     own = native.KERNELS.vector_width() if native.AVAILABLE else 0
     kinds = [str(width) for width in WIDTHS if width <= own]
-    taken: dict[tuple[str, int, str], list[Array]] = {
-        (name, uavs, kind): [] for name, uavs in WIDTH_CASES for kind in [*kinds, "0"]
-    }
-    while waiting := [case for case, runs in taken.items() if sum(map(len, runs)) < STEPS]:
-        for name, uavs, kind in waiting:
-            with kernels(kind):
-                setup.cache_clear()  # a model keeps whether there are kernels
-                run = setup(name, CLIMB, uavs=uavs if name == "resilient" else None)
-                taken[name, uavs, kind].append(step_times(run))
+    cases = [(name, uavs, kind) for name, uavs in WIDTH_CASES for kind in [*kinds, "0"]]
+
+    def times_of(name: str, uavs: int, kind: str) -> Array:
+        with kernels(kind):
+            setup.cache_clear()  # a model keeps whether there are kernels
+            return step_times(setup(name, CLIMB, uavs=uavs if name == "resilient" else None))
+
     rows = []
-    for (name, uavs, kind), runs in taken.items():
-        ms = np.concatenate(runs)[:, [STAGES.index(stage) for stage in SHOWN]]
+    for (name, uavs, kind), ms in in_turns(cases, times_of).items():
         vectors = "none: Python" if kind == "0" else kind
         rows.append([f"`{name}`", str(uavs), vectors, *map(digits, np.median(ms, axis=0))])
     return f"{WIDTH_TEXT}\n\n{table(['scenario', 'UAVs', 'vectors', *SHOWN[:-1], 'step'], rows)}"

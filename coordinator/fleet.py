@@ -21,7 +21,7 @@ _EVERY_NS = 200_000_000
 _AHEAD_NS = 1_000_000_000
 # Longest time in which a coordinator that returns learns what an earlier one has told, ns.
 _LEARNS_NS = 5_000_000_000
-READY = "ready"  # `vehicle.node.Phase`
+READY = "ready"  # `vehicle.node.VehiclePhase`
 
 
 class Fleet:

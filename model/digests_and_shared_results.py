@@ -1,7 +1,6 @@
 """Digests of values: equal for equal numbers, whatever object holds them; and results shared by them.
 
-An array that is changed in place has
-another digest than before.
+An array that is changed in place has another digest than before.
 """
 
 import hashlib

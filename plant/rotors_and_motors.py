@@ -61,9 +61,9 @@ class Motors:
     """Motors of all UAVs, with their state: hover at first, (4 N,).
 
     `factors` are what the motors of each UAV give over their commands, (N,). `fails` tells that an
-    efficiency will change during the run. Motors without lag, steps, limits
-    and failures are `ideal`: actual inputs are the commands, and are not recorded a second time. Those
-    of a UAV whose motors are off are zero, also where an inner loop has given some.
+    efficiency will change during the run. Motors without lag, steps, limits and failures are `ideal`:
+    actual inputs are the commands, and are not recorded a second time. Those of a UAV whose motors are
+    off are zero, also where an inner loop has given some.
     """
 
     def __init__(

@@ -3,9 +3,8 @@
 The whole nonlinear problem, solved by IPOPT at every tick.
 
 `transport run centralized --set agents.controller=benchmarks.peers.with_do_mpc:Centralized` flies
-it. What do-mpc
-does by default stays: collocation of order 2, IPOPT with MUMPS, tolerances; the solver's output is
-silenced. Its problem has no limits on changes of inputs and no separation.
+it. What do-mpc does by default stays: collocation of order 2, IPOPT with MUMPS, tolerances; the
+solver's output is silenced. Its problem has no limits on changes of inputs and no separation.
 """
 
 import contextlib

@@ -3,8 +3,8 @@
 It does not know the maneuver. It keeps its rod parallel to the others', whose states are in their
 plans, and its corner of the payload as high as the middle, and carries its share. It shares the
 height of its UAV as own data and, if the others share theirs, keeps to their mean. `pip install
-eclipse-zenoh msgpack numpy` installs all that it needs. Start all but
-agent 3 as in docs/own-process.md, with `--scenario resilient`, and this in its place;
+eclipse-zenoh msgpack numpy` installs all that it needs. Start all but agent 3 as in
+docs/own-process.md, with `--scenario resilient`, and this in its place;
 `transport validate resilient` prints the digest:
 
     python docs/examples/foreign_agent.py resilient DIGEST 3 7447

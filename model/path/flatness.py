@@ -34,20 +34,25 @@ def flight(
 ) -> Flight:
     """Return the motion of a team whose level payload follows a path: equations.md (66)-(68).
 
-    Given are jets of position, m, and of length and width of the team, relative to hover, (7, k,
-    5), or (7, k, 3), forces, further mass of the payload and further drag as `linearisation.Model`
-    takes them, (4 + 3 N,) or (6 + 3 N,), or of each instant, also complex, and released UAVs, now
-    bobs.
+    Args:
+        system: The bodies.
+        hover: Their hover, whose tensions the team keeps on top of what the path needs.
+        path: Jets of the payload's position, inertial, m, (7, k, 3): derivatives of order 0 to 6 by
+            time. With length and width of the team relative to hover behind them, (7, k, 5).
+        forces: External forces, N, further mass of the payload, kg, and further drag, kg/s, as
+            `linearisation.Model` takes them, (4 + 3 N,) or (6 + 3 N,); or of each instant, (k, ..); also
+            complex, for derivatives.
+        released: UAVs off their rods, 0-based, which are bobs without inputs.
     """
     further = _Further.of(system, forces)
     gone = sorted(released)
 
-    # e = -t / |t|
+    # Rod directions by the forces t of the rods on the payload:  e = -t / |t|.
     t = _rod_forces(system, hover, path, further, released)
     per_tension = jets.power(jets.dot(t, t), -0.5)
     e = -jets.product(t, per_tension)
 
-    # b = pushed / |pushed|
+    # Axes of the UAVs by the forces that push them:  b = pushed / |pushed|.
     r = _places(system, path[..., :3], e)
     pushed = _pushes(system, r, t, further)
     pushed[:, :, gone] = 0.0
@@ -56,6 +61,7 @@ def flight(
     b = jets.product(pushed, per_push)
     omega = _body_rates(b)
 
+    # Thrust f = |pushed| - (d^z - d) b . r', and moments or commanded rates.
     X = _states(system, path, e, b[0], omega[0])
     inputs = np.concatenate(
         [

@@ -1,8 +1,7 @@
 """Reference accelerations and trajectories from physics engines, in the project's conventions.
 
 The file stores attitudes as matrices and thrust along +b3 (down); the model takes Euler angles and
-thrust along -b3
-(lift). `tests/model/data/README.md` describes it.
+thrust along -b3 (lift). `tests/model/data/README.md` describes it.
 """
 
 import json

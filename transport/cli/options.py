@@ -107,8 +107,8 @@ def read_setup(
 ) -> Setup:
     """Return the setup of a scenario, file or name, with changes KEY=VALUE.
 
-    With `allow_large` the run may exceed the limits on its size. The last setup
-    is kept until its file changes: the fork server reads it for all processes of a run.
+    With `allow_large` the run may exceed the limits on its size. The last setup is kept until its file
+    changes: the fork server reads it for all processes of a run.
 
     Raises: ScenarioError: it is refused.
     """

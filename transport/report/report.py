@@ -35,8 +35,7 @@ def report_run(
     """Write or replace summary.json, steps.csv and the figures of a recorded run.
 
     Figures take most of the time; with `forks` on two cores half of it, beside the table of steps. They
-    are PNG, and also "svg"
-    or "pdf". Return the summary.
+    are PNG, and also "svg" or "pdf". Return the summary.
     """
     folder = run.folder
     analysed = AnalysedRun.of(run.setup, counted(run.setup, run.log))

@@ -191,8 +191,8 @@ def length_on_air(plan: Plan, section: RadioSection) -> int:
 def plan_length(setup: TeamRun, section: RadioSection, shape: PlanShape) -> int:
     """Return the bytes on the air of a solved plan of the agent with most UAVs at the end of the run.
 
-    Plans of other statuses and with many notes and reports
-    before them, which count in their sequence, take some bytes more.
+    Plans of other statuses, and with many notes and reports before them, which count in their sequence,
+    take some bytes more.
     """
     owned = max(setup.owned, key=len)
     # MessagePack encodes large integers longer.

@@ -141,8 +141,8 @@ def check_endpoints(listen: Sequence[str] | None, connect: Sequence[str] | None)
 class Prepared:
     """Model and control law of a run, computed once: the processes forked after share their memory.
 
-    The fork server calls `prepare` before each fork. The law's results are
-    shared as long as it is kept: `model.digests_and_shared_results`.
+    The fork server calls `prepare` before each fork. The law's results are shared as long as it is
+    kept: `model.digests_and_shared_results`.
     """
 
     def __init__(self) -> None:
