@@ -703,7 +703,10 @@ def test_each_key_refuses_what_is_wrong(kind: str) -> None:
     assert found >= fewest, "as many keys had it"
 
 
-@hypothesis.settings(max_examples=300, derandomize=True)
+# A busy machine draws slowly.
+@hypothesis.settings(
+    max_examples=300, derandomize=True, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
 @given(drawn_settings.settings())
 def test_any_value_anywhere(setting: str) -> None:
     """Any value at any key of the schema is accepted, or refused with a `ScenarioError` on one short line."""
