@@ -153,15 +153,16 @@ class TeamAlone:
         return _DESIGNS[key]
 
     def _designed(self) -> AloneDesign:
-        """Return the design, anew; gains that are given are only judged."""
+        """Return the design, anew, as `design` describes it; gains that are given are only judged."""
         given = self.settings.alone
         if given is not None:
             return self._judged(given, self._loops(given))[0]
 
+        # If no member holds: the one of the lowest rank, by growth without mismatch, then with `REQUIRED`.
         best: AloneDesign | None = None
         best_rank = (math.inf, math.inf)
         for family in (FAMILY, SOFT_FAMILY):
-            holding: AloneDesign | None = None
+            holding: AloneDesign | None = None  # the first that holds, without the margins `WANTED`
             for gains in self._possible(family):
                 loops = self._loops(gains)
                 design, with_required = self._judged(gains, loops)
@@ -193,16 +194,20 @@ class TeamAlone:
 
     def _possible(self, family: Sequence[AloneGains]) -> Iterator[AloneGains]:
         """Yield the members that the moments allow, different for the inputs of the team; the first always."""
-        turnings = set()
         system = self.system
-        largest = self.settings.upper(1)[1:3]
-        least = min(float((largest / np.diag(uav.inertia)[:2]).min()) for uav in system.uavs)
+        # Angular acceleration about x and y that every UAV can give, rad/s^2.
+        moments_Nm = self.settings.upper(1)[1:3]
+        given = [float((moments_Nm / np.diag(uav.inertia)[:2]).min()) for uav in system.uavs]
+        least_rads2 = min(given)
+
+        # By the gains that the inputs of the team use: the others make no difference.
+        yielded = set()
         for number, gains in enumerate(family):
             turning = gains.rates if system.commands_rates else gains.attitude_rads
-            stiffness = (gains.position, gains.velocity, gains.integral, gains.swing, turning)
-            is_allowed = system.commands_rates or turning**2 * _TURNED_RAD <= least
-            if number == 0 or (is_allowed and stiffness not in turnings):
-                turnings.add(stiffness)
+            used = (gains.position, gains.velocity, gains.integral, gains.swing, turning)
+            is_allowed = system.commands_rates or turning**2 * _TURNED_RAD <= least_rads2
+            if number == 0 or (is_allowed and used not in yielded):
+                yielded.add(used)
                 yield gains
 
     def _growth(self, loops: Sequence[AloneLoop], plants: Sequence[Mismatch]) -> float:

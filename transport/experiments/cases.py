@@ -48,10 +48,8 @@ _FROM_SUMMARY = {
     "uav_max_m": ("uav_tracking", "max_m"),
     "payload_rms_m": ("payload_tracking", "rms_m"),
     "payload_max_m": ("payload_tracking", "max_m"),
-    "swing_m": (
-        "payload_tracking",
-        "swing_m",
-    ),  # largest payload error at the end, cost_and_tracking_metrics.SWING_S
+    # Largest payload error at the end, `cost_and_tracking_metrics.SWING_S`.
+    "swing_m": ("payload_tracking", "swing_m"),
     "separation_min_m": ("separation_min_m",),
     "plan_age_mean_ticks": ("plan_age_ticks", "mean"),
     "plan_age_max_ticks": ("plan_age_ticks", "max"),

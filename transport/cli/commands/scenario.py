@@ -3,7 +3,7 @@
 import math
 import shlex
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import chain
 from pathlib import Path
 
@@ -169,29 +169,30 @@ def validate(
     setup = read_setup(scenario, settings, allow_large=large)
     own_classes = checked(setup)
     tree = setup.scenario.tree()
-    digest = setup.scenario.digest()
-    content = {"scenario": tree, "digest": digest}
+    content = {"scenario": tree, "digest": setup.scenario.digest()}
     if explain:
         content["explained"] = explained(setup)
     show(output, content, tomli_w.dumps(tree).rstrip("\n"))
-    if output is Format.json:
-        return
+    if output is Format.text:
+        for line in _about(setup, own_classes, explain=explain):
+            typer.echo(line, err=True)
 
+
+def _about(setup: Setup, own_classes: Mapping[str, str], *, explain: bool) -> Iterator[str]:
+    """Yield what there is to say about a valid scenario, a line each: sizes, radio, limits, warnings."""
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"
-    thrusts = hover_thrusts(setup)
     classes = ", ".join(f"{kind} {name}" for kind, name in own_classes.items())
-    typer.echo(f"valid: {sizes}, {thrusts}, digest {digest}, {classes}", err=True)
-    for line in _slots_in_words(setup):
-        typer.echo(line, err=True)
+    digest = setup.scenario.digest()
+    yield f"valid: {sizes}, {hover_thrusts(setup)}, digest {digest}, {classes}"
+
+    yield from _slots_in_words(setup)
     if explain:
-        for line in explained_in_words(setup):
-            typer.echo(line, err=True)
+        yield from explained_in_words(setup)
     if setup.system.N <= MOST_UAVS:
-        for line in in_words(setup):
-            typer.echo(line, err=True)
+        yield from in_words(setup)
     for problem in chain(after_the_end(setup.scenario), lacks(setup.alone)):
-        typer.echo(f"warning: {problem}", err=True)
-    typer.echo(f"size: {size_of(setup.scenario).text()}", err=True)
+        yield f"warning: {problem}"
+    yield f"size: {size_of(setup.scenario).text()}"
 
 
 def _slots_in_words(setup: Setup) -> Iterator[str]:
