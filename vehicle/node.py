@@ -128,9 +128,8 @@ class VehicleNode(Participant):
         self._last: tuple[Array, float] | None = None
         self._source = BEFORE_ANY_PLAN
         self._answered_tick = -1  # newest plan whose first setpoint has been sent
-        self._latency_s = (
-            -1.0
-        )  # from a usable plan to its first setpoint, since the last status; -1: none
+        # From a usable plan to its first setpoint, since the last status; -1: none.
+        self._latency_s = -1.0
         self._late_s = 0.0  # largest lateness of a setpoint since the last status
         self._problem = ""  # why the UAV may not fly, or what is wrong in flight
         self._hover_N: float | None = None  # mean of the autopilot's own thrust before tick 0

@@ -96,9 +96,8 @@ def main() -> int:
         help=f"file to write, such as docs/{DOCUMENT.name}; by default none",
     )
     options = parser.parse_args()
-    warnings.simplefilter(
-        "ignore"
-    )  # of the other frameworks: optional parts that are not installed
+    # Of the other frameworks: optional parts that are not installed.
+    warnings.simplefilter("ignore")
     logging.disable(logging.WARNING)
     if options.document:
         place(options.document, "bench: peers")

@@ -6,9 +6,8 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 FOLDER = HERE.parents[1] / "build" / "radio"
-PACKAGES = (
-    FOLDER / "packages"
-)  # `make radio-reference` installs ns3 here, without its Python bindings
+# `make radio-reference` installs ns3 here, without its Python bindings.
+PACKAGES = FOLDER / "packages"
 PROGRAM = FOLDER / "reference"
 SOURCE = HERE / "reference.cc"
 LIBRARIES = ("wifi", "mobility", "propagation", "network", "core")

@@ -19,9 +19,8 @@ class LQR:
         """Compute the gain."""
         self.run, n, m = run, len(run.x_hover), len(run.u_hover)
         linear = run.model.linearise(run.x_hover, run.u_hover)
-        held = expm(
-            run.period_s * np.block([[linear.A_c, linear.B_c], [np.zeros((m, n + m))]])
-        )  # zero-order hold
+        # Zero-order hold.
+        held = expm(run.period_s * np.block([[linear.A_c, linear.B_c], [np.zeros((m, n + m))]]))
         # The rods hang: the third entries of their unit direction and of its rate cannot change.
         self.free = [i for i in range(n) if i < 12 or (i - 12) % 12 not in (2, 5)]
         A, B = held[np.ix_(self.free, self.free)], held[self.free, n:]

@@ -42,10 +42,11 @@ PLACES = [
 PLACES += [(0.5, -0.5, -10.5), (0.0, 0.0, -10.0)]
 REACHED_M = 0.05
 LATE = ("links.delay_s=0.2", "links.loss=0.3")
+# Before the targets with these numbers, from 0.
 VICTIM, FAULTS = (
     "agent3",
     {3: "kill", 6: "restart"},
-)  # before the targets with these numbers, from 0
+)
 ROUTER_PORT = free_base()  # the other implementation has one session in a process
 _KNOWN_S = 20.0
 

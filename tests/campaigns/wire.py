@@ -115,9 +115,8 @@ def _attack(
                 )
                 if process.poll() is not None:
                     result.findings.append(f"{name}: the run ended before the attack")
-                wait_for(
-                    lambda: process.poll() is not None, _RUN_S
-                )  # the end of the session would drop messages
+                # The end of the session would drop messages.
+                wait_for(lambda: process.poll() is not None, _RUN_S)
         printed, errors = process.communicate(timeout=_RUN_S)
     finally:
         if process.poll() is None:

@@ -8,9 +8,8 @@ from tests.support.runs import ALL, plan, roster, setup, tick
 from transport.model.arrays import Array
 from transport.protocol.wire.messages import PlantState
 
-HOVER = np.array(
-    [22.0725, 0.0, 0.0, 0.0]
-)  # N: 1.5 kg and a quarter of the payload's 3 kg, under 9.81 m/s^2
+# N: 1.5 kg and a quarter of the payload's 3 kg, under 9.81 m/s^2.
+HOVER = np.array([22.0725, 0.0, 0.0, 0.0])
 
 
 def last_state(settings: tuple[str, ...], shoves: dict[int, Array], ticks: int = 1) -> PlantState:

@@ -38,12 +38,10 @@ def mean(motors: Motors, u: Array) -> Array:
 
 def test_rotors_have_the_wrench_of_their_thrusts() -> None:
     """The mixing is the sum of r x F over four arms at 45 deg, and of the drag moments, (56)."""
-    at = (
-        0.25 * np.array([[1, 1, 0], [-1, -1, 0], [1, -1, 0], [-1, 1, 0]]) / np.sqrt(2.0)
-    )  # x forward, y right
-    drag = 0.016 * np.array(
-        [1.0, 1.0, -1.0, -1.0]
-    )  # about z down; opposite to the sense of rotation
+    # Positions of the rotors: x forward, y right.
+    at = 0.25 * np.array([[1, 1, 0], [-1, -1, 0], [1, -1, 0], [-1, 1, 0]]) / np.sqrt(2.0)
+    # About z down; opposite to the sense of rotation.
+    drag = 0.016 * np.array([1.0, 1.0, -1.0, -1.0])
     thrusts = np.array([3.0, 5.0, 7.0, 4.0])
     forces = np.outer(thrusts, [0.0, 0.0, -1.0])
     moment = np.cross(at, forces).sum(axis=0)

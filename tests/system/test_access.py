@@ -117,9 +117,8 @@ def test_impostors_are_refused(plant: Guarded, impostor: str) -> None:
     forged = {f"{KEYS.prefix}/{end}": b"?" for end in ("plan/2", "tick", "control", "relay")}
     with session_of(plant, keyring("one"), impostor) as session:
         if impostor == "agent1":
-            assert reaches(
-                plant, session, f"{KEYS.prefix}/plan/1"
-            )  # the session is connected: its own messages arrive
+            # The session is connected: its own messages arrive.
+            assert reaches(plant, session, f"{KEYS.prefix}/plan/1")
         else:
             time.sleep(0.3)
         plant.accepted(0.1)
@@ -137,9 +136,8 @@ def test_impostors_are_refused(plant: Guarded, impostor: str) -> None:
             before += 1
         assert plant.accepted(0.3) == []
         extra = plant.reached - before
-        assert (
-            0 <= extra <= (MOST_REPEATED if impostor == "agent1" else 0)
-        )  # its own messages, repeated until one arrived
+        # Its own messages, repeated until one arrived.
+        assert 0 <= extra <= (MOST_REPEATED if impostor == "agent1" else 0)
         assert {entry.sender for entry in plant.gate.rejections} <= {"plan/1"}
         assert all(plant.bus.alive.get(name) is None for name in ("coordinator", "agent2"))
         del tokens

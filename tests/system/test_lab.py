@@ -70,9 +70,8 @@ def test_cables(tmp_path: Path) -> None:
     ]
     summary = json.loads((tmp_path / "a" / "run" / "summary.json").read_text())
     assert summary["outcome"] == "completed"
-    assert (
-        summary["deadline"]["tick_late_ms"]["max"] > 800.0
-    )  # a tick was held while the cable was cut
+    # A tick was held while the cable was cut.
+    assert summary["deadline"]["tick_late_ms"]["max"] > 800.0
 
     assert for_good["exits"] == dict.fromkeys(NAMES, 4)
     log = read_log(tmp_path / "b" / "run" / "run.mcap")

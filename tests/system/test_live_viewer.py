@@ -183,9 +183,8 @@ def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> Non
         for action, noted in (("kill", "killed"), ("restart", "restarted")):
 
             def is_done(action: str = action, noted: str = noted) -> bool:
-                window.click(
-                    action, VICTIM - 1
-                )  # a slow browser may not react to the first click on a new page
+                # A slow browser may not react to the first click on a new page.
+                window.click(action, VICTIM - 1)
                 return wait_for(
                     partial(log.has_fault_by_hand, f"agent{VICTIM}", noted), timeout_s=10.0
                 )

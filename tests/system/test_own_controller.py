@@ -201,9 +201,8 @@ def test_a_class_that_is_too_slow(tmp_path: Path) -> None:
     done = command("run", "paper", *options, "--out", "out", "--no-figures", cwd=tmp_path)
     assert done.returncode == EXIT_UNREACHABLE
     why = "agent3 did not answer tick 5 in time at t = 0.25 s"
-    assert (
-        done.stderr.splitlines()[-1] == f"transport: {why}; logs in out/logs"
-    )  # after processes that were killed
+    # After processes that were killed.
+    assert done.stderr.splitlines()[-1] == f"transport: {why}; logs in out/logs"
     assert done.stdout.startswith(f"paper aborted: {why}")
 
     (tmp_path / "late.py").write_text(SLOW.replace("{sleep_s}", "0.2"), encoding="utf-8")

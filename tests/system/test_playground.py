@@ -78,15 +78,13 @@ def test_the_load_stays_in_the_air(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         assert wait_for(is_flying(tmp_path / "runs" / "played", TEAM)), process.communicate(
             timeout=10
         )
-        assert wait_for(
-            (tmp_path / "runs" / "played" / "live.json").exists
-        )  # names the run to the commands
+        # Names the run to the commands.
+        assert wait_for((tmp_path / "runs" / "played" / "live.json").exists)
         assert wait_for(partial(is_at, 1))  # the processes have started before
         members = [1, 2, 3, 4]
         for words in commands:
-            invoke(
-                *words, *(["--once"] if words == ["top"] else [])
-            )  # it shows the agents until the run ends
+            # It shows the agents until the run ends.
+            invoke(*words, *(["--once"] if words == ["top"] else []))
             members = (
                 {"kill": [1, 3, 4], "stop": [1, 3, 4]}.get(words[1], [1, 2, 3, 4])
                 if len(words) > 1

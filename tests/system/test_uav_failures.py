@@ -139,9 +139,8 @@ def test_five_balance_the_dead_one() -> None:
     flight = flown(5, "resilient", OFF, CLIMB)
     assert flight.control.outcome == "completed"
     assert flight.attitude_deg < 4.0  # measured: 2.5
-    assert (
-        flight.series.uavs_I[-1, 2, 2] < flight.series.x[-1, 2] - 3.0
-    )  # above the payload: z is down
+    # Above the payload: z is down.
+    assert flight.series.uavs_I[-1, 2, 2] < flight.series.x[-1, 2] - 3.0
 
 
 def test_six_balance_it_shortly_before_a_corner() -> None:

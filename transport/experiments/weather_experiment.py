@@ -37,10 +37,11 @@ NETWORKS: Mapping[str, tuple[str, ...]] = {
     NONE: ("links.loss=1.0",),
 }
 SILENT = "5 s of 10 silent"
+# The silence begins after the first of the two, and ends with the other.
 _HEARD_S, _EVERY_S = (
     5.0,
     10.0,
-)  # the silence begins after the first of the two, and ends with the other
+)
 
 
 @declared(

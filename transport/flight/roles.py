@@ -42,9 +42,10 @@ def team_view(setup: Setup) -> TeamView:
     scenario = setup.scenario
     radio = None
     if scenario.radio is not None:
+        # Most runs start without.
         from transport.protocol.scenario.radio.team_radio import (
             TeamRadio,
-        )  # most runs start without
+        )
 
         radio = TeamRadio(setup.run, scenario.radio)
     x = setup.initial_state()

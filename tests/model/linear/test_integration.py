@@ -101,9 +101,8 @@ def test_forces_are_held_over_all_steps() -> None:
     for steps in (1, 4):
         found, estimate = model.integrate(x, u, SHORT_STEP_S, steps, forces=F)
         assert np.abs(found - end).max() < estimate
-    assert (
-        np.abs(end - exact(model, x, u, SHORT_STEP_S)).max() > 1e3 * estimate
-    )  # they do something
+    # They do something.
+    assert np.abs(end - exact(model, x, u, SHORT_STEP_S)).max() > 1e3 * estimate
 
 
 @pytest.mark.parametrize("N", [1, 4])

@@ -178,9 +178,8 @@ def test_the_payload_stands_while_its_weight_goes_over() -> None:
         [-0.125, -0.125, -0.125, -2.125, -2.125, -0.125, -0.125, -0.125]
     )
     assert np.abs(v[[0, 1, 2, 5, 6, 7], 2]).max() == 0.0
-    assert maneuver.path(np.array([2.5]))[1][0, 2] == pytest.approx(
-        -2.0 / 3.0 * 15.0 / 8.0
-    )  # the fastest: half-way
+    # The fastest: half-way.
+    assert maneuver.path(np.array([2.5]))[1][0, 2] == pytest.approx(-2.0 / 3.0 * 15.0 / 8.0)
 
 
 def test_what_controllers_follow_is_below_the_path_on_the_ground() -> None:

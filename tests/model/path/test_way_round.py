@@ -14,9 +14,8 @@ from transport.model.physics.obstacles import Solid
 BELOW_1_M = st.floats(0.1, 1.0)
 START, GOAL = np.array([-8.0, 0.0]), np.array([8.0, 0.0])
 DENSE = 400  # points of a way that are compared with solids
-POLYGON = 1.0 / math.cos(
-    math.pi / 12.0
-)  # a polygon of 12 sides about a disc reaches this much further
+# A polygon of 12 sides about a disc reaches this much further.
+POLYGON = 1.0 / math.cos(math.pi / 12.0)
 
 
 def solid(x: float, y: float, half: tuple[float, float], heading_rad: float = 0.0) -> Solid:

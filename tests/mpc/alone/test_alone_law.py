@@ -171,9 +171,8 @@ def test_on_the_reference_its_inputs_are_those_of_the_reference(name: str) -> No
             else (run.track.X[tick], run.track.U[tick])
         )
         if run.track is None:
-            x = run.hover.x + np.where(
-                np.arange(len(x)) < 3, x, 0.0
-            )  # at rest where the reference moves
+            # At rest where the reference moves.
+            x = run.hover.x + np.where(np.arange(len(x)) < 3, x, 0.0)
             follows = FailSafe(run.system, run.hover.u, np.tile(x, (tick + 1, 1)))
         for uav in range(run.system.N):
             np.testing.assert_allclose(

@@ -203,9 +203,8 @@ def test_a_reference_at_rest_asks_for_nothing(rods: str) -> None:
     e = None
     if rods == "leaning":
         outwards = np.array([uav.rho for uav in system.uavs]) * [1.0, 1.0, 0.0]
-        e = (
-            np.array([0.0, 0.0, 1.0]) - 0.8 * outwards
-        )  # the UAVs stand wider than their attachment points
+        # The UAVs stand wider than their attachment points.
+        e = np.array([0.0, 0.0, 1.0]) - 0.8 * outwards
         e /= np.linalg.norm(e, axis=1)[:, None]
     at = hover(system, e)
     cost = Cost(PAYLOAD, system, at)

@@ -199,10 +199,11 @@ def test_commands_of_each_uav_arrive_at_their_own_time(delay_s: float) -> None:
     UAV i of N has a delay of i/N of the spread beyond the common one.
     """
     T = tangent(hover(SYSTEM).x)
+    # Arrivals of four UAVs in two periods, at bounds of parts.
     spread_s, parts = (
         1.6 * PERIOD_S,
         100,
-    )  # arrivals of four UAVs in two periods, at bounds of parts
+    )
     step = delayed_step(SYSTEM, T, Mismatch(delay_s=delay_s, spread_s=spread_s), PERIOD_S)
     part = delayed_step(SYSTEM, T, Mismatch(), PERIOD_S / parts).parts[-1]
     rng = np.random.default_rng(0)

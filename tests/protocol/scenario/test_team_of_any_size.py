@@ -98,9 +98,8 @@ def test_sizes_are_valid(uavs: int, template: str) -> None:
     The start is an equilibrium with the same thrust for all.
     """
     scenario = scenario_of(uavs, SCENARIOS / f"{template}.toml")
-    run = Setup.of(
-        scenario, "team"
-    )  # refuses a hover outside the thrust limits or closer than the separation
+    # Refuses a hover outside the thrust limits or closer than the separation.
+    run = Setup.of(scenario, "team")
     assert len(run.hover.tensions) == uavs
     # (1.5 + 0.75) kg for each: 22.07 N of the 45 N there are.
     np.testing.assert_allclose(run.hover.u[::4], 2.25 * GRAVITY, rtol=SHARE_ROUNDING)

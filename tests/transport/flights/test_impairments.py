@@ -110,9 +110,8 @@ def test_lost_measurements_leave_the_clock_ticking() -> None:
     assert [plant_state.tick for plant_state in plant_states(messages)] == list(range(TICKS))
     for agent in (1, 2, 3, 4):
         assert [report.measurement_age for report in reports(messages, agent)] == list(range(TICKS))
-    assert (
-        sum(isinstance(message, Measurement) for message in messages) == 4 * TICKS
-    )  # physically all are sent
+    # Physically all are sent.
+    assert sum(isinstance(message, Measurement) for message in messages) == 4 * TICKS
 
 
 @pytest.mark.parametrize(

@@ -92,9 +92,8 @@ def test_the_delivery_arrives() -> None:
     last = series.times_s >= 21.0  # released
     assert errors_m[last].max() < PLACE_M
     assert np.abs(series.payload_velocity_I[-1]).max() < 1e-3
-    assert (
-        np.abs(series.attitude_deg[last, :2]).max() < 0.1
-    )  # level; its heading is that of the flight
+    # Level; its heading is that of the flight.
+    assert np.abs(series.attitude_deg[last, :2]).max() < 0.1
     assert not series.u[last].any()
     assert -series.x[:, 2].min() > LIFT_M
     # It went around the corner, not across.

@@ -66,9 +66,8 @@ def test_the_payload_arrives_and_the_run_replays(extra: tuple[str, ...]) -> None
     run, log = runs.ready("precise", *settings), flown("precise", *settings)
     first, second, third = summarise(AnalysedRun.of(run, log))["targets"]
     assert first["error_m"] is None
-    assert (
-        second["arrives_s"] < third["t_s"] == 7.1 < second["arrives_s"] + SETTLED_S
-    )  # and counts at that moment
+    # And counts at that moment.
+    assert second["arrives_s"] < third["t_s"] == 7.1 < second["arrives_s"] + SETTLED_S
     assert third["arrives_s"] < 12.4 < third["arrives_s"] + SETTLED_S  # as this at the end
     assert max(second["error_m"], third["error_m"]) < REACHED_M
     for agent in (1, 3):

@@ -169,9 +169,8 @@ def test_a_silence_while_a_target_is_confirmed_does_not_make_the_path_jump(ticks
     assert abs(positions(log)[-1][0] - 2.0) < REACHED_M
     to_all = flown("precise", HOVER % 11, targets(to(x=2.0)))
     largest_m, given_m = (np.abs(np.diff(positions(one)[:, 0])).max() for one in (log, to_all))
-    assert (
-        largest_m < 1.05 * given_m
-    )  # no faster than the target's motion; three times as fast with a jump
+    # No faster than the target's motion; three times as fast with a jump.
+    assert largest_m < 1.05 * given_m
 
 
 def test_two_told_at_the_same_tick_end_at_the_same_target() -> None:
