@@ -35,8 +35,8 @@ from transport.protocol.wire.names import agent_name
 # Distances beyond the margins that a way keeps: of the rest before an obstacle, and of the outline that
 # the shortest way round follows, the next one where the curve through its corners comes too near, m.
 _REST_M = 0.3
-_ROUND_M = (0.4, 0.8, 1.6)
-_CURVE_M = 0.15
+_ROUND_M = (0.6, 1.0, 1.8)
+_CURVE_M = 0.2
 # Means of the deceleration, m/s^2: the least one, and the largest where the obstacle is that near.
 _GENTLE_MPS2, _HARD_MPS2 = 0.25, 1.5
 _SEARCHES = 8  # halvings of the time along the path to its last place before an obstacle

@@ -56,7 +56,7 @@ SEEN = (
     "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
     "{name='go',kind='spline',points_m=[[3.5,0,0]],speed_mps=0.5,ramp_s=1.5},"
     "{name='hover',duration_s=9.0,displacement_m=[0,0,0]}]",
-    "obstacle=[{kind='box',at_m=[2.1,0.5,-10],size_m=[0.2,1,8],margin_m=0.3,seen_within_m=1.2}]",
+    "obstacle=[{kind='box',at_m=[1.9,0.5,-10],size_m=[0.2,1,8],margin_m=0.3,seen_within_m=1.2}]",
 )
 STOP = (
     *("controller.silence=stop", "controller.targets=confirmed"),

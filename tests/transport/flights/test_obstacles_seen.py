@@ -79,7 +79,7 @@ def makers(log: RunLog) -> dict[str, int]:
 @pytest.mark.parametrize("network", [(), LATE], ids=["perfect", "late"])
 def test_a_wall_is_gone_round_and_the_path_s_end_reached(network: Sequence[str]) -> None:
     """A path through it is not refused; the agents that see it lead the others, and all margins are kept."""
-    run, log = flown(GO % 12, wall(6.5, 2.0, 20.0), *network)
+    run, log = flown(GO % 16, wall(6.5, 2.0, 20.0), *network)
     assert run.run.obstacles == ()
     uav_m, load_m = least(run, log)
     assert uav_m > MARGIN_M
@@ -115,7 +115,7 @@ def test_two_walls_of_which_each_hides_behind_the_other() -> None:
     first = wall(5.5, 2.0)[len("obstacle=[") : -1]
     second = first.replace("at_m=[4.4,3.3,-10]", "at_m=[7.6,3.6,-10]")
     assert second != first
-    run, log = flown(GO % 20, f"obstacle=[{first},{second}]")
+    run, log = flown(GO % 26, f"obstacle=[{first},{second}]")
     uav_m, load_m = least(run, log)
     assert uav_m > MARGIN_M
     assert load_m > LOAD_MARGIN_M
@@ -126,7 +126,7 @@ def test_two_walls_of_which_each_hides_behind_the_other() -> None:
 @pytest.mark.parametrize("rule", ["eager", "confirmed"])
 def test_a_silence_from_the_moment_of_sight_ends_before_the_wall(rule: str) -> None:
     """Nobody hears of it for 3 s: with a stop all rest before it, and go round it after."""
-    settings = GO % 14, wall(7.0, 2.0), f"controller.targets={rule}", "controller.silence=stop"
+    settings = GO % 20, wall(7.0, 2.0), f"controller.targets={rule}", "controller.silence=stop"
     _, before = flown(*settings)
     since_s = 0.05 * min(makers(before).values())
     silent = f"links.change=[{{at_s={since_s},loss=1.0}},{{at_s={since_s + 3.0},loss=0.0}}]"

@@ -16,9 +16,11 @@ from transport.analysis.replay.replay_of_agent import Replay
 from transport.analysis.summary_assembly import summarise
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
+from transport.model.physics.obstacles import clearances
 from transport.model.state import R0
 from transport.protocol.admission.known_targets import KnownTargets
 from transport.protocol.admission.targets_in_plans import carried_by, check_carried, place_of
+from transport.protocol.scenario.scenario_file import read_scenario, with_settings
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import (
     RequestError,
@@ -27,6 +29,7 @@ from transport.protocol.scenario.sections.scenario_errors import (
 )
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.targets.target_checks_and_timing import target_fields
+from transport.protocol.scenario.teams.team_of_any_size import Team, given_values, resized
 from transport.protocol.wire.codec import decode, encode
 from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import Note, Plan, PlantState, Target
@@ -36,6 +39,7 @@ HOVER = "maneuver.phase=[{name='hover',duration_s=%g,displacement_m=[0,0,0]}]"
 TOLD_S, TOLD_TICK = 1.0, 20
 AWAY_M = 1e-3  # less is no difference between two motions
 REACHED_M = 0.05
+SETTLED_M = 0.2  # some seconds after a longer way, with delay and loss
 
 
 def to(*agents: int, at_s: float = TOLD_S, x: float = 0.4) -> str:
@@ -105,6 +109,26 @@ def test_the_time_until_all_know_is_hops_times_delay(
     run = runs.ready("resilient", HOVER % 7, targets(to(1)), cuts)
     (target,) = summarise(AnalysedRun.of(run, log))["targets"]
     assert target["known_s"] == pytest.approx(0.05 * ticks * max(hops))
+
+
+@pytest.mark.slow
+def test_eight_follow_a_target_that_one_is_told_and_go_round_a_wall() -> None:
+    """On a network with delay and loss: all know it within a second, and it is reached, past what two of them see."""
+    path = runs.SCENARIOS / "resilient.toml"
+    team = resized(read_scenario(path), Team(uavs=8, group=1), path.name)
+    wall = "obstacle=[{kind='box',at_m=[1.6,-1.5,-10],size_m=[0.2,1.5,8],margin_m=0.3,seen_within_m=1.2}]"
+    changes = HOVER % 30, targets(to(8, x=4.0)), wall, "links.delay_s=0.1", "links.loss=0.2"
+    scenario = with_settings(given_values(team), changes, path.name)
+    run = Setup.of(scenario, path.name)
+    log = logs.log_of(runs.recorded(run))
+    first = first_carried(log)
+    assert first.keys() == set(range(1, 9))
+    assert first[8] == TOLD_TICK
+    assert max(first.values()) < TOLD_TICK + 20
+    x = np.array([one.x for one in log.of(PlantState)])
+    uavs_m = clearances(run.system, run.obstacles[0], x)[:, :8]
+    assert uavs_m.min() > 0.3
+    assert np.linalg.norm(positions(log)[-1] - [4.0, 0.0, -10.0]) < SETTLED_M
 
 
 CONFIRMED = "controller.targets=confirmed"
