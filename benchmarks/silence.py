@@ -55,9 +55,8 @@ class Case:
     scenario: str
     settings: tuple[str, ...] = ()
     silent_s: float = 0.0  # duration; 0 for none
-    parts: tuple[tuple[str, ...], ...] | None = (
-        None  # groups that do not hear the others; None: each agent alone
-    )
+    # Groups that do not hear the others; None: each agent alone.
+    parts: tuple[tuple[str, ...], ...] | None = None
     links: tuple[str, ...] = ()  # further settings of the network
     from_start: bool = False  # no message from the first tick on
     compared: bool = True  # with the run without silence, and with "alone"

@@ -236,12 +236,10 @@ class AloneGains(Section):
     # Time in which the integral forgets, s: UAVs on a rigid body could otherwise hold any force
     # against each other, which biases of their sensors would let grow.
     forgets_s: ClassVar[float] = 20.0
-    steepest_rad: ClassVar[float] = (
-        0.5  # largest change of roll and pitch that a deviation asks for
-    )
-    most_held: ClassVar[float] = (
-        0.4  # largest force of the integral, as a share of the hover thrust
-    )
+    # Largest change of roll and pitch that a deviation asks for.
+    steepest_rad: ClassVar[float] = 0.5
+    # Largest force of the integral, as a share of the hover thrust.
+    most_held: ClassVar[float] = 0.4
 
     position: Annotated[Positive, Key(unit="1/s²")] = 6.0
     """acceleration per deviation of position"""

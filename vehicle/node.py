@@ -120,9 +120,8 @@ class VehicleNode(Participant):
         self._setpoint = 0  # number of the next one since tick 0
         self._inputs = self._hover  # of the last setpoint, (4,), N and rad/s
         self._applied: list[Array] = []  # inputs of the setpoints since the last tick
-        self._own_inputs: Array | None = (
-            None  # of the law alone at this tick; None: a plan is fresh
-        )
+        # Of the law alone at this tick; None: a plan is fresh.
+        self._own_inputs: Array | None = None
         self._shift_I = np.zeros(3)  # sum of the jumps of the estimate, taken out of positions, m
         # Newest position by the autopilot, (3,), m, and its time by the autopilot's clock, s.
         self._last: tuple[Array, float] | None = None

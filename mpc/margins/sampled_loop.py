@@ -25,9 +25,8 @@ _DECAY = 1e-3  # slowest decay that is one, 1/s: undamped modes have zero, and r
 _COARSE = 1.4  # factor of the search until the first unstable plant
 _FINE = 0.005  # relative accuracy of the bisection after it
 FARTHEST = 10.0  # largest factor that is tried
-FARTHEST_S = (
-    0.6  # largest lag and delay that are tried, s; of a larger one that is known, a step more
-)
+# Largest lag and delay that are tried, s; of a larger one that is known, a step more.
+FARTHEST_S = 0.6
 _FIRST_S = 1e-3  # shortest lag and delay that are tried, s
 
 

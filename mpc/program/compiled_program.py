@@ -1,8 +1,8 @@
 """Prediction and QP of one step by the compiled kernels, in arrays that the next step overwrites.
 
 `kernels.c` computes what `prediction`, `horizon_and_terminal_cost` and `relaxation` and the constraints with
-`in_kernel` do, with fewer operations. Quantities that are those of the step before
-(derivatives at hover, gains, weights) are not computed again.
+`in_kernel` do, with fewer operations. Quantities that are those of the step before (derivatives at
+hover, gains, weights) are not computed again.
 """
 
 import ctypes

@@ -1,7 +1,18 @@
 """Event model of one shared half-duplex 802.11 channel.
 
 Stations are numbered from 0. Times are integers, ns, of one common clock. docs/record/radio.md describes
-the model and states what is simplified.
+the model and states what is simplified. A frame passes these events, each at an instant of one queue:
+
+    SEND         joins the queue of its station; the first of a queue asks for the medium  --> ATTEMPT
+    ATTEMPT      its backoff has ended: it is on the air; else again at the new end        --> DETECT, END
+    DETECT       stations lock to it by its preamble, the strongest one if several overlap
+    END          locked stations decode it or not; a broadcast is decided here,
+                 a unicast frame waits for its acknowledgement                             --> ACKNOWLEDGE, TIMEOUT
+    ACKNOWLEDGE  its receiver puts the acknowledgement on the air, whatever the medium     --> DETECT, END
+    TIMEOUT      none has come: a longer backoff, or lost after the last attempt           --> ATTEMPT
+
+Sets of stations are integers with a bit for each. Steps that no other event can come between are done
+at once (`_is_next`), with the same result.
 """
 
 from collections.abc import Iterable
@@ -41,9 +52,8 @@ class ChannelParameters:
     noise_mw: float
     sensitivity_mw: float  # a weaker preamble is not detected
     carrier_sense_mw: float  # total power from which the medium is busy without a detected preamble
-    preamble_ratio: float = (
-        2.5118864315095797  # signal over noise and interference that detection needs, 4 dB
-    )
+    # Signal over noise and interference that detection needs, 4 dB.
+    preamble_ratio: float = 2.5118864315095797
     interrupted_wait_draws: bool = True  # docs/record/radio.md, frames at an idle medium
     seed: int = 0
 
@@ -81,9 +91,8 @@ class Event(NamedTuple):
     time_ns: int
     kind: int
     station: int
-    number: int = (
-        0  # of the frame sent, of the attempt that times out, or the station to acknowledge
-    )
+    # Of the frame sent, of the attempt that times out, or the station to acknowledge.
+    number: int = 0
     frame: Frame | None = None
 
 

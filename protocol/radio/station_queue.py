@@ -38,13 +38,11 @@ class Station:
     slots: int = 0
     backoff_from: int = 0  # no idle slot counts before
     busy_until: int = 0  # end of own and sensed transmissions, and of reserved time
-    error_until: int = (
-        0  # a frame could not be decoded: the medium counts as busy for an acknowledgement (EIFS)
-    )
+    # A frame could not be decoded: the medium counts as busy for an acknowledgement (EIFS).
+    error_until: int = 0
     sending: bool = False  # a frame is on the air or waits for its acknowledgement
-    waits_without_backoff: bool = (
-        False  # the frame met an idle medium, which must stay idle for DIFS
-    )
+    # The frame met an idle medium, which must stay idle for DIFS.
+    waits_without_backoff: bool = False
     attempt_ns: int = NEVER  # instant of the next attempt in the events of the channel
     backoffs: int = 0  # backoffs drawn so far
     transmissions: int = 0  # numbers of transmissions used so far

@@ -264,9 +264,8 @@ class LinkChange(Message, tag="link", frozen=True, kw_only=True):
     number: Annotated[int, Meta(ge=1)]
     source: str  # name of an end; empty for any agent
     target: str  # the same
-    settings: (
-        Text  # keys of a link and their new values, a JSON object (docs/reference/keys.md, `links`)
-    )
+    # Keys of a link and their new values, a JSON object (docs/reference/keys.md, `links`).
+    settings: Text
 
 
 class Target(Message, tag="target", frozen=True, kw_only=True):

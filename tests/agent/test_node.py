@@ -14,9 +14,8 @@ from transport.protocol.wire.messages import Message, Plan, Presence, StepReport
 
 SHORT_HORIZON = "controller.horizon=5"  # a step of a millisecond: these tests are about messages
 OTHERS = (2, 3, 4)
-ESTIMATE_TOLERANCE = (
-    1e-8  # N and N m: the agent's integration steps are its own, 1e-12 apart from those here
-)
+# Of thrusts and moments, N and N m: the agent's integration steps are its own, 1e-12 apart from those here.
+ESTIMATE_TOLERANCE = 1e-8
 
 
 @pytest.fixture

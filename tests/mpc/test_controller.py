@@ -148,9 +148,8 @@ def test_owning_all_is_the_centralized_controller(solver: str) -> None:
         solver="daqp" if solver == "daqp" else "clarabel",
     )
     y_ref = np.tile(setup.model.outputs(setup.x), (7, 1))
-    y_ref[:, 2 : 3 * setup.system.N : 3] -= (
-        1.0  # a metre up: into the ceiling, as fast as the rates allow
-    )
+    # A metre up: into the ceiling, as fast as the rates allow.
+    y_ref[:, 2 : 3 * setup.system.N : 3] -= 1.0
     rng = np.random.default_rng(5)
     u = setup.hover.u + 0.2 * rng.standard_normal(setup.system.m)
     u[4] = u[0]

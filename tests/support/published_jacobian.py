@@ -40,9 +40,8 @@ class PublishedModel(Model):
         )
         self._rows = np.concatenate([np.arange(3, 6), np.arange(9, 12), *_rod_rates(system.N)])
         self._moving = np.array(rows)
-        self._newest: tuple[bytes, Array] | None = (
-            None  # agents with the same state need the same A_c
-        )
+        # Agents with the same state need the same A_c.
+        self._newest: tuple[bytes, Array] | None = None
 
     def accelerations(self, x: Array, u: Array) -> Array:
         """Return (v0', omega0', Omega_1', .., Omega_N'), (6 + 3 N,), SI, at any rod lengths."""

@@ -21,9 +21,8 @@ from transport.mpc.settings import ControllerSettings
 
 S = TypeVar("S", bound=Section)
 
-INTEGRATION_STEPS = (
-    5  # Dormand-Prince steps per 0.05 s: the local error is then far below every tolerance here
-)
+# Dormand-Prince steps per 0.05 s: the local error is then far below every tolerance here.
+INTEGRATION_STEPS = 5
 
 # Initial altitude, m up: not zero, so that a missing offset is detected.
 START_I = (0.0, 0.0, -10.0)

@@ -43,9 +43,7 @@ def team_view(setup: Setup) -> TeamView:
     radio = None
     if scenario.radio is not None:
         # Most runs start without.
-        from transport.protocol.scenario.radio.team_radio import (
-            TeamRadio,
-        )
+        from transport.protocol.scenario.radio.team_radio import TeamRadio
 
         radio = TeamRadio(setup.run, scenario.radio)
     x = setup.initial_state()
