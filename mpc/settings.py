@@ -66,7 +66,7 @@ class Weights(Section):
     terminal: Annotated[NotNegative, _weight_key(label="terminal weight")] = 5.0
     """Q_f as a multiple of Q; no effect with `controller.terminal=riccati`"""
     thrust: Annotated[Positive, _weight_key("1/N²", "weight on thrust")] = 1e-3
-    """weight on each thrust"""
+    """weight on each thrust; no effect with `acceleration`, as in `resilient`"""
     moments: Annotated[PositiveVector, _weight_key("1/(N m)²", "weight on moments")] = (
         1e-2,
         1e-2,

@@ -21,6 +21,7 @@ from tests.support.runs import PAPER
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario, validate
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors_and_exit_codes import Reason
+from transport.protocol.wire.key_expressions import ACTING, READING
 
 ROOT = Path(__file__).resolve().parent.parent
 # Folders with sources that cite equations, and the endings of such files.
@@ -349,6 +350,18 @@ def test_reasons_of_refusals_are_described() -> None:
         .partition("## Refused messages\n")
     )
     assert re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE) == list(get_args(Reason))
+
+
+def test_requests_are_described_and_permitted() -> None:
+    """Each request in the table of docs/reference/protocol.md is one that access control lets pass, and no other."""
+    _, _, section = (
+        (ROOT / "docs" / "reference" / "protocol.md")
+        .read_text(encoding="utf-8")
+        .partition("## Requests\n")
+    )
+    table, _, _ = section.partition("\n## ")
+    _, *described = re.findall(r"^\| [^|]+ \| `(\w+)` \|", table, re.MULTILINE)
+    assert sorted(described) == sorted((*READING, *ACTING))
 
 
 def test_pictures_and_first_steps_need_no_other_host() -> None:

@@ -128,7 +128,7 @@ def test_commands_parse(program: ModuleType) -> None:
 def test_names_of_the_python_page() -> None:
     """docs/python.md has a row for every short name and error, docs/reference/series.md for every series."""
     text = PYTHON.read_text(encoding="utf-8")
-    assert dict(re.findall(r"^\| `(\w+)` \| `([\w.]+)` \|$", text, re.MULTILINE)) == dict(KEY_OF)
+    assert dict(re.findall(r"^- `(\w+)`: `([\w.]+)`$", text, re.MULTILINE)) == dict(KEY_OF)
     series = (ROOT / "docs" / "reference" / "series.md").read_text(encoding="utf-8")
     table = series.partition("<!-- series -->")[2].partition("<!-- end of series -->")[0]
     rows = re.findall(r"^- `(\w+)` \(([^;)]+)(?:; ([^)]+))?\): (.*)$", table, re.MULTILINE)

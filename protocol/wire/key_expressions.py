@@ -39,7 +39,7 @@ _CLASSES = (*KINDS.values(), *BUNDLES.values())
 
 # Requests that any client may send, and those that change the run.
 READING = ("status", "health")
-ACTING = ("link", "fault", "target")
+ACTING = ("link", "fault", "target", "abort", "release")
 
 
 @dataclass(frozen=True, slots=True)

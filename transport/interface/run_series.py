@@ -82,7 +82,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         (("UAVs", "rods", "payload"),),
         "Smallest distances from any obstacle; infinite without obstacles.",
     ),
-    "cost": Quantity("", (), "Stage cost, docs/equations.md (21)."),
+    "cost": Quantity("", (), "Stage cost (21), with the weights of the scenario; no unit."),
     "constraint_violation": Quantity(
         "", (), "Largest violation as a share of the constraint's range; 0 if all hold."
     ),
