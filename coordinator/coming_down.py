@@ -1,6 +1,7 @@
 """The way down of a team of vehicles, which stay on their rods until a person says that they are off.
 
-    in flight    --`transport land`, `transport abort`, a low battery--> coming down, by the team's law
+    in flight    --`transport land`, `transport abort`, a signal to the coordinator, a low battery,
+                   outside the end of the maneuver--> coming down, by the team's law
     coming down  --the reference is at rest--> down: the team goes on controlling all UAVs
     down         --`transport release`, or the last tick--> the run ends: each autopilot has its UAV
 
@@ -23,30 +24,40 @@ class ComingDown:
     """What the coordinator knows of the way down.
 
     battery: Share of a battery below which the team comes down by itself.
+    lands_at: Outside, tick of the end of the maneuver, after which it has come down, or is low already.
 
     Attributes:
         aborted: Why the run has no end in order; empty without an abort.
     """
 
     def __init__(
-        self, changes: Changes, roster: TeamRoster, battery: float, period_s: float
+        self,
+        changes: Changes,
+        roster: TeamRoster,
+        battery: float,
+        period_s: float,
+        lands_at: int | None = None,
     ) -> None:
         self._changes = changes
         self._roster = roster
         self._battery = battery
         self._period_s = period_s
+        self._lands_at = lands_at
         self._is_warned = False
+        self._is_interrupted = False
         self.aborted = ""
 
     def down_at(self) -> int | None:
         """Return the tick from which on the team is down; None while it does not come down."""
         landing = self._changes.landing
-        return None if landing is None else rests_at(landing, self._period_s)
+        if landing is not None:
+            return rests_at(landing, self._period_s)
+        return self._lands_at  # a maneuver that ends on the ground is followed by no landing
 
-    def abort(self, tick: int) -> Sequence[Message]:
+    def abort(self, tick: int, whose: str = "a person") -> Sequence[Message]:
         """Return the messages of the fastest landing that the team can fly, from a tick on.
 
-        Raises: RequestError: there is none before the end of the run.
+        Raises: RequestError: there is none before the end of the run, which only a simulated one has.
         """
         for speed_mps in _SPEEDS_MPS:
             try:
@@ -54,9 +65,27 @@ class ComingDown:
             except RequestError as error:
                 refusal = error
                 continue
-            self.aborted = f"aborted by a person at {self._roster.time(tick)}"
+            self.aborted = f"aborted by {whose} at {self._roster.time(tick)}"
             return messages
         raise refusal
+
+    def interrupt(self, reason: str, tick: int) -> Sequence[Message]:
+        """Return the messages by which a team in the air comes down because of a signal.
+
+        None at the second signal: the run ends at once, as it does above a simulated team.
+        """
+        if self._lands_at is None or self._is_interrupted:
+            return ()
+        self._is_interrupted = True
+        try:
+            landing = self.abort(tick, f"a signal ({reason})")
+        except RequestError:  # it is down
+            landing = ()
+        self.aborted = self.aborted or f"{reason} at {self._roster.time(tick)}"
+        told = (
+            f"{reason}: the team lands, and waits for `transport release`; once more ends the run"
+        )
+        return [*landing, self._roster.report(told, tick)]
 
     def watch(self, status: VehicleStatus, tick: int) -> Sequence[Message]:
         """Return the messages of a landing from a tick on where the battery of a UAV is low, once."""
@@ -74,7 +103,7 @@ class ComingDown:
     def check_release(self, tick: int) -> None:
         """Raise RequestError unless the team is down at a tick."""
         down_at = self.down_at()
-        if down_at is None:
+        if down_at is None or (self._changes.landing is None and tick < down_at):
             raise RequestError(
                 "expected a team that has landed (`transport land`), got one in flight"
             )

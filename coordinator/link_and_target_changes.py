@@ -2,7 +2,7 @@
 
 import json
 from collections import deque
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import permutations
 from typing import Any
 
@@ -40,12 +40,14 @@ class Changes:
         out: Outbox,
         planner: TargetPlanner,
         scripted: Iterable[tuple[int, Any]],
+        lands_at: int | None = None,
     ) -> None:
         self._roster = roster
         self._planner = planner
         self._out = out
         self.told = ToldChanges()
         self._scripted = deque(scripted)  # targets still to be announced
+        self._lands_at = lands_at  # `TeamView.lands_at`, until the landing is told
 
     def repeated(self) -> list[Message]:
         """Return all changes so far, for a process that joins."""
@@ -72,11 +74,19 @@ class Changes:
         messages: list[Message] = []
         while self._scripted and self._scripted[0][0] <= tick:
             _, wanted = self._scripted.popleft()
-            try:
-                messages += self.target(wanted, tick)
-            except RequestError as error:
-                messages.append(self._roster.report(f"target refused: {error}", tick))
+            messages += self._scripted_target(wanted, tick)
+        if self._lands_at is not None and tick >= self._lands_at:
+            self._lands_at = None
+            if self.landing is None:
+                messages += self._scripted_target({"land": True}, tick)
         return messages
+
+    def _scripted_target(self, wanted: Any, tick: int) -> Sequence[Message]:
+        """Return the messages of a target that nobody waits for the answer to."""
+        try:
+            return self.target(wanted, tick)
+        except RequestError as error:
+            return [self._roster.report(f"target refused: {error}", tick)]
 
     def target(self, wanted: Any, tick: int) -> list[Target | Roster]:
         """Return the messages of a target, of the script or of a request, that holds from a tick on.

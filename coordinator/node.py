@@ -86,7 +86,9 @@ class CoordinatorNode:
         self._machine = Machine()
         self._clock = Clock(rules.clock, rules.period_ns)
         self._roster = TeamRoster(rules, self._out)
-        self._changes = Changes(self._roster, self._out, team.targets, team.scripted_targets)
+        self._changes = Changes(
+            self._roster, self._out, team.targets, team.scripted_targets, team.lands_at
+        )
         self._verdict = Verdict(
             team.contacts, team.failed_share, ends_by_contact=team.ends_by_contact
         )
@@ -104,7 +106,11 @@ class CoordinatorNode:
             told = self._changes.told
             self._fleet = Fleet(team.vehicles, team.places_I, self._out, wall_offset_ns, told)
             self._coming_down = ComingDown(
-                self._changes, self._roster, team.vehicles.battery_land, rules.period_s
+                self._changes,
+                self._roster,
+                team.vehicles.battery_land,
+                rules.period_s,
+                team.lands_at,
             )
             vehicles = {vehicle_name(uav + 1) for uav in range(rules.uavs)}
 
@@ -196,7 +202,16 @@ class CoordinatorNode:
         return self._advance(now_ns)
 
     def interrupt(self, reason: str) -> Sequence[Message]:
-        """End the run because of a signal."""
+        """End the run because of a signal; a team in the air outside is landed before.
+
+        The run goes on while there are messages and no end.
+        """
+        if self._coming_down is not None and self._takes_changes:
+            landing = self._coming_down.interrupt(reason, self.tick + 1)
+            if landing:
+                return landing
+        if self._flies_without:  # it has not taken over yet: the team goes on as before
+            return ()
         return self._stop(EXIT_INTERRUPTED, reason)
 
     def check_moment(self, message: Message) -> None:
@@ -485,6 +500,22 @@ class CoordinatorNode:
         )
         return [self.finished]
 
+    @property
+    def _flies_without(self) -> bool:
+        """Whether vehicles fly already, and this coordinator has not taken over yet."""
+        is_preparing = self._machine.state in BEFORE_TICK_0
+        return (
+            is_preparing
+            and self._fleet is not None
+            and bool(self._fleet.followed_ns)
+            and not self._fleet.start_ns
+        )
+
+    @property
+    def _takes_changes(self) -> bool:
+        """Whether a tick follows, from which on a change can hold."""
+        return self._machine.state not in BEFORE_TICK_0 and not self._open.is_last
+
     def _status(self) -> RunStatus:
         """Return the progress of the run, for requests."""
         return RunStatus(
@@ -492,6 +523,7 @@ class CoordinatorNode:
             ticks=self._rules.ticks,
             members=sorted(self._roster.members),
             observers=sorted(self._observers),
-            takes_changes=self._machine.state not in BEFORE_TICK_0 and not self._open.is_last,
+            is_before=self._machine.state in BEFORE_TICK_0 and not self._flies_without,
+            takes_changes=self._takes_changes,
             period_ns=self._rules.period_ns,
         )

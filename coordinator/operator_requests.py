@@ -21,6 +21,7 @@ class RunStatus:
         ticks: Number of ticks of the run.
         members: Agents on the roster, ascending.
         observers: Names of the observers, such as "recorder", ascending.
+        is_before: Whether no tick of the team has come, by this or an earlier coordinator.
         takes_changes: Whether a tick follows, from which on a change can hold.
         period_ns: Sampling period, ns.
     """
@@ -29,6 +30,7 @@ class RunStatus:
     ticks: int
     members: Sequence[int]
     observers: Sequence[str]
+    is_before: bool
     takes_changes: bool
     period_ns: int
 
@@ -38,7 +40,7 @@ def answer_request(
 ) -> Sequence[Message] | None:
     """Answer a request, and return the messages of a change, which holds from the next tick on.
 
-    None: the run ends, as a team that has landed is released.
+    None: the run ends, as a team that has landed is released, or aborted before its first tick.
     """
     if request.what == "status":
         shown = ("tick", "ticks", "members", "observers")
@@ -48,6 +50,10 @@ def answer_request(
         if request.what == "release":
             _check_release(status, coming_down)
             request.reply({"tick": status.tick, "t_s": status.tick * status.period_ns / 1e9})
+            return None
+        if request.what == "abort" and coming_down is not None and status.is_before:
+            coming_down.aborted = "aborted by a person before the first tick"
+            request.reply({"tick": status.tick, "t_s": 0.0})
             return None
         messages = _changed(request, status, changes, coming_down)
     except RequestError as error:

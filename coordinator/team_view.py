@@ -58,3 +58,5 @@ class TeamView:
     # With vehicles: their settings, and the places of the UAVs at the start of the maneuver, (N, 3), m.
     vehicles: VehiclesSection | None = None
     places_I: Array | None = None
+    # Outside: tick of the end of the maneuver, from which on the team comes down by itself.
+    lands_at: int | None = None

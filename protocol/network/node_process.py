@@ -62,8 +62,8 @@ def run_node(
 ) -> int:
     """Join the run with the expected processes, drive the node until it is finished, leave.
 
-    `on_interrupt` returns the node's last messages when a signal ends it; processes to `linger_for`
-    leave before this one.
+    `on_interrupt` returns the node's last messages when a signal ends it; where there are some, but
+    no end, the node goes on. Processes to `linger_for` leave before this one.
 
     Returns: The exit code.
     """
@@ -80,13 +80,18 @@ def run_node(
         _log_opening(journal, place)
         exchange = exchange_of(rules.shape, node.name, place.incarnation, keys, bus.put)
         interruption = _join(node, bus, exchange, expected, journal)
-        if interruption is None:
-            interruption = _drive(node, bus, exchange, rules.faults)
-
-        if interruption is not None and node.finished is None:
-            journal.log("interrupted", reason=interruption.reason)
-            for message in on_interrupt(interruption.reason):
-                exchange.send(message)
+        goes_on = True
+        while goes_on:
+            if interruption is None:
+                interruption = _drive(node, bus, exchange, rules.faults)
+            goes_on = False
+            if interruption is not None and node.finished is None:
+                journal.log("interrupted", reason=interruption.reason)
+                told = on_interrupt(interruption.reason)
+                for message in told:
+                    exchange.send(message)
+                goes_on = bool(told) and node.finished is None
+                interruption = None if goes_on else interruption
         exchange.flush()
         for notice in gate.notices(bus.incarnation):
             exchange.send(notice)

@@ -147,7 +147,7 @@ def test_a_missing_word_is_named(run: Setup) -> None:
 def ready(node: CoordinatorNode) -> list[Message]:
     """Let all processes be ready."""
     said: list[Message] = []
-    for name in NAMES:
+    for name in NAMES:  # outside nothing waits for a plant
         said += node.receive(Presence(name, 0, alive=True), NOW_NS)
     return said
 
@@ -342,6 +342,86 @@ def test_a_landing_that_does_not_fit_is_told(run: Setup) -> None:
     assert [type(message) for message in said] == [Roster]
     assert isinstance(said[0], Roster)
     assert "landing refused: expected a target before the end of the run" in said[0].reason
+
+
+@pytest.fixture(scope="module")
+def outside() -> Setup:
+    """The ready team 10 m up, outside of a simulation; its maneuver takes 5 s."""
+    settings = (
+        "plant.kind=vehicles",
+        "maneuver.phase=[{name='hover',duration_s=5,displacement_m=[0,0,0]}]",
+        PATIENT,
+    )
+    return Setup.of(read_scenario(SCENARIO, settings), str(SCENARIO))
+
+
+def landings(messages: Sequence[Message]) -> list[Target]:
+    """Targets that bring the team down."""
+    return [message for message in messages if isinstance(message, Target) and message.lands]
+
+
+def test_outside_a_maneuver_ends_with_a_landing(outside: Setup) -> None:
+    """At its end 10 m up the team comes down by itself, and is released; no other target is after it."""
+    node = flying(outside)
+    said: list[Message] = []
+    while node.tick < 100:
+        assert node.wake_ns is not None
+        said += node.poll(node.wake_ns)
+    (landing,) = landings(said)
+    assert landing.tick == 100  # 5 s
+    assert landing.points[-1, 2] == pytest.approx(-0.275)  # the height at which the load rests
+    assert node.finished is None
+    refused = asked(node, "target", points_m=[[0.5, 0.0, -9.0]])[0]["error"]
+    assert "before the end of the maneuver at t = 4.95 s" in refused
+    until(node, landing.tick + round((landing.approach_s + landing.way_s + 2.0) / 0.05) + 1)
+    asked(node, "release")
+    assert node.finished is not None
+    assert node.finished.outcome == "completed"
+
+
+@pytest.mark.parametrize("tick", [0, 90, 99, 130])
+def test_outside_an_abort_always_has_time(outside: Setup, tick: int) -> None:
+    """In the maneuver, at its last ticks, and while the team comes down already."""
+    node = flying(outside)
+    until(node, tick)
+    assert "error" not in asked(node, "abort")[0]
+
+
+def test_outside_a_signal_lands_the_team(outside: Setup) -> None:
+    """The first one in the air is an abort, after which the run goes on; the second one ends it."""
+    node = flying(outside)
+    said = node.interrupt("interrupted (SIGTERM)")
+    assert len(landings(said)) == 1
+    assert node.finished is None
+    until(node, 5)
+    (end,) = node.interrupt("interrupted (SIGTERM)")
+    assert node.finished is end
+    assert (node.finished.outcome, node.finished.exit_code) == ("aborted", 130)
+
+
+def test_in_a_simulation_a_signal_ends_the_run(low_run: Setup) -> None:
+    """Nothing falls: the run ends at once."""
+    node = flying(low_run)
+    (end,) = node.interrupt("interrupted (SIGINT)")
+    assert node.finished is end
+
+
+def test_an_abort_before_the_first_tick_ends_the_run(outside: Setup) -> None:
+    """Each autopilot hovers by itself, and keeps its UAV; a team in flight without a coordinator flies on."""
+    node = coordinator_of(outside, wall_offset_ns=WALL_NS)
+    ready(node)
+    reply, _ = asked(node, "abort")
+    assert reply["tick"] == -1
+    assert node.finished is not None
+    assert node.finished.outcome == "aborted"
+
+    back = coordinator_of(outside, 1, wall_offset_ns=WALL_NS)
+    ready(back)
+    start_ns = NOW_NS + WALL_NS - 2 * S
+    back.receive(status(outside, 1, phase="flying", start_ns=start_ns), NOW_NS + 2 * MS)
+    if back.state is not State.OPEN:
+        assert back.interrupt("interrupted (SIGTERM)") == ()
+    assert back.finished is None
 
 
 def test_vehicles_that_are_never_ready_end_the_run(run: Setup) -> None:

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -181,7 +182,7 @@ def outside(
     """Autopilots that hover by themselves and call ports from one on; yields the scenario of their run."""
     scenario = folder / "outside.toml"
     text = (SCENARIOS / "flight.toml").read_text(encoding="utf-8")
-    scenario.write_text(text.replace('autopilot = "stand_in"', 'kind = "vehicles"'))
+    scenario.write_text(text.replace("[plant]", '[plant]\nkind = "vehicles"'))
     arguments = [str(scenario), str(port), f"{speed:g}", *changes]
     world = subprocess.Popen(
         [sys.executable, "-m", "tests.support.outside", *arguments],
@@ -195,28 +196,41 @@ def outside(
 
 
 @pytest.mark.slow
-def test_a_run_without_a_plant(tmp_path: Path) -> None:
+def test_a_run_without_a_plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Autopilots that hover by themselves outside of the run: its vehicles engage them without a jump.
 
     No process of the run simulates: measurements, ticks and the end are those of vehicles and coordinator.
+    A signal in the air lands the team, and the run ends with its release.
     """
+    monkeypatch.chdir(tmp_path)
+    low = "maneuver.start_m=[0,0,-1.3]"
     # A world that a busy machine cannot play at its pace is tried again more slowly.
     for speed in (*SPEEDS, SPEEDS[-1] / 2):
         port = free_udp_ports(4)
-        out = f"without-{speed:g}"
-        with outside(tmp_path, port, speed) as (scenario, world):
-            result = transport(
-                "run",
-                str(scenario),
-                *settings(f"clock.speed={speed:g}", SHORT, f"network.vehicle_port={port}"),
-                *("--out", out, "--no-figures"),
-                cwd=tmp_path,
-            )
-            if world.poll() != BEHIND_CODE:
+        out = f"runs/without-{speed:g}"
+        with outside(tmp_path, port, speed, low) as (scenario, world):
+            options = settings(f"clock.speed={speed:g}", SHORT, low, f"network.vehicle_port={port}")
+            run = start("run", str(scenario), *options, "--out", out, "--no-figures", cwd=tmp_path)
+            path = tmp_path / out / "run.mcap"
+            team = Flown(path)
+            try:
+                assert wait_for(path.exists)
+                is_high = wait_for(partial(team.is_at, 110, world))
+                run.terminate()
+                is_released = is_high and wait_for(
+                    lambda: world.poll() is not None or invoke("release")[0] == 0
+                )
+                if world.poll() == BEHIND_CODE:
+                    continue
+                assert is_released
+                _, errors = run.communicate(timeout=60)
                 break
-    assert result.returncode == 0, result.stderr
+            finally:
+                run.kill()
+    assert run.returncode == 130, errors
     log = read_log(tmp_path / out / "run.mcap")
     assert not list(log.of(PlantState))
+    assert team.says("the team lands, and waits for `transport release`")
     statuses = list(log.of(VehicleStatus))
     assert {status.phase for status in statuses} >= {"ready", "flying"}
     # Jumps of 5 cm between two ticks would be 1 m/s: the maneuver takes 0.5.
@@ -225,8 +239,10 @@ def test_a_run_without_a_plant(tmp_path: Path) -> None:
         ticks = [s.tick for s in statuses if s.uav == uav and s.phase == "flying"]
         assert ticks[0] == 0
         moved_m = np.linalg.norm(places - places[0], axis=1)
-        assert moved_m[: len(moved_m) // 4].max() < 0.5
-        assert places[-1, 2] - places[0, 2] == pytest.approx(-1.0, abs=0.4)
+        assert moved_m[:30].max() < 0.5
+        assert places[:, 2].min() - places[0, 2] == pytest.approx(-1.0, abs=0.4)
+        # The load rests 0.275 m above the ground.
+        assert places[-1, 2] - places[0, 2] == pytest.approx(1.025, abs=0.3)
 
 
 @installed
@@ -292,6 +308,15 @@ class Flown:
 
     def __init__(self, path: Path) -> None:
         self._log = LiveLog(path)
+
+    def statuses(self) -> list[VehicleStatus]:
+        """All statuses so far."""
+        return list(self._log.of(VehicleStatus))
+
+    def is_at(self, tick: int, world: subprocess.Popen[bytes]) -> bool:
+        """Whether it flies past a tick, or its world has ended."""
+        is_past = any(s.tick > tick for s in self.statuses() if s.phase == "flying")
+        return is_past or world.poll() is not None
 
     def newest(self, uav: int) -> VehicleStatus | None:
         """The newest status of a vehicle in flight."""

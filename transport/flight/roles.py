@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from transport.coordinator.node import CoordinatorNode
 from transport.coordinator.team_view import TeamView
 from transport.plant.plant_run import HiddenObstacle, PlantRun
+from transport.protocol.scenario.sections.run_size import maneuver_ticks
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.targets.target_messages import TargetTiming, scripted
 
@@ -56,5 +57,6 @@ def team_view(setup: Setup) -> TeamView:
         radio=radio,
         initial_state=x,
         vehicles=scenario.vehicles if scenario.has_vehicles else None,
+        lands_at=None if scenario.has_plant else maneuver_ticks(scenario),
         places_I=setup.model.sensed(x, setup.hover.u).reshape(-1, 15)[:, :3],
     )

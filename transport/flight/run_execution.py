@@ -357,7 +357,10 @@ def _watch(
                 if harness is None:
                     recorder.stop(name)
                     continue
-                progress.say(f"{name}: ending the run; once more to end it at once")
+                ending = "ending the run"
+                if not progress.setup.scenario.has_plant:
+                    ending = "the team lands, then `transport release` ends the run"
+                progress.say(f"{name}: {ending}; once more to end it at once")
                 harness.child(COORDINATOR).signal(signal.Signals[name])
             if harness is None or recorder.control is not None or recorder.started_s is not None:
                 continue

@@ -63,7 +63,6 @@ _NEEDS = (
     Need("clock.mode", "realtime", "controller.negotiation_iterations", 1),
     Need("clock.mode", "realtime", "plant.inner_loop", "model"),
     Need("clock.mode", "realtime", "clock.offsets_s", None),
-    Need("plant.kind", "vehicles", "plant.autopilot", None),
     Need("plant.inner_loop", "betaflight", "plant.autopilot", None),
     Need("plant.engine", "rods", "plant.ground_m", None),
     Need("plant.engine", "rods", "plant.mujoco", MujocoSection()),

@@ -1,8 +1,9 @@
 """Sections of a scenario about the plant: engine, bodies, motors, wind, sensors."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from annotated_types import Interval
+from pydantic import model_validator
 
 from transport.model.section import (
     LAG_S,
@@ -163,7 +164,7 @@ class PlantSection(Section):
     """autopilots fly the simulated UAVs, a program for each, with the same processes of vehicles as
     outside: ArduCopter, named by the environment variable ARDUCOPTER, Betaflight on its real links,
     whose place a motion capture tells, or a stand-in of this project for tests. Default: none, the
-    plant follows the plans itself"""
+    plant follows the plans itself. With `kind` vehicles it is left out: the same file flies outside"""
     engine: Annotated[
         str, or_class("rods", "mujoco"), Key(type="rods, mujoco, package.module:Class")
     ] = "rods"
@@ -218,3 +219,14 @@ class PlantSection(Section):
     """measurements of an agent: the states of payload, own UAVs and rods; or what an autopilot has
     of each own UAV ([equations](../equations/estimation.md#estimation-without-a-payload-sensor))"""
     noise: NoiseSection = NoiseSection()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _outside(cls, value: Any) -> Any:
+        """Leave out the autopilots of a simulation where there is none.
+
+        `--set plant.kind=vehicles` lets the file of a simulated flight fly outside.
+        """
+        if isinstance(value, dict) and value.get("kind") == "vehicles":
+            return {key: one for key, one in value.items() if key != "autopilot"}
+        return value

@@ -73,7 +73,18 @@ def size_of(scenario: Scenario) -> Size:
 
 
 def ticks_of(scenario: Scenario) -> int:
-    """Return the number of sampling instants of a run: t_k < duration of the maneuver."""
+    """Return the number of sampling instants of a run: those of its maneuver.
+
+    A team outside comes down after it: its run has `vehicles.landing_s` more.
+    """
+    ticks = maneuver_ticks(scenario)
+    if scenario.has_plant:
+        return ticks
+    return ticks + math.ceil(scenario.vehicles.landing_s / scenario.controller.sampling_period_s)
+
+
+def maneuver_ticks(scenario: Scenario) -> int:
+    """Return the number of sampling instants of a maneuver: t_k < its duration."""
     duration_s = sum(phase.duration_s for phase in scenario.maneuver.phase)
     periods = duration_s / scenario.controller.sampling_period_s
     return max(1, math.ceil(periods - ROUNDING * periods))

@@ -47,5 +47,8 @@ class VehiclesSection(Section):
     """what each autopilot is asked to do by itself once the run has ended in order; after any other
     end it holds its place. UAVs on rods that hold by themselves drift against each other: end a
     maneuver where its load may be set down"""
+    landing_s: Annotated[float, Interval(ge=60.0, le=36_000.0)] = 600.0
+    """with `plant.kind` vehicles, time after the maneuver in which the team comes down by itself, and is
+    released by a person: the run ends with `transport release`, and after this time without it"""
     ready_s: Annotated[float, Interval(gt=0.0, le=1e6)] = 180.0
     """time that the vehicles have to be ready, of wall time; the run ends after it, with what is missing"""

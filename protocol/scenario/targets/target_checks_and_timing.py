@@ -24,6 +24,7 @@ from transport.protocol.scenario.sections.path_instants import (
     curve_instants,
     maneuver_instants,
 )
+from transport.protocol.scenario.sections.run_size import maneuver_ticks
 from transport.protocol.scenario.sections.scenario_errors import RequestError
 from transport.protocol.scenario.targets.planned_run import PlannedRun
 
@@ -48,13 +49,16 @@ class Window:
     """Time that is left for a target."""
 
     since_s: float  # instant from which on the path changes
-    last_s: float  # last sampling instant of the run
+    last_s: float  # last sampling instant of the run, or of the maneuver where a landing follows it
+    ends: str = "run"  # what ends then
 
     def check(self, duration_s: float) -> None:
         """Raise RequestError for a motion that does not end within it."""
         ends_s = self.since_s + duration_s
         if ends_s > self.last_s:
-            expected = f"expected a target before the end of the run at t = {self.last_s:.2f} s"
+            expected = (
+                f"expected a target before the end of the {self.ends} at t = {self.last_s:.2f} s"
+            )
             raise RequestError(f"{expected}, got {ends_s:.2f} s")
 
 
@@ -68,6 +72,9 @@ def target_fields(setup: PlannedRun, section: TargetSection, tick: int) -> dict[
     """
     period_s = setup.settings.sampling_period_s
     window = Window(since_s=tick * period_s, last_s=(setup.ticks - 1) * period_s)
+    if not section.land and not setup.scenario.has_plant:
+        last_s = (maneuver_ticks(setup.scenario) - 1) * period_s
+        window = replace(window, last_s=last_s, ends="maneuver")
     if section.land:
         section = _with_landing(setup, section, window.since_s)
     points_I = np.array(section.points_m)

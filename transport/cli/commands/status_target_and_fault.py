@@ -165,6 +165,7 @@ def abort(run: ActiveRunOption, output: FormatOption = Format.text) -> None:
 
     As `transport land` where it is, up to 2 m/s downwards; the run is aborted when it ends. The UAVs
     are on their rods until `transport release`, or the end of the run: no autopilot takes over before.
+    Before the first tick the run ends at once. Outside of simulations time is left for it at any tick.
 
     Exit codes: 0 accepted; 2 refused; 4 no answer.
 
@@ -179,7 +180,7 @@ def release(run: ActiveRunOption, output: FormatOption = Format.text) -> None:
     """End a run whose UAVs have landed and are off their rods.
 
     The run ends, and each autopilot holds its UAV, or lands it with `vehicles.at_end` land. Refused
-    until the team is at rest after `transport land` or `transport abort`.
+    until the team is at rest after `transport land`, `transport abort`, or the end of the maneuver.
 
     Exit codes: 0 accepted; 2 refused; 4 no answer.
 
