@@ -200,6 +200,13 @@ def test_files_in_text_exist(document: Path) -> None:
             assert any((folder / span).is_file() for folder in (ROOT, SHORT)), span
 
 
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_tables_begin_a_paragraph(document: Path) -> None:
+    """An empty line precedes each table; without it the rows are a paragraph of bars."""
+    joined = re.findall(r"^[^|\n<].*\n\|.*\n *\|[-:| ]+\|$", prose(document), re.MULTILINE)
+    assert not joined, joined[0]
+
+
 GUIDE_WORDS, ALL_WORDS = 1500, 60_000
 
 
