@@ -43,6 +43,8 @@ class ComingDown:
         self._battery = battery
         self._period_s = period_s
         self._lands_at = lands_at
+        self._modes: dict[int, tuple[bool, str]] = {}  # by UAV: armed, and mode, at its first word
+        self._newest_modes: dict[int, tuple[bool, str]] = {}
         self._is_warned = False
         self._is_interrupted = False
         self.aborted = ""
@@ -88,7 +90,30 @@ class ComingDown:
         return [*landing, self._roster.report(told, tick)]
 
     def watch(self, status: VehicleStatus, tick: int) -> Sequence[Message]:
-        """Return the messages of a landing from a tick on where the battery of a UAV is low, once."""
+        """Return the messages of a landing from a tick on where the battery of a UAV is low, once.
+
+        And a note where a UAV is no longer armed in the mode in which it began, or is so again.
+        """
+        return [*self._mode_changed(status, tick), *self._landed_by_battery(status, tick)]
+
+    def _mode_changed(self, status: VehicleStatus, tick: int) -> Sequence[Message]:
+        if not status.mode or status.phase != "flying":  # its autopilot is silent, or has it
+            return ()
+        mode = status.armed, status.mode
+        first = self._modes.setdefault(status.uav, mode)
+        before = self._newest_modes.get(status.uav, first)
+        self._newest_modes[status.uav] = mode
+        if mode == before:
+            return ()
+        if mode == first:
+            text = f"back in mode {status.mode}"
+        elif not status.armed:
+            text = "disarmed in flight"
+        else:
+            text = f"mode {status.mode}, not {first[1]}: its setpoints have no effect"
+        return [self._roster.report(f"UAV{status.uav}: {text}", tick)]
+
+    def _landed_by_battery(self, status: VehicleStatus, tick: int) -> Sequence[Message]:
         is_low = 0.0 <= status.battery < self._battery
         if not is_low or self._is_warned or self._changes.landing is not None:
             return ()

@@ -8,7 +8,7 @@ from typing import Any
 
 import tomli_w
 
-from transport.deploy.inventory import DeployError, Host, Inventory
+from transport.deploy.inventory import DeployError, Host, Inventory, check_links
 from transport.deploy.placements import Placement, placements
 from transport.deploy.units import ETC, PROGRAM, TEMPLATES, unit
 from transport.protocol.network.mesh import process_names
@@ -35,6 +35,10 @@ def render(
     if out.exists():
         raise DeployError(f"--out: expected a folder that does not exist yet, got {out}")
 
+    takes_over = setup.scenario.clock.on_coordinator_loss == "continue"
+    if setup.scenario.has_vehicles:
+        check_links(inventory, setup.scenario.vehicles.autopilot)
+
     scheme = "tcp" if keys is None else "tls"
     placed = placements(inventory, process_names(setup.scenario), scheme)
     for host in inventory.host:
@@ -46,7 +50,7 @@ def render(
         network = _network(inventory, own, None if keys is None else etc / "keys")
         text = tomli_w.dumps({**setup.scenario.tree(), "network": network})
         write_whole(folder / "scenario.toml", text)
-        _write_units(inventory, own, folder / "systemd", etc)
+        _write_units(inventory, own, folder / "systemd", etc, takes_over=takes_over)
         _write_install_script(own, folder / "install.sh")
         if keys is not None:
             _copy_keys(host, keys, out)
@@ -73,7 +77,9 @@ def _network(inventory: Inventory, own: Sequence[Placement], keys: Path | None) 
     return network
 
 
-def _write_units(inventory: Inventory, own: Sequence[Placement], folder: Path, etc: Path) -> None:
+def _write_units(
+    inventory: Inventory, own: Sequence[Placement], folder: Path, etc: Path, *, takes_over: bool
+) -> None:
     """Write the units of a host's own processes into a new folder."""
     folder.mkdir()
     running = [placement.process for placement in own]
@@ -84,7 +90,7 @@ def _write_units(inventory: Inventory, own: Sequence[Placement], folder: Path, e
         if placement.process == COORDINATOR:
             after = [other for other in running if other != COORDINATOR]
         file = folder / f"transport-{placement.process}.service"
-        write_whole(file, unit(placement, inventory, after, etc))
+        write_whole(file, unit(placement, inventory, after, etc, takes_over=takes_over))
 
 
 def _write_install_script(own: Sequence[Placement], file: Path) -> None:

@@ -13,6 +13,7 @@ from transport.protocol.scenario.scenario_file import read_tree
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError, validated
 from transport.protocol.wire.errors_and_exit_codes import TransportError
 from transport.protocol.wire.key_expressions import RECORDER, ROUTER
+from transport.protocol.wire.names import VEHICLE, role_of
 
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,40}$")]
 Address = Annotated[str, Field(pattern=r"^[A-Za-z0-9.:_-]{1,253}$")]
@@ -42,6 +43,11 @@ class Host(Section):
     omitted port 14549 plus the number of the UAV, at 127.0.0.1"""
     pose: Annotated[str, Field(pattern=r"^udp(client)?:\S+:\d+$")] | None = None
     """motion capture of its Betaflight, as of `transport vehicle --pose`"""
+    key: Annotated[str, Field(pattern=r"^/\S+$")] | None = None
+    """file on this host with the key of MAVLink signing of its vehicle, as of `transport vehicle --key`;
+    the user `transport` reads it"""
+    stands: bool = False
+    """its vehicle stands until tick 0, as with `transport vehicle --stands`"""
     listen: Address | None = None
     """address to listen on, if it is not `address` (in a container 0.0.0.0)"""
     router: Name | None = None
@@ -81,6 +87,22 @@ class Inventory(Section):
         none, and the router any number, so callers loop over the hosts.
         """
         return [host for host in self.host if process in host.runs]
+
+
+def check_links(inventory: Inventory, autopilot: str) -> None:
+    """Check that the link of each vehicle is one of its autopilot. Raises: DeployError."""
+    is_betaflight = autopilot == "betaflight"
+    for i, host in enumerate(inventory.host, start=1):
+        link = host.autopilot or ""
+        if link.startswith(("serial:", "tcp:")) and not is_betaflight:
+            expected = f"expected udp:HOST:PORT or udpclient:HOST:PORT with {autopilot}"
+            remedy = "mavlink-routerd joins a serial port to one"
+            raise DeployError(f"host.{i}.autopilot: {expected}, got {link!r}; {remedy}")
+        vehicles = [name for name in host.runs if role_of(name) == VEHICLE]
+        if vehicles and is_betaflight and host.pose is None:
+            raise DeployError(
+                f"host.{i}.pose: expected the motion capture of a Betaflight, got none"
+            )
 
 
 def read_inventory(path: Path, processes: Sequence[str]) -> Inventory:

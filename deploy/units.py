@@ -21,14 +21,32 @@ TEMPLATES = importlib.resources.files("transport.deploy") / "templates"
 _RESTARTED = (AGENT, VEHICLE, ROUTER)
 
 
-def unit(placement: Placement, inventory: Inventory, after: Sequence[str], etc: Path = ETC) -> str:
+def unit(
+    placement: Placement,
+    inventory: Inventory,
+    after: Sequence[str],
+    etc: Path = ETC,
+    *,
+    takes_over: bool = False,
+) -> str:
     """Return the systemd unit of a process.
 
     The process starts after the processes `after` of its host, and is stopped before them. `etc`
-    is the folder of its scenario.
+    is the folder of its scenario. With `takes_over` a coordinator that crashed is started again.
     """
     host = placement.host
     name = placement.process
+    role = role_of(name)
+    flies = any(role_of(one) == VEHICLE for each in inventory.host for one in each.runs)
+    is_restarted = role in _RESTARTED or (role == COORDINATOR and takes_over)
+    # A coordinator whose run has ended starts no other one by itself.
+    ends = "2 3 4 5 6 7 130" if role == COORDINATOR else "2 3 5 6 7 130"
+    # It lands the team first, and waits for its release.
+    stops_s = "infinity" if role == COORDINATOR and flies else "10"
+    devices = ["PrivateDevices=yes"]
+    if role == VEHICLE and (host.autopilot or "").startswith("serial:"):
+        device = (host.autopilot or "").removeprefix("serial:")
+        devices = [f"DeviceAllow={device} rw", "SupplementaryGroups=dialout"]
     scheduling = []
     if name in host.cpus:
         scheduling.append(f"CPUAffinity={' '.join(map(str, host.cpus[name]))}")
@@ -44,7 +62,10 @@ def unit(placement: Placement, inventory: Inventory, after: Sequence[str], etc: 
         after=" ".join(["network-online.target", *others]),
         environment="\n".join(environment),
         command=shlex.join(command(placement, inventory, etc=etc)),
-        restart="on-failure" if role_of(name) in _RESTARTED else "no",
+        restart="on-failure" if is_restarted else "no",
+        ends=ends,
+        stops_s=stops_s,
+        devices="\n".join(devices),
         scheduling="\n".join(scheduling),
     )
 
@@ -65,6 +86,8 @@ def command(
         usual = f"udp:127.0.0.1:{DEFAULT_VEHICLE_PORT + int(uav) - 1}"
         role = [VEHICLE, "--uav", uav, "--link", placement.host.autopilot or usual]
         role += ["--pose", placement.host.pose] if placement.host.pose else []
+        role += ["--key", placement.host.key] if placement.host.key else []
+        role += ["--stands"] if placement.host.stands else []
     if name == RECORDER:
         role = ["record", "--no-figures"]
     line = [str(program), *role, "--scenario", str(etc / "scenario.toml")]

@@ -78,6 +78,9 @@ class Autopilot(Protocol):
     def state(self) -> AutopilotState | None:
         """Return what it has told; None before its first sign of life, and after 2 s without."""
 
+    def silence(self) -> str:
+        """Return in words that it has not been heard, and what has been heard in its place."""
+
     def attend(self, now_ns: int) -> None:
         """Send what is due besides setpoints; to be called at least ten times a second."""
 

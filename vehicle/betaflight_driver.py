@@ -125,6 +125,10 @@ class BetaflightAutopilot:
                     with self._lock:
                         self._odometry = message, time.monotonic_ns()
 
+    def silence(self) -> str:
+        """Return in words that it has not been heard."""
+        return "no sign of life from the autopilot"
+
     def state(self) -> AutopilotState | None:
         """Return what firmware and motion capture have told."""
         with self._lock:

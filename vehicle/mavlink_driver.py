@@ -110,6 +110,17 @@ class MavlinkAutopilot:
                     message.altitude / 1e3,
                 )
 
+    def silence(self) -> str:
+        """Return in words that it has not been heard, and which other systems have been."""
+        text = "no sign of life from the autopilot"
+        if not self._link.others:
+            return text
+        expected = f"expected system {self._settings.system}, the number of the UAV"
+        heard = ", ".join(map(str, sorted(self._link.others)))
+        return (
+            f"{text}: {expected}, heard {heard} (MAV_SYSID, before SYSID_THISMAV; PX4 MAV_SYS_ID)"
+        )
+
     def state(self) -> AutopilotState | None:
         """Return what it has told."""
         with self._lock:

@@ -247,7 +247,7 @@ class VehicleNode(Participant):
     def _lacks(self, told: AutopilotState | None) -> str:
         """Return why the UAV may not fly, empty if it may."""
         if told is None:
-            return "no sign of life from the autopilot"
+            return self._autopilot.silence()
         unmet = [str(finding) for finding in self._autopilot.findings() if not finding.is_met]
         if unmet:
             return "; ".join(unmet)
@@ -320,6 +320,9 @@ class VehicleNode(Participant):
     ) -> list[Message]:
         """Return the measurement of a tick, if the autopilot has a valid one, and the status."""
         sensed, age_s = self._sensed(told, ticking.due_ns(tick))
+        if told is not None and not self._problem and not (told.armed and told.takes_setpoints):
+            by = "disarmed" if not told.armed else f"mode {told.mode}"
+            self._problem = f"its setpoints have no effect: {by}"
         self._own_inputs = None
         out: list[Message] = []
         if sensed is not None:

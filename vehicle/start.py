@@ -102,7 +102,7 @@ def check_autopilot(driver: Autopilot, say: Callable[[str], object]) -> int:
 
     told = driver.state()
     if told is None:
-        say("failed   no sign of life from the autopilot")
+        say(f"failed   {driver.silence()}")
         return EXIT_CHECK_FAILED
     rows = [(finding.is_met, str(finding)) for finding in driver.findings()]
     is_valid = told.sensed is not None and told.is_healthy

@@ -55,7 +55,8 @@ class Endpoint:
         host, _, port = address.rpartition(":")
         if kind not in ("udp", "udpclient") or not host or not port.isdecimal():
             expected = "udp:HOST:PORT to listen there, or udpclient:HOST:PORT"
-            raise LinkError(f"{option}: expected {expected}, got {text!r}")
+            remedy = "; mavlink-routerd joins a serial port to one" if kind == "serial" else ""
+            raise LinkError(f"{option}: expected {expected}, got {text!r}{remedy}")
         return Endpoint(kind == "udpclient", host, int(port))
 
 
@@ -119,6 +120,7 @@ class MavlinkLink:
 
     Attributes:
         refused: Number of packets that did not count.
+        others: Systems whose packets did not count, as they are not the other end.
     """
 
     def __init__(
@@ -130,6 +132,7 @@ class MavlinkLink:
         self._peer: Any = None
         self._heard_s = 0.0  # of the peer
         self.refused = 0
+        self.others: set[int] = set()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             if endpoint.is_client:
@@ -188,6 +191,7 @@ class MavlinkLink:
         """Return the message in a packet, None if it does not count."""
         is_signed = bool(packet[2] & _SIGNED)
         if self._other not in (0, packet[5]):
+            self.others.add(packet[5])
             return None
         now_s = time.monotonic()
         is_stranger = self._peer not in (None, address) and now_s < self._heard_s + _FORGETS_S

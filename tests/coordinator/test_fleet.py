@@ -71,6 +71,8 @@ def status(
     roster: int = 0,
     battery: float = 0.9,
     told: Sequence[Target] = (),
+    mode: str = "GUIDED",
+    armed: bool = True,
 ) -> VehicleStatus:
     """A vehicle's word, which arrives at `heard_ns` + 2 `way_ms`, of a clock that is off."""
     off_ns = round(off_ms * MS)
@@ -83,8 +85,8 @@ def status(
         uav=uav,
         phase=phase,
         problem="battery" if phase == "checking" else "",
-        armed=True,
-        mode="GUIDED",
+        armed=armed,
+        mode=mode,
         battery=battery,
         healthy=True,
         position=places(run)[uav - 1] + [moved_m, 0.0, 0.0],
@@ -303,6 +305,22 @@ def test_a_low_battery_lands_the_team_once(low_run: Setup) -> None:
     reasons = [roster.reason for roster in said if isinstance(roster, Roster)]
     assert "battery of UAV2 at 10%: the team lands" in reasons
     assert not node.receive(status(low_run, 3, phase="flying", battery=0.1), at_ns)
+
+
+def test_a_pilot_who_takes_over_is_told(low_run: Setup) -> None:
+    """A UAV that leaves the mode of setpoints or is disarmed is named once, and when it is back."""
+    node = flying(low_run)
+    told: list[str] = []
+    changes: list[dict[str, Any]] = [{}, {"mode": "STABILIZE"}, {"mode": "STABILIZE"}, {}]
+    for change in [*changes, {"armed": False}]:
+        word = status(low_run, 3, phase="flying", **change)
+        said = node.receive(word, NOW_NS + 1200 * MS)
+        told += [message.reason for message in said if isinstance(message, Roster)]
+    assert told == [
+        "UAV3: mode STABILIZE, not GUIDED: its setpoints have no effect",
+        "UAV3: back in mode GUIDED",
+        "UAV3: disarmed in flight",
+    ]
 
 
 def test_without_any_agent_the_vehicles_can_be_landed(low_run: Setup) -> None:

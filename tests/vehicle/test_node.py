@@ -76,6 +76,10 @@ class Recording:
         at_s = heard / S  # its clock runs as that of the run, from another zero
         return replace(self.told, position_ns=heard, attitude_ns=heard, position_s=at_s)
 
+    def silence(self) -> str:
+        """What is told while it is silent."""
+        return "no sign of life from the autopilot"
+
     def attend(self, now_ns: int) -> None:
         """Note the time."""
         self.now_ns = now_ns
@@ -279,6 +283,28 @@ def test_a_silent_autopilot_gets_no_setpoint() -> None:
     run.until(1.7)
     assert (run.autopilot.commands[-1][0] - START_NS) / S > 1.65
     assert run.measured()[-1].tick == 34
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"takes_setpoints": False, "mode": "STABILIZE"}, "no effect: mode STABILIZE"),
+        ({"armed": False}, "no effect: disarmed"),
+    ],
+)
+def test_a_pilot_who_takes_over_is_told(change: dict[str, Any], problem: str) -> None:
+    """Another mode or a disarmed autopilot in flight is a problem of the status until it is over."""
+    run = Flight()
+    run.begin()
+    run.until(0.5)
+    assert run.autopilot.told is not None
+    before = run.autopilot.told
+    run.autopilot.told = replace(before, **change)
+    run.until(1.0)
+    assert problem in run.statuses()[-1].problem
+    run.autopilot.told = before
+    run.until(1.2)
+    assert run.statuses()[-1].problem == ""
 
 
 def test_a_jump_of_the_estimate_is_taken_out() -> None:

@@ -63,6 +63,9 @@ _NEEDS = (
     Need("clock.mode", "realtime", "controller.negotiation_iterations", 1),
     Need("clock.mode", "realtime", "plant.inner_loop", "model"),
     Need("clock.mode", "realtime", "clock.offsets_s", None),
+    # Outside an end of the run leaves each UAV to its autopilot, on its rod.
+    Need("plant.kind", "vehicles", "clock.on_agent_loss", "continue"),
+    Need("plant.kind", "vehicles", "clock.on_coordinator_loss", "continue"),
     Need("plant.inner_loop", "betaflight", "plant.autopilot", None),
     Need("plant.engine", "rods", "plant.ground_m", None),
     Need("plant.engine", "rods", "plant.mujoco", MujocoSection()),

@@ -15,6 +15,7 @@ from transport.protocol.wire.key_expressions import ROUTER
 def keys(
     out: Path = Option(..., metavar="FOLDER", help="Folder of the keys; existing keys are kept."),
     scenario: ScenarioOption = "paper",
+    settings: SetOption = None,
     hosts: Path | None = Option(
         None, metavar="FILE", help="Inventory of hosts (docs/deploy.md); default: this host."
     ),
@@ -29,7 +30,7 @@ def keys(
     """
     from transport.deploy.certificates import LOOPBACK, OTHERS, make_certificates
 
-    processes = process_names(read_setup(scenario, allow_large=True).scenario)
+    processes = process_names(read_setup(scenario, settings, allow_large=True).scenario)
     names = [*processes, *OTHERS]
     addresses = {name: list(LOOPBACK) for name in names}
 
