@@ -51,8 +51,8 @@ _TOLD: Mapping[str, str] = {
     "perfect": "perfect network, n = 1",
     "200 ms, 30 % loss": "200 ms, 30 % loss, n = 10",
     "90 % loss": "90 % loss, n = 10",
-    "5 s, own sensors": "5 s of silence, n = 10",
-    "5 s, own sensors, gusts": "and gusts of 1 m/s, n = 10",
+    "5 s, own sensors": "5 s, own sensors, n = 10",
+    "5 s, own sensors, gusts": "5 s, own sensors, gusts, n = 10",
 }
 _WORDS: Mapping[str, str] = {
     "eager": "followed at once (`eager`)",
@@ -67,16 +67,17 @@ def known(rows: Sequence[Row]) -> str:
     lines = []
     for rule in (rule for rule in RULES if rule != ALL):
         places = ({"scenario": TEAM, "rule": rule, "network": network} for network in _TOLD)
-        cells = [_cell(rows, "away_rms_m", **place) or "as without" for place in places]
+        unchanged = "as `confirmed`" if rule.startswith("confirmed") else "as `eager`"
+        cells = [_cell(rows, "away_rms_m", **place) or unchanged for place in places]
         lines.append([_WORDS[rule], *cells])
-    return table(["away from the run in which all are told, cm rms", *_TOLD.values()], lines)
+    return table(
+        ["payload away from the run in which all are told, cm rms", *_TOLD.values()], lines
+    )
 
 
 # Cases of the table on drag, with their texts.
 _DRAG: Mapping[str, str] = {
     "200 ms delay, 30 % loss": "known",
-    "half the known drag, estimated, late": "half of the known, estimated",
-    "1.5 times the known drag, estimated, late": "1.5 times the known, estimated",
     "unknown drag, estimated, late": "not known, estimated",
     "1.5 times the known drag, late": "1.5 times the known, not estimated",
     "unknown drag, late": "not known, not estimated",
