@@ -62,8 +62,8 @@ def run_node(
 ) -> int:
     """Join the run with the expected processes, drive the node until it is finished, leave.
 
-    `on_interrupt` returns the node's last messages when a signal ends it; where there are some, but
-    no end, the node goes on. Processes to `linger_for` leave before this one.
+    `on_interrupt` returns what the node sends when a signal interrupts it; with messages, but without
+    an end, it goes on. Processes to `linger_for` leave before this one.
 
     Returns: The exit code.
     """
@@ -80,18 +80,19 @@ def run_node(
         _log_opening(journal, place)
         exchange = exchange_of(rules.shape, node.name, place.incarnation, keys, bus.put)
         interruption = _join(node, bus, exchange, expected, journal)
-        goes_on = True
-        while goes_on:
+        while True:
             if interruption is None:
                 interruption = _drive(node, bus, exchange, rules.faults)
-            goes_on = False
-            if interruption is not None and node.finished is None:
-                journal.log("interrupted", reason=interruption.reason)
-                told = on_interrupt(interruption.reason)
-                for message in told:
-                    exchange.send(message)
-                goes_on = bool(told) and node.finished is None
-                interruption = None if goes_on else interruption
+            if interruption is None or node.finished is not None:
+                break
+
+            journal.log("interrupted", reason=interruption.reason)
+            told = on_interrupt(interruption.reason)
+            for message in told:
+                exchange.send(message)
+            if not told or node.finished is not None:
+                break
+            interruption = None  # the signal has begun an abort, and the node goes on to its end
         exchange.flush()
         for notice in gate.notices(bus.incarnation):
             exchange.send(notice)

@@ -168,14 +168,30 @@ def test_a_signal_ends_a_process_with_its_last_messages(
 
     reasons: list[str] = []
     last = end_of_run(EXIT_INTERRUPTED)
+    node = StubNode()
 
     def on_interrupt(reason: str) -> Sequence[Message]:
         reasons.append(reason)
+        node.finished = last
         return [last]
 
-    assert run(StubNode(), on_interrupt=on_interrupt) == EXIT_INTERRUPTED
+    assert run(node, on_interrupt=on_interrupt) == EXIT_INTERRUPTED
     assert reasons == [f"interrupted ({number.name})"]
     assert bus.sent == [last]
+
+
+def test_a_signal_may_begin_an_abort(bus: StubBus) -> None:
+    """A node that answers a signal with messages, but without an end, goes on to its end."""
+    end = end_of_run(EXIT_DIVERGED)
+    told = end_of_run(EXIT_INTERRUPTED)  # any message
+
+    def interrupt() -> None:
+        bus.while_waiting = lambda: bus.inbox.put(end)
+        signal.raise_signal(signal.SIGTERM)
+
+    bus.while_waiting = interrupt
+    assert run(StubNode(), on_interrupt=lambda _: [told]) == EXIT_DIVERGED
+    assert bus.sent == [told]
 
 
 def test_a_process_whose_signal_ends_the_run_leaves_in_order(bus: StubBus) -> None:

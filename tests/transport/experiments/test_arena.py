@@ -249,7 +249,7 @@ def test_an_entry_may_set_the_keys_of_an_algorithm_only(monkeypatch: pytest.Monk
     ("options", "expected"),
     [
         (("--task", "manoeuvre"), "--task: expected one of maneuver, eight, "),
-        (("--network", "none"), "--network: expected one of perfect, late, bursts, radio, got"),
+        (("--network", "no"), "--network: expected one of perfect, late, bursts, radio, none, got"),
         (("--algorithm", "mine"), "--algorithm: expected one of centralized, "),
         (("--controller", "none:Mine"), "--controller none:Mine: its import from "),
         (("--dask", "nowhere"), "--dask: expected an address"),
