@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass, replace
 
-from transport.analysis.series import Series, led_as_logged, series_of
+from transport.analysis.series import Series, series_of
+from transport.analysis.targets_in_log import led_as_logged
 from transport.log.run_log import Recorded, RunLog
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Plan, Roster, StepReport, Tick

@@ -1,30 +1,22 @@
 """Time series of a run, the basis of every metric and figure."""
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from msgspec.structs import replace
 
 from transport.analysis.distances_and_violations import clearances_of, separation_of, violations_of
+from transport.analysis.targets_in_log import led_as_logged
 from transport.log.run_log import RunLog
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.physics.rotations import rotation
-from transport.protocol.admission.known_targets import KnownTargets
-from transport.protocol.admission.targets_in_plans import (
-    Place,
-    carried_by,
-    is_of_sight,
-    place_of,
-)
 from transport.protocol.scenario.faults.scripted_faults import failures
 from transport.protocol.scenario.setup.collisions import Contact
 from transport.protocol.scenario.setup.cost_of_run import StageCost
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.messages import Plan, PlantState, Target
+from transport.protocol.wire.messages import PlantState
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,29 +102,6 @@ class Series:
     def attitude_max_deg(self) -> Array:
         """Largest magnitude of the payload's roll, pitch and yaw, (T,), deg."""
         return np.asarray(np.abs(self.attitude_deg).max(axis=1, initial=0.0))
-
-
-def led_as_logged(setup: Setup, log: RunLog) -> Setup:
-    """Return a run with the targets in its log: those told, and those that agents made of what they saw.
-
-    Those of agents are followed from their own ticks on, as if all had heard of them at once.
-    """
-    if any(target.brakes for target in setup.maneuver.targets):
-        return setup  # it has them
-    of_sight: dict[Place, Target] = {}
-    for plan in log.of(Plan):
-        for target in carried_by(plan):
-            place = place_of(target)
-            before = of_sight.get(place)
-            if is_of_sight(target) and (before is None or (target.begins and not before.begins)):
-                of_sight[place] = target
-    if not of_sight:
-        return setup.after(log.of(Target))
-
-    known = KnownTargets(setup.run)
-    for target in (*log.of(Target), *of_sight.values()):
-        known.add(replace(target, informed=(), got=()))
-    return dataclasses.replace(setup, run=known.setup)
 
 
 def series_of(setup: Setup, log: RunLog) -> Series:

@@ -54,7 +54,7 @@ class Child:
     log: Path
     incarnation: int = 0
     is_noted: bool = False
-    _cpu_s: float = 0.0  # its processor time at the last question whether it is starting
+    _cpu_s: float = 0.0  # its processor time at the last call of `is_starting`
 
     @property
     def code(self) -> int | None:
@@ -72,7 +72,8 @@ class Child:
     def is_starting(self, longest_s: float) -> bool:
         """Return whether the process works on its start, however slowly on a busy machine.
 
-        It has had processor time since the last question, and at most `longest_s` in all.
+        It has had processor time since the last call, and at most `longest_s` in all. Each call keeps the
+        time for the next one: two callers would take each other's progress.
         """
         before_s = self._cpu_s
         try:
@@ -224,45 +225,64 @@ class Harness:
         ending = ".log" if incarnation == 0 else f"-{incarnation}.log"
         wanted = [
             ToStart(
-                name, self._arguments(name, incarnation), self.logs / f"{name}{ending}", incarnation
+                name,
+                arguments_of(self, name, incarnation),
+                self.logs / f"{name}{ending}",
+                incarnation,
             )
             for name in names
         ]
         self.children += start_children(wanted)
 
-    def _arguments(self, name: str, incarnation: int) -> list[str]:
-        """Return the arguments of `transport` that make a process of the mesh."""
-        arguments = [name]
-        role = role_of(name)
-        if role == AGENT:
-            arguments = [AGENT, "--id", name.removeprefix(AGENT)]
-        if role == VEHICLE:
-            uav = int(name.removeprefix(VEHICLE))
-            place = f"127.0.0.1:{self.vehicle_port + uav - 1}"
-            arguments = [VEHICLE, "--uav", str(uav), "--link", f"udp:{place}"]
-            if self.autopilot == "betaflight":
-                links = ["--link", f"tcp:{place}", "--pose", f"udp:{place}"]
-                arguments = [VEHICLE, "--uav", str(uav), "--autopilot", self.autopilot, *links]
-            if self.stands:
-                arguments.append("--stands")
-        arguments.append("--allow-large")  # the parent has checked the scenario's size
 
-        options = [
-            ("--scenario", str(self.scenario)),
-            ("--run", self.run),
-            ("--incarnation", str(incarnation)),
-        ]
-        if role in (PLANT, VEHICLE) and self.vehicle_port:
-            options.append(("--set", f"network.vehicle_port={self.vehicle_port}"))
-        if self.keys is not None:
-            options.append(("--set", keys_setting(self.keys)))
+def arguments_of(harness: Harness, name: str, incarnation: int) -> list[str]:
+    """Return the arguments of `transport` that start a process of a run: its command, then options.
+
+    They follow from the name of the process, which has its role and number, and from the harness.
+    """
+    role = role_of(name)
+    if role == AGENT:
+        command = [AGENT, "--id", name.removeprefix(AGENT)]
+    elif role == VEHICLE:
+        command = _vehicle_command(harness, int(name.removeprefix(VEHICLE)))
+    elif role == COORDINATOR:
+        command = [COORDINATOR, "--observer", RECORDER]  # no tick before the recorder is there
+    else:
+        command = [name]
+
+    settings = []
+    if role in (PLANT, VEHICLE) and harness.vehicle_port:
+        settings.append(f"network.vehicle_port={harness.vehicle_port}")
+    if harness.keys is not None:
+        settings.append(keys_setting(harness.keys))
+
+    options = [
+        ("--scenario", str(harness.scenario)),
+        ("--run", harness.run),
+        ("--incarnation", str(incarnation)),
+        *(("--set", setting) for setting in settings),
         # The recorder gives up processes that do not join: it knows which are on their way.
-        options.append(("--join-timeout", str(LONGEST_WAIT_S)))
-        options += [("--listen", endpoint) for endpoint in self.mesh[name].listen]
-        options += [("--connect", endpoint) for endpoint in self.mesh[name].connect]
-        if name == COORDINATOR:
-            options.append(("--observer", RECORDER))
-        return [*arguments, *(text for option in options for text in option)]
+        ("--join-timeout", str(LONGEST_WAIT_S)),
+        *(("--listen", endpoint) for endpoint in harness.mesh[name].listen),
+        *(("--connect", endpoint) for endpoint in harness.mesh[name].connect),
+    ]
+    # The parent has checked the scenario's size.
+    return [*command, "--allow-large", *(text for option in options for text in option)]
+
+
+def _vehicle_command(harness: Harness, uav: int) -> list[str]:
+    """Return the command of the process of a UAV, 1-based, with the links to its autopilot.
+
+    UAVs have successive ports. MAVLink has one link, over UDP. Betaflight has its MSP over TCP and takes
+    poses over UDP: one number serves for both, as ports of TCP and UDP are not the same ports.
+    """
+    place = f"127.0.0.1:{harness.vehicle_port + uav - 1}"
+    links = ["--link", f"udp:{place}"]
+    if harness.autopilot == "betaflight":
+        links = ["--autopilot", harness.autopilot]
+        links += ["--link", f"tcp:{place}", "--pose", f"udp:{place}"]
+    stands = ["--stands"] if harness.stands else []
+    return [VEHICLE, "--uav", str(uav), *links, *stands]
 
 
 def keys_setting(folder: Path | str) -> str:
