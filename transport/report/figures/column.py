@@ -143,7 +143,7 @@ def label_ends(panel: Axes) -> None:
     span = high - low
     step = 10.0 ** np.ceil(np.log10(span))
     for part in (1.0, 0.5, 0.2, 0.1, 0.05, 0.02):
-        first = np.ceil(low / (part * step) - _ROUNDING) * part * step
+        first = np.ceil(low / (part * step) - _ROUNDING) * part * step + 0.0  # 0 in place of -0
         last = np.floor((high - _BELOW_TOP * span) / (part * step)) * part * step
         if last - first >= _TICKS_APART * span:
             panel.set_yticks([first, last], [f"{first:g}", f"{last:g}"])
