@@ -19,8 +19,9 @@ def rest_of_tick_ms(setup: Setup, log: RunLog) -> dict[int, float]:
     """Return the time of each tick without its slowest agent's step, by tick, ms.
 
     It runs from the recorder's receiving tick k to its receiving tick k + 1, minus the slowest step
-    of tick k, at least 0: message transport, coding, the work of plant and coordinator, and waiting
-    for a processor. Empty for a paced run (speed > 0), whose ticks wait for the clock.
+    of tick k: message transport, coding, the work of plant and coordinator, and waiting for a
+    processor. 0 where the recorder received the ticks closer together than the step was long: it may read
+    a queue. Empty for a paced run (speed > 0), whose ticks wait for the clock.
     """
     if setup.scenario.clock.speed > 0.0:
         return {}
@@ -44,8 +45,10 @@ def rest_of_tick_ms(setup: Setup, log: RunLog) -> dict[int, float]:
 def deadline(setup: Setup, log: RunLog) -> dict[str, Any]:
     """Return how many plans missed their deadline, and how late ticks opened.
 
-    With `clock.on_overrun` hold, `plans` and `missed` are ticks: those that waited for a plan. There
-    are none in lockstep. `worst_ms` is None in lockstep, and where a missed plan never came.
+    There are none in lockstep. A plan of tick k is due when tick k + 1 opens, so the last recorded tick
+    has none due. With `clock.on_overrun` hold, ticks wait for all plans: `plans` and `missed` then are
+    numbers of ticks, and a tick has missed its deadline that opened late because of a plan. `worst_ms`
+    is None in lockstep, and where a plan was missed but none of those missed was received.
     """
     if setup.scenario.clock.mode != "realtime":
         return {
@@ -57,11 +60,8 @@ def deadline(setup: Setup, log: RunLog) -> dict[str, Any]:
         }
 
     ticks = {tick.tick: tick for tick in log.of(messages.Tick)}
-    followed = [number for number in sorted(ticks) if number + 1 in ticks]
-    pairs = [(ticks[number], ticks[number + 1]) for number in followed]
+    pairs = [(ticks[k], ticks[k + 1]) for k in sorted(ticks) if k + 1 in ticks]
     if setup.scenario.clock.on_overrun == "hold":
-        # No plan is missing when a tick opens: a deadline is missed by the tick that waited for a
-        # late plan.
         due = len(pairs)
         missed = sum(after.overrun_ns > 0 for _, after in pairs)
     else:
@@ -70,7 +70,7 @@ def deadline(setup: Setup, log: RunLog) -> dict[str, Any]:
 
     worst_ms = max((tick.overrun_ns / _NS_PER_MS for tick in ticks.values()), default=None)
     if missed > 0 and worst_ms == 0.0:
-        worst_ms = None  # the delay of a plan that never came is unknown, not 0
+        worst_ms = None  # by how much is unknown, not 0
     return {
         "plans": due,
         "missed": missed,
@@ -109,7 +109,9 @@ def plans_between_agents(
     sent = _sent(shared, _usable_ticks(setup, log, reports))
     delivered = sum(report.delivered for report in reports)
     lost = sum(report.lost for report in reports)
-    in_transit = sent - delivered - lost - replaced
+    # A restarted receiver counts plans again that its predecessor had counted: then more can be reported
+    # than were sent, and nothing is known to be in transit.
+    in_transit = max(0, sent - delivered - lost - replaced)
 
     return {
         "planned": len(plans),
@@ -117,7 +119,7 @@ def plans_between_agents(
         "sent": sent,
         "delivered": delivered,
         "lost": lost,
-        "in_transit": max(0, in_transit),  # a restarted receiver may report more
+        "in_transit": in_transit,
         "late": sum(report.late for report in reports),
         "rejected": sum(notice.count for notice in log.of(messages.Rejected)),
     }

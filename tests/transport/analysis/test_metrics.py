@@ -15,7 +15,11 @@ from tests.support.log_messages import (
 )
 from tests.support.logs import log_of
 from transport.analysis.analysed_run import AnalysedRun
-from transport.analysis.communication_metrics import rest_of_tick_ms
+from transport.analysis.communication_metrics import (
+    deadline,
+    plans_between_agents,
+    rest_of_tick_ms,
+)
 from transport.analysis.series import series_of
 from transport.analysis.steps import steps_columns, steps_rows
 from transport.analysis.summary_assembly import summarise
@@ -297,6 +301,56 @@ def test_slack_cables_are_counted() -> None:
     assert summarise(AnalysedRun.of(run, log_of([on_reference(run, 0)])))["cables"] is None
 
 
+def test_deadlines_of_plans_by_hand() -> None:
+    """Without `hold`, every member of a tick owes a plan until the next tick opens.
+
+    Four members at ticks 0 and 1, two at 2 (tick 3 is the last recorded one, whose plans are not due), of
+    which agent 3 misses ticks 0 and 1 and agent 4 misses 1: 3 of 10. Ticks opened 0, 2, 4, 8 ms late.
+    """
+    run = runs.setup(HOVER, *REALTIME)
+    ticks = [
+        runs.tick(0),
+        replace(runs.tick(1, answered=(1, 2, 4)), late_ns=2_000_000),
+        replace(
+            runs.tick(2, answered=(1, 2), members=(1, 2)), late_ns=4_000_000, overrun_ns=7_500_000
+        ),
+        replace(runs.tick(3, answered=(1, 2), members=(1, 2)), late_ns=8_000_000),
+    ]
+    found = deadline(run, log_of(ticks))
+    assert [found[name] for name in ("plans", "missed", "worst_ms")] == [10, 3, 7.5]
+    assert found["share"] == pytest.approx(0.3)
+    late_ms = found["tick_late_ms"]
+    assert (late_ms["p50"], late_ms["max"]) == (3.0, 8.0)
+
+    never_came = [replace(tick, overrun_ns=0) for tick in ticks]
+    assert deadline(run, log_of(never_came))["worst_ms"] is None
+    assert deadline(run, log_of(ticks[:1]))["share"] is None  # none was due
+    with_gap = [tick for tick in ticks if tick.tick != 1]
+    assert deadline(run, log_of(with_gap))["plans"] == 2  # those of tick 2
+
+
+def test_plans_count_from_the_start_of_an_agent_in_real_time() -> None:
+    """Two agents share a plan at ticks 0 to 3. Agent 2 joins at tick 2 and takes steps 2 and 3.
+
+    It can use the plans of agent 1 from ticks 2 and 3; agent 1, with steps 0, 1 and 3, those of agent 2 from
+    all ticks: it skips step 2, but not its plans. A restarted agent counts twice: in transit is at least 0.
+    """
+    run = runs.setup(HOVER, *REALTIME)
+    steps = [report(run, 1, k, delivered=0) for k in (0, 1, 3)]
+    steps += [report(run, 2, k, delivered=1) for k in (2, 3)]
+    messages: list[Message] = [
+        runs.roster({1: runs.INCARNATION}),
+        runs.roster({1: runs.INCARNATION, 2: runs.INCARNATION}, k=2, version=2),
+        *(runs.plan(run, agent, k) for agent in (1, 2) for k in range(4)),
+    ]
+    found = plans_between_agents(run, log_of(messages), steps, replaced=0)
+    # Agent 2 receives 2, agent 1 receives 4.
+    assert [found[name] for name in ("planned", "sent", "delivered", "in_transit")] == [8, 6, 2, 4]
+
+    twice = [report(run, 2, k, delivered=9) for k in (2, 3)]
+    assert plans_between_agents(run, log_of(messages), twice, replaced=0)["in_transit"] == 0
+
+
 def test_held_ticks_are_missed_deadlines() -> None:
     """With `hold` every plan has arrived when a tick opens.
 
@@ -307,9 +361,9 @@ def test_held_ticks_are_missed_deadlines() -> None:
     messages = [
         replace(runs.tick(k), overrun_ns=overrun_ns) for k, overrun_ns in enumerate(late_ns)
     ]
-    deadline = summarise(AnalysedRun.of(run, log_of(messages)))["deadline"]
-    assert [deadline[name] for name in ("plans", "missed", "worst_ms")] == [3, 1, 2900.0]
-    assert deadline["share"] == pytest.approx(1 / 3)
+    found = summarise(AnalysedRun.of(run, log_of(messages)))["deadline"]
+    assert [found[name] for name in ("plans", "missed", "worst_ms")] == [3, 1, 2900.0]
+    assert found["share"] == pytest.approx(1 / 3)
 
 
 def test_times_by_hand() -> None:
