@@ -5,13 +5,16 @@ import os
 import signal
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 from typer.testing import CliRunner
 
 from tests.support import runs
 from tests.support.commands import PATIENCE_S, is_flying, settings, start, transport, wait_for
+from tests.support.log_messages import report
 from transport.cli.commands.top import Watch
 from transport.cli.main import app
 from transport.log.run_log import read_log
@@ -59,6 +62,47 @@ def test_faults_are_shown() -> None:
         )
     assert watch.rejections == {"agent1": 3, "plant": 3}
     assert watch.content()["agents"][0]["rejected"] == 3
+
+
+def test_counts_of_an_agent_follow_from_its_reports() -> None:
+    """Step times are the newest and the longest of the last 100; losses, late plans and failures add up."""
+    watch = watched()
+    times_ms = [9.0, *[2.0] * 98, 5.0]
+    fields: list[dict[str, Any]] = [{} for _ in times_ms]
+    fields[3] = {"lost": 2, "late": 1}
+    fields[7] = {"lost": 1, "fallback": True, "status": "limit"}
+    fields[9] = {"status": "limit"}
+    for k, (total_ms, others) in enumerate(zip(times_ms, fields, strict=True)):
+        watch.take(report(watch.setup, 2, k, times_ms=np.array([*[50.0] * 7, total_ms]), **others))
+    before = {"agent": 1, "uavs": [1], "state": "-", "plan_ages": None, "worst_ms": None}
+    assert before.items() <= watch.content()["agents"][0].items()
+    content = watch.content()["agents"][1]
+    times = {"tick": 99, "step_ms": 5.0, "worst_ms": 9.0, "plan_ages": [1, 1, 1]}
+    assert times.items() <= content.items()
+    assert {
+        "lost": 3,
+        "late": 1,
+        "fallbacks": 1,
+        "failures": 2,
+        "missed": 0,
+    }.items() <= content.items()
+
+    watch.take(report(watch.setup, 2, 100, times_ms=np.array([*[50.0] * 7, 1.0])))
+    content = watch.content()["agents"][1]
+    assert (content["step_ms"], content["worst_ms"]) == (1.0, 5.0)  # the first of 101 is left out
+
+
+def test_missed_deadlines_count_in_real_time_between_successive_ticks() -> None:
+    """An agent misses a tick if it had no plan when the next one opened.
+
+    Across a gap in the ticks it is unknown; in lockstep the clock waits instead.
+    """
+    realtime = "clock.mode=realtime", "clock.speed=1", "clock.actuation=next_tick"
+    for settings_, expected in ((realtime, [0, 2, 1, 0]), ((), [0, 0, 0, 0])):
+        watch = watched(*settings_)
+        for k, answered in ((0, ()), (1, (1, 3, 4)), (2, (1, 4)), (5, (1,)), (6, runs.ALL)):
+            watch.take(runs.tick(k, answered))
+        assert [row["missed"] for row in watch.content()["agents"]] == expected
 
 
 def test_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

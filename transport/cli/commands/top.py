@@ -3,6 +3,8 @@
 import os
 import time
 from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ from transport.protocol.scenario.setup.cost_of_run import StageCost
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE
 from transport.protocol.wire.messages import (
+    STAGES,
     Control,
     Message,
     PlantState,
@@ -38,6 +41,7 @@ from transport.protocol.wire.messages import (
 # Number of steps for the longest step time, and of kept notices.
 _RECENT = 100
 _NOTICES = 5
+_TOTAL = STAGES.index("total")  # time of a step in a report
 # An agent is silent after this many ticks without a report.
 _BEHIND = 5
 # Counts of an agent that the table only has if they are not zero.
@@ -48,20 +52,56 @@ _NICE = 10  # the processes of the run have the processors first
 _ADVICE = "name its folder with --run"
 
 
+@dataclass(slots=True, kw_only=True)
+class AgentRow:
+    """What the messages have told of an agent: its row as JSON and in the table, in this order."""
+
+    agent: int
+    uavs: list[int]  # 1-based
+    state: str = "-"
+    tick: int | None = None  # of the newest report; None before the first, as all of its numbers
+    step_ms: float | None = None  # of that step
+    worst_ms: float | None = None  # of the last `_RECENT` steps
+    # Of the other agents, in their order, ticks; -1 for none.
+    plan_ages: list[int] | None = None
+    lost: int = 0  # plans lost on their links to the agent
+    late: int = 0  # plans older than one tick when they came
+    missed: int = (
+        0  # plans of the agent that were not there when the next tick opened, in real time
+    )
+    fallbacks: int = 0
+    failures: int = 0  # steps whose solve failed
+    rejected: int = 0  # messages that the agent refused
+    removed: int = 0  # times taken off the roster
+    recent_ms: deque[float] = field(default_factory=lambda: deque(maxlen=_RECENT))
+
+    def take(self, report: StepReport) -> None:
+        """Take note of a step."""
+        self.recent_ms.append(float(report.times_ms[_TOTAL]))
+        self.tick = report.tick
+        self.step_ms = self.recent_ms[-1]
+        self.worst_ms = max(self.recent_ms)
+        self.plan_ages = list(report.plan_ages)
+        self.lost += report.lost
+        self.late += report.late
+        self.fallbacks += report.fallback
+        self.failures += report.status != "solved"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the row without the step times it was made from."""
+        content = asdict(self)
+        del content["recent_ms"]
+        return content
+
+
 class Watch:
     """Status of a run, as far as its messages have been taken."""
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
-        # By number, as in JSON, in the order of the columns; `state` and `rejected` are filled in by
-        # `content`.
-        self.agents: dict[int, dict[str, Any]] = {
-            agent: {
-                "agent": agent,
-                "uavs": [uav + 1 for uav in setup.owned[agent - 1]],
-                **dict.fromkeys(("state", "tick", "step_ms", "worst_ms", "plan_ages")),
-                **dict.fromkeys(("lost", "late", *_RARE), 0),
-            }
+        # By number; `content` fills in `state` and `rejected`.
+        self.agents: dict[int, AgentRow] = {
+            agent: AgentRow(agent=agent, uavs=[uav + 1 for uav in setup.owned[agent - 1]])
             for agent in setup.agents
         }
         self.members: frozenset[int] | None = None  # agents on the roster; None while unknown
@@ -70,9 +110,6 @@ class Watch:
         self.control: Control | None = None  # end of the run
         self.notices: deque[str] = deque(maxlen=_NOTICES)  # latest changes of the roster
         self.rejections = Counter[str]()  # rejected messages by receiver
-        self._recent_ms: dict[int, deque[float]] = {
-            agent: deque(maxlen=_RECENT) for agent in setup.agents
-        }
         self._opened: Tick | None = None
         self._cost = StageCost(setup)
 
@@ -87,7 +124,7 @@ class Watch:
             case Tick():
                 self._open(message)
             case StepReport():
-                self._report(message)
+                self.agents[message.agent].take(message)
             case PlantState():
                 self.plant_state = message
             case Target():
@@ -95,7 +132,7 @@ class Watch:
             case Roster():
                 members = frozenset(message.agents)
                 for agent in (self.members or frozenset()) - members:
-                    self.agents[agent]["removed"] += 1
+                    self.agents[agent].removed += 1
                 self.members = members
                 self.notices.append(message.reason)
             case Rejected():
@@ -117,7 +154,7 @@ class Watch:
         if self.members is not None and agent not in self.members:
             return "off"
 
-        tick = self.agents[agent]["tick"]
+        tick = self.agents[agent].tick
         if tick is None:
             return "-"
         return "active" if self.tick - tick <= _BEHIND else "silent"
@@ -125,10 +162,9 @@ class Watch:
     def content(self) -> dict[str, Any]:
         """Return the status as JSON data."""
         cost, attitude_deg = self._performance()
-        agents = []
-        for number, agent in self.agents.items():
-            rejected = self.rejections[agent_name(number)]
-            agents.append(agent | {"state": self.state_of(number), "rejected": rejected})
+        for number, row in self.agents.items():
+            row.state = self.state_of(number)
+            row.rejected = self.rejections[agent_name(number)]
 
         return {
             "scenario": self.setup.scenario.name,
@@ -141,7 +177,7 @@ class Watch:
             "reason": self.control and self.control.reason,
             "rejections": dict(self.rejections),
             "notices": list(self.notices),
-            "agents": agents,
+            "agents": [row.as_json() for row in self.agents.values()],
         }
 
     def _performance(self) -> tuple[float | None, float | None]:
@@ -166,28 +202,12 @@ class Watch:
         is_realtime = self.setup.scenario.clock.mode == "realtime"
         if is_realtime and before is not None and tick.tick == before.tick + 1:
             for agent in set(before.members) - set(tick.answered):
-                self.agents[agent]["missed"] += 1
+                self.agents[agent].missed += 1
 
         if self.members is None:
             self.members = frozenset(tick.members)
         self.tick = tick.tick
         self._opened = tick
-
-    def _report(self, report: StepReport) -> None:
-        """Take note of the step of an agent."""
-        recent_ms = self._recent_ms[report.agent]
-        recent_ms.append(float(report.times_ms[-1]))
-
-        agent = self.agents[report.agent]
-        agent["tick"] = report.tick
-        agent["step_ms"] = recent_ms[-1]
-        agent["worst_ms"] = max(recent_ms)
-        # Of the other agents, in their order; -1 for none.
-        agent["plan_ages"] = list(report.plan_ages)
-        agent["lost"] += report.lost
-        agent["late"] += report.late
-        agent["fallbacks"] += report.fallback
-        agent["failures"] += report.status != "solved"
 
 
 def top(
@@ -257,7 +277,7 @@ def table_of(watch: Watch, run: str) -> Group:
     return Group(title, Text(progress), rows(cells, "uavs", "state", "plan ages", ""), *lines)
 
 
-def _cells(agent: dict[str, Any]) -> dict[str, Any]:
+def _cells(agent: Mapping[str, Any]) -> dict[str, Any]:
     """Return the row of an agent: its values, and in the last column rare counts above zero."""
     values = {name.replace("_", " "): value for name, value in agent.items() if name not in _RARE}
     values["state"] = Text(agent["state"], _COLOURS.get(agent["state"], ""))
