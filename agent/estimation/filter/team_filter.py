@@ -16,7 +16,6 @@ import numpy.typing as npt
 
 from transport.agent.communication.unannounced_inputs import Silent
 from transport.agent.estimation.filter import kalman
-from transport.agent.estimation.filter import unknown_forces as forces
 from transport.agent.estimation.filter.assumed_noise import (
     FirstErrors,
     ForceNoise,
@@ -40,7 +39,7 @@ from transport.agent.estimation.filter.innovations import (
 from transport.agent.estimation.filter.kalman import Correction, Observation
 from transport.agent.estimation.filter.manifold import Manifold
 from transport.agent.estimation.filter.silent_agents import SilentTeam
-from transport.agent.estimation.filter.unknown_forces import Situation, UnknownForces
+from transport.agent.estimation.filter.unknown_forces import COUNT, Situation, UnknownForces
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.linear import motor_lag as motors
@@ -80,7 +79,7 @@ class TeamFilter:
 
         # Coordinates: of the state, of the actual inputs with motor lag, of unknown forces.
         self._lagging = system.m if self._lag_s > 0.0 else 0
-        self._unknowns = forces.COUNT if is_estimating else 0
+        self._force_coordinates = COUNT if is_estimating else 0
         self._unknown_forces = UnknownForces(setup.model) if is_estimating else None
         self._rule: LevelRule = WIND if is_estimating else EXACT
         self.manifold = Manifold(self.N, self._lagging)
@@ -92,20 +91,20 @@ class TeamFilter:
     def _first_covariance(self) -> Array:
         """Return the covariance before any measurement."""
         deviations = [FirstErrors().by_coordinate(self.N), np.zeros(self._lagging)]
-        if self._unknowns:
+        if self._force_coordinates:
             deviations.append(ForceNoise().first(self._system))
         return np.diag(np.concatenate(deviations) ** 2)
 
     def _set_process_noise(self) -> None:
         """Set the covariance of the model's errors: the part that the level scales, the rest."""
         noise = self._noise
-        others = np.zeros(self._lagging + self._unknowns)
+        others = np.zeros(self._lagging + self._force_coordinates)
 
         def diagonal(deviation: float) -> Array:
             variances = noise.acceleration_variances(deviation, self._period_s, self.N)
             return np.diag(np.concatenate([variances, others]))
 
-        if not self._unknowns:
+        if not self._force_coordinates:
             self.Q = diagonal(noise.acceleration_alone)
             self._Q_beside = np.zeros_like(self.Q)
             self._kept_alone = np.ones(0)
@@ -113,13 +112,13 @@ class TeamFilter:
 
         self._Q_beside = diagonal(noise.acceleration_beside_forces)
         self.Q = np.zeros_like(self._Q_beside)
-        self.Q[-self._unknowns :, -self._unknowns :] = ForceNoise().change(
+        self.Q[-self._force_coordinates :, -self._force_coordinates :] = ForceNoise().change(
             self._system, self._period_s
         )
         # Share of a variance that is left after a period without any information: (63d).
         #   1 - q / p_0
-        change = self.Q.diagonal()[-self._unknowns :]
-        first = self._P0.diagonal()[-self._unknowns :]
+        change = self.Q.diagonal()[-self._force_coordinates :]
+        first = self._P0.diagonal()[-self._force_coordinates :]
         self._kept_alone = 1.0 - change / first
 
     def first(self, x: Array) -> Belief:
@@ -128,7 +127,7 @@ class TeamFilter:
         slow = np.zeros(state.SENSED * self.N)
         return Belief(
             x=x,
-            unknowns=np.zeros(self._unknowns),
+            unknowns=np.zeros(self._force_coordinates),
             u=self._u_hover,
             level=Level(value=self._rule.first, slow=slow),
             source=covariance,
@@ -235,7 +234,7 @@ class TeamFilter:
             ahead = ahead + (discrete.B * answered)[:, closed] @ (period.K[closed] @ T)
 
         s = T.shape[1]
-        A = np.eye(s + self._unknowns)
+        A = np.eye(s + self._force_coordinates)
         A[:s, :s] = L.T @ ahead
         A[:s, s:] = L.T @ by_forces
         if period.silent is not None and period.is_alone:
@@ -260,36 +259,59 @@ class TeamFilter:
     def _period_noise(
         self, belief: Belief, period: FilterPeriod, place: Situation, discrete: Discrete, L: Array
     ) -> Array:
-        """Return the covariance of all that errs in a period, (r, r): the last terms of (63)."""
-        by_law = period.unannounced.by_law
-        T = belief.covariance.basis.T
-        P = belief.covariance.P
-        s = T.shape[1]
+        """Return the covariance of all that errs in a period, (r, r): the last terms of (63), (63c)."""
+        s = L.shape[1]
+        B_xi = L.T @ discrete.B
+        Q = self.process_noise(self._level(belief, period))
+        Q[:s, :s] += self._noise_of_late_motors(belief, period, B_xi)
+        if period.K is None:
+            return Q
 
-        # It is not known exactly when the fail-safe of another UAV took over, and at what thrust.
-        is_known_roughly = period.unannounced.by_fail_safe.any() or period.is_alone
-        level = 1.0 if is_known_roughly else belief.level.value
-        Q = self.process_noise(level)
-
-        # Inputs act late by the unknown lag of the motors.
-        #   B diag(lag / T_s du)^2 B'
-        share = self._noise.unknown_lag_s / self._period_s
-        late = L.T @ discrete.B * (share * (period.u - belief.u))
-        Q[:s, :s] += late @ late.T
-
-        # The part of the others' errors that the own one does not share.
-        #   (1 - c^2) B_xi K_o T P T' K_o' B_xi'
-        if period.silent is not None and period.K is not None:
-            Q[:s, :s] += self._silent.noise(period.silent, period, L.T @ discrete.B, T, P[:s, :s])
-            if period.is_alone and self._silent.holds:
-                held = L.T @ self._by_integrals(period.silent, period, place, discrete.A)
-                Q[:s, :s] += held @ held.T
-        elif period.K is not None:
-            B_xi = L.T @ discrete.B[:, by_law]
-            K_T = period.K[by_law] @ T
-            own_part = 1.0 - period.correlation**2
-            Q[:s, :s] += own_part * B_xi @ (K_T @ P[:s, :s] @ K_T.T) @ B_xi.T
+        if period.silent is None:
+            Q[:s, :s] += self._noise_of_others(belief, period, period.K, L, discrete.B)
+            return Q
+        T, P = belief.covariance.basis.T, belief.covariance.P[:s, :s]
+        Q[:s, :s] += self._silent.noise(period.silent, period, B_xi, T, P)
+        if period.is_alone and self._silent.holds:
+            held = L.T @ self._by_integrals(period.silent, period, place, discrete.A)
+            Q[:s, :s] += held @ held.T
         return Q
+
+    @staticmethod
+    def _level(belief: Belief, period: FilterPeriod) -> float:
+        """Return the level of the model's errors in a period: that of the innovations (63b), or 1.
+
+        Past innovations do not tell how large the errors are while a UAV follows its fail-safe, since it is
+        not known exactly when it took over and at what thrust, (63), or while UAVs act alone, (63c).
+        """
+        is_known_roughly = period.unannounced.by_fail_safe.any() or period.is_alone
+        return 1.0 if is_known_roughly else belief.level.value
+
+    def _noise_of_late_motors(self, belief: Belief, period: FilterPeriod, B_xi: Array) -> Array:
+        """Return the covariance of inputs that act late by the unknown lag of the motors, (s, s)."""
+        #   B_xi diag(lag / T_s du)^2 B_xi'
+        share = self._noise.unknown_lag_s / self._period_s
+        late = B_xi * (share * (period.u - belief.u))
+        return np.asarray(late @ late.T)
+
+    @staticmethod
+    def _noise_of_others(
+        belief: Belief, period: FilterPeriod, K: Array, L: Array, B: Array
+    ) -> Array:
+        """Return the covariance of the others' inputs by errors that the own one does not share, (s, s).
+
+        That is (63), with one correlation and no agent alone; `SilentTeam.noise` is (63c), with both by
+        input, and is equal to this one where no agent is alone.
+        """
+        by_law = period.unannounced.by_law
+        s = L.shape[1]
+        P = belief.covariance.P[:s, :s]
+
+        #   (1 - c^2) B_xi K_o T P T' K_o' B_xi'
+        B_xi = L.T @ B[:, by_law]
+        K_T = K[by_law] @ belief.covariance.basis.T
+        unshared = 1.0 - period.correlation**2
+        return np.asarray(unshared * B_xi @ (K_T @ P @ K_T.T) @ B_xi.T)
 
     def correct(self, belief: Belief, model: Model, sensed: Sequence[Sensed]) -> Belief:
         """Return the belief with measurements of its tick; those of released UAVs are ignored.

@@ -8,7 +8,7 @@ import pytest
 
 from tests.agent.estimation.swing import PERIOD_S, TICKS, error, filtered, in_time, moving, sensed
 from tests.support.runs import VEHICLE, setup
-from transport.agent.communication.unannounced_inputs import Unannounced
+from transport.agent.communication.unannounced_inputs import Silent, Unannounced
 from transport.agent.estimation.filter.assumed_noise import ModelNoise
 from transport.agent.estimation.filter.belief import NAMES, Belief, pose_numbers, poses
 from transport.agent.estimation.filter.filter_interface import FilterPeriod
@@ -155,6 +155,56 @@ def test_against_a_dense_filter_with_numerical_jacobians(forces: str) -> None:
     xi = np.concatenate([L.T @ (belief.x - dense.z[: dense.n]), unknowns])
     assert np.abs(xi / deviation).max() < SAME_MEAN
     assert deviation[:3].max() < LOCATED_M
+
+
+@pytest.mark.parametrize("is_overdue", [False, True])
+@pytest.mark.parametrize("correlation", [0.0, 0.6])
+def test_others_that_follow_the_law_against_a_dense_computation(
+    correlation: float, is_overdue: bool
+) -> None:
+    """The others answer to their own estimates, whose errors e share c with the own error xi, (63).
+
+    With e = c xi + (1 - c^2)^(1/2) w and w as uncertain as xi, their inputs deviate by K T (xi - e). Information
+    that is overdue, of which no agent acts alone yet, gives the same by (63c).
+    """
+    run = setup(*VEHICLE)
+    team = TeamFilter(run.run)
+    belief = team.first(run.X_ref[0])
+    P = belief.covariance.P
+    T = belief.covariance.basis.T
+    dense = Dense(run, team, np.concatenate([belief.x, belief.unknowns]), P)
+    K = np.random.default_rng(3).normal(size=(run.system.m, run.system.n))
+    by_law = np.arange(run.system.m) >= state.INPUTS  # of all UAVs but the first
+    end = dense.step(dense.z, run.hover.u)
+    period = replace(
+        told_period(run, end, run.hover.u, team.forces(belief)),
+        unannounced=Unannounced(by_law=by_law, by_fail_safe=np.zeros_like(by_law)),
+        K=K,
+        correlation=correlation,
+        silent=Silent(alone=np.zeros(run.system.m), correlation=np.full(run.system.m, correlation))
+        if is_overdue
+        else None,
+    )
+
+    L = team.manifold.basis(end).L
+
+    def answered(xi: Array) -> Array:
+        return run.hover.u + np.where(by_law, K @ (T @ xi[: dense.r]), 0.0)
+
+    by_own = jacobian(
+        lambda xi: dense.step(dense.moved(xi), answered((1.0 - correlation) * xi)), len(P)
+    )
+    by_others = jacobian(lambda xi: dense.step(dense.z, answered(xi)), len(P))
+    A = np.eye(len(P))
+    A[: dense.r] = L.T @ by_own
+    unshared = np.zeros_like(P)
+    unshared[: dense.r] = (1.0 - correlation**2) ** 0.5 * L.T @ by_others
+    expected = A @ P @ A.T + unshared @ P @ unshared.T + team.process_noise(belief.level.value)
+
+    predicted = team.predict(belief, period).covariance.P
+    deviation = np.sqrt(expected.diagonal())
+    different = (predicted - expected) / np.outer(deviation, deviation)
+    assert np.abs(different).max() < SAME_DEVIATION
 
 
 @pytest.mark.parametrize("late", [1, DELAY])
