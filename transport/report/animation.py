@@ -15,6 +15,8 @@ from rich.progress import track
 
 from transport.analysis.series import Series, series_of
 from transport.log.run_folder import open_run
+from transport.model.arrays import Array
+from transport.model.state import R0
 from transport.protocol.wire.errors_and_exit_codes import TransportError
 from transport.report.drawn_parts import UP, draw_parts, frame, line
 from transport.report.figures.style import COMPONENTS, RC, REFERENCE, scale_cost, shade_phases
@@ -99,8 +101,8 @@ class AnimationPage:
         self.figure.text(0.03, 0.03, "x, y, altitude in m")
         self._space: Any = self.figure.add_axes((-0.04, 0.0, 0.58, 0.95), projection="3d")
         _set_space(self._space, series)
-        self._above = self.figure.add_axes((0.54, 0.42, 0.44, 0.47))
-        _set_above(self._above)
+        self.above = self.figure.add_axes((0.54, 0.42, 0.44, 0.47))
+        _set_above(self.above)
 
         cost = self.figure.add_axes((0.62, 0.25, 0.36, 0.11))
         _draw_cost(cost, series)
@@ -121,13 +123,14 @@ class AnimationPage:
         in_space = [part for part in parts if part.layer not in _NOT_IN_SPACE]
         from_above = [part for part in parts if part.layer not in _NOT_FROM_ABOVE]
         self._moving = draw_parts(self._space, in_space, poses, above=False, width=_WIDTH)
-        self._moving += draw_parts(self._above, from_above, poses, above=True, width=_WIDTH)
+        self._moving += draw_parts(self.above, from_above, poses, above=True, width=_WIDTH)
 
-        x, y = (scene.uavs_I.mean(axis=0)[:2] + scene.payload_I[:2]) / 2.0
+        on_rods = [uav + 1 not in scene.released for uav in range(len(scene.uavs_I))]
+        x, y, _ = _middle_I(scene.payload_I, scene.uavs_I[on_rods])
         reach_x_m = self._reach_m * _PROPORTION
-        self._above.set_xlim(x - reach_x_m, x + reach_x_m)
+        self.above.set_xlim(x - reach_x_m, x + reach_x_m)
         # z points away from the viewer, so y points down.
-        self._above.set_ylim(y + self._reach_m, y - self._reach_m)
+        self.above.set_ylim(y + self._reach_m, y - self._reach_m)
 
         self._moving += [axes.axvline(scene.time_s, color=_NOW) for axes in self._over_time]
         text = f"{scene.time_s:5.2f} s   {scene.phase}"
@@ -135,14 +138,21 @@ class AnimationPage:
         self._moving.append(self.figure.text(0.03, 0.94, text, **style))
 
 
+def _middle_I(payload_I: Array, uavs_I: Array) -> Array:
+    """Return the middle of the view from above: between payload and mean of the UAVs on their rods, (3,)."""
+    if not len(uavs_I):
+        return payload_I
+    return np.asarray((uavs_I.mean(axis=0) + payload_I) / 2.0)
+
+
 def _reach_m(series: Series) -> float:
     """Return half the height of the view from above: payload and UAVs on their rods are in it throughout, m."""
-    uavs_I = np.where(series.on_rods[..., None], series.uavs_I, np.nan)
-    payload_I = series.x[:, None, :3]
-    middle_I = (np.nanmean(uavs_I, axis=1, keepdims=True) + payload_I) / 2.0
-    farthest_m = np.nanmax(
-        np.abs(np.concatenate([uavs_I, payload_I], axis=1) - middle_I), axis=(0, 1)
-    )
+    farthest_m = np.zeros(3)
+    for x, uavs_I, on_rods in zip(series.x, series.uavs_I, series.on_rods, strict=True):
+        payload_I = x[R0]
+        middle_I = _middle_I(payload_I, uavs_I[on_rods])
+        seen_I = np.vstack([payload_I, uavs_I[on_rods]])
+        farthest_m = np.maximum(farthest_m, np.abs(seen_I - middle_I).max(axis=0))
     return float(max(farthest_m[0] / _PROPORTION, farthest_m[1])) + _BEYOND_M
 
 

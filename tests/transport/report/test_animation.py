@@ -2,6 +2,7 @@
 
 import shutil
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib as mpl
@@ -12,8 +13,11 @@ from typer.testing import CliRunner
 
 from tests.support import runs
 from tests.support.logs import record_run
+from transport.analysis.series import series_of
 from transport.cli.main import app
-from transport.report.animation import FPS, animate_run
+from transport.log.run_folder import open_run
+from transport.report.animation import FPS, AnimationPage, animate_run
+from transport.scene.scene import SceneBuilder
 
 # Largest size of a frame with moving lines.
 LARGEST_FRAME_BYTES = 40_000
@@ -42,6 +46,26 @@ def test_a_gif_moves(recorded: Path) -> None:
     assert (first != last).any(axis=2).mean() > MOVED
     assert path.stat().st_size < LARGEST_FRAME_BYTES * count
     assert animate_run(recorded, recorded / "b.gif", speed=SPEED).read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize("released", [(), (2,), (1, 2, 3, 4)])
+def test_the_view_from_above_follows_payload_and_uavs_on_their_rods(
+    recorded: Path, released: tuple[int, ...]
+) -> None:
+    """Its centre is between payload and mean of the UAVs on their rods; one that flies away does not move it."""
+    run = open_run(recorded)
+    builder = SceneBuilder.of(run.setup, run.log)
+    page = AnimationPage(builder, series_of(run.setup, run.log))
+    scene = replace(
+        builder.at(0),
+        payload_I=np.array([1.0, 5.0, -8.0]),
+        uavs_I=np.array([[3.0, 0.0, 0.0], [90.0, 70.0, 0.0], [4.0, 3.0, 0.0], [2.0, 0.0, 0.0]]),
+        released=released,
+    )
+    page.show(scene)
+    centre = [float(np.mean(page.above.get_xlim())), float(np.mean(page.above.get_ylim()))]
+    by_hand = {(): [12.875, 11.625], (2,): [2.0, 3.0], (1, 2, 3, 4): [1.0, 5.0]}
+    assert centre == pytest.approx(by_hand[released])
 
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="no ffmpeg")

@@ -1,8 +1,8 @@
-"""Commands that start one process of a run by hand, or connect hosts.
+"""Commands that start one process of a run by hand, or connect hosts, and the server that forks processes.
 
-These are agent, plant, coordinator, record and router.
-
-Each imports only its own role: the processes of a run start with these commands.
+The commands are agent, coordinator, plant, vehicle, record and router. Each imports only its own role: the
+processes of a run start with these commands. `transport run` forks them from one server process
+(`serve_processes`), which has the imports, the model and the control law already (`Prepared`).
 """
 
 import itertools
@@ -48,6 +48,7 @@ from transport.protocol.wire.node_interface import Node
 
 if TYPE_CHECKING:
     from transport.mpc.law.present_law import Regulation
+    from transport.plant.node import PlantNode
 
 _LOOKS_FOR_SIGNALS_S = 0.2
 
@@ -156,7 +157,9 @@ class Prepared:
         scenario = arguments[arguments.index("--scenario") + 1]
         settings = [value for option, value in itertools.pairwise(arguments) if option == "--set"]
         setup = process_setup(scenario, settings, allow_large=True)
-        if setup is self.setup:  # the same object: `read_setup` keeps the last one
+        # `read_setup` returns the same object as long as scenario, settings and file are the same; a
+        # changed file is another setup, of which the law is computed again.
+        if setup is self.setup:
             return
         self.setup = setup
         if setup.scenario.has_vehicles:
@@ -235,30 +238,34 @@ def plant(options: ProcessOptions) -> None:
 
     Example: transport plant --scenario paper
     """
-    from transport.flight.roles import plant_run
-    from transport.plant.node import PlantNode
-
     setup = options.compiled_setup()
     if not setup.scenario.has_plant:
         fail("plant: expected a scenario with plant.kind = 'simulated', got 'vehicles'")
     place = options.place(PLANT)
-    if setup.scenario.plant.autopilot is None:
-        node = PlantNode(plant_run(setup), place.incarnation)
-    else:
-        from transport.plant.autopilot.autopilot_processes import Autopilots
-        from transport.plant.autopilot.betaflights import Betaflights
-        from transport.plant.autopilot.node import AutopilotBank, PlayedPlant
-        from transport.protocol.scenario.sections.vehicles_section import DEFAULT_VEHICLE_PORT
-
-        port = setup.scenario.network.vehicle_port or DEFAULT_VEHICLE_PORT
-        run = plant_run(setup)
-        is_betaflight = setup.scenario.plant.autopilot == "betaflight"
-        autopilots: AutopilotBank = (
-            Betaflights(run, port) if is_betaflight else Autopilots(run, port)
-        )
-        node = PlayedPlant(run, autopilots, place.incarnation, wall_offset_ns())
+    node = _plant_node(setup, place.incarnation)
     node.warm_up()
     raise typer.Exit(_run(node, place, setup))
+
+
+def _plant_node(setup: Setup, incarnation: int) -> "PlantNode":
+    """Return the plant of a run, whose actuators are simulated or played by autopilots."""
+    from transport.flight.roles import plant_run
+    from transport.plant.node import PlantNode
+
+    run = plant_run(setup)
+    autopilot = setup.scenario.plant.autopilot
+    if autopilot is None:
+        return PlantNode(run, incarnation)
+
+    from transport.plant.autopilot.autopilot_processes import Autopilots
+    from transport.plant.autopilot.betaflights import Betaflights
+    from transport.plant.autopilot.node import AutopilotBank, PlayedPlant
+    from transport.protocol.scenario.sections.vehicles_section import DEFAULT_VEHICLE_PORT
+
+    port = setup.scenario.network.vehicle_port or DEFAULT_VEHICLE_PORT
+    bank: AutopilotBank
+    bank = Betaflights(run, port) if autopilot == "betaflight" else Autopilots(run, port)
+    return PlayedPlant(run, bank, incarnation, wall_offset_ns())
 
 
 def _run(node: Node, place: Place, setup: Setup) -> int:
