@@ -41,6 +41,13 @@ _HIGHEST_TICK = 0.85
 _FLAT = 0.01
 # Means that far above their median are nearly diverged runs: the axis becomes logarithmic.
 _FAR_ABOVE = 5.0
+# Ends of a vertical axis: of one from zero over its highest mean, so that the marker is within it; the most
+# of it that error bars can ask for, beyond which they leave the panel; of a logarithmic one over its highest
+# mean, and below its lowest by the same factor; of ratios, about which zero tells nothing, as a share of the data.
+_ABOVE_HIGHEST = 1.12
+_MOST_FOR_BARS = 2.0
+_BEYOND_DECADES = 1.4
+_ABOUT_RATIOS = 0.12
 
 
 class FigurePanel(NamedTuple):
@@ -263,8 +270,8 @@ def _points(
 ) -> list[PointStatistics]:
     """Return the points of the curve with a value in the column of the curves.
 
-    The last of several points at one x belongs to the curve: the constant delay, not the perfect
-    network.
+    Points at one x follow each other in `measured`, and the last of them belongs to the curve: the constant
+    delay, not the perfect network.
     """
     column = experiment.curves
     return list(
@@ -294,22 +301,25 @@ def _style(look: tuple[str, str, str], *, joined: bool) -> dict[str, Any]:
 
 
 def _scale(axes: Axes, means: Sequence[float], *, is_ratio: bool, is_growth: bool) -> None:
-    """Fit the vertical axis to the means.
+    """Fit the vertical axis to the means that are drawn, and to their error bars as far as they leave these readable.
 
-    It is logarithmic for growth, and if few means are far above the rest.
+    It is logarithmic for growth, and if few means are far above the rest; about the data for ratios; else it
+    begins at zero.
     """
     lowest = min(means)
     highest = max(means)
     if is_ratio:
-        axes.margins(y=0.12)
+        axes.margins(y=_ABOUT_RATIOS)
     elif lowest > 0.0 and (is_growth or highest > _FAR_ABOVE * statistics.median(means)):
         axes.set_yscale("log")
-        axes.set_ylim(lowest / 1.4, 1.4 * highest)
+        axes.set_ylim(lowest / _BEYOND_DECADES, _BEYOND_DECADES * highest)
         label_decades(axes.yaxis)
+    elif highest > 0.0:
+        with_bars = axes.get_ylim()[1]  # of matplotlib, with its own margin
+        top = max(with_bars, _ABOVE_HIGHEST * highest)
+        axes.set_ylim(0.0, min(top, _MOST_FOR_BARS * highest))
     else:
-        top = max(axes.get_ylim()[1], 1.12 * highest)
-        cut = 2.0 * highest  # of wide intervals
-        axes.set_ylim(0.0, min(top, cut) or 1.0)
+        axes.set_ylim(0.0, 1.0)  # all are zero
 
 
 def _draw_divergence(
@@ -333,7 +343,7 @@ def _draw_divergence(
                 axes.plot([place], [statistics.fmean(one.diverged_s)], **dots | DIVERGED)
 
     head(axes, "time at which runs diverge (s, hollow), or never", legend=False)
-    axes.set_ylim(0.0, 1.12 * never_s)
+    axes.set_ylim(0.0, _ABOVE_HIGHEST * never_s)
     highest_s = _HIGHEST_TICK * never_s
     ticks_s = [tick for tick in MaxNLocator(4).tick_values(0.0, never_s) if tick < highest_s]
     axes.set_yticks([*ticks_s, never_s], [*(f"{tick:g}" for tick in ticks_s), "never"])
