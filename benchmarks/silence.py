@@ -22,7 +22,7 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks.runs import origin
-from docs.tables import ROOT, place, put, table
+from docs.tables import ROOT, place, put_rows
 from transport.experiments.weather_experiment import FORCES, SENSORS
 from transport.flight.memory import simulate
 from transport.flight.progress import compile_models
@@ -329,16 +329,15 @@ def write(results: Sequence[tuple[Case, Result]], *, only: str) -> None:
     """
     document = ROOT / "docs" / "record" / "guarantees.md"
     whole, _, earlier = place(document, "bench: silence").group().partition("\n\n")
-    before = [line.strip("| ").split(" | ") for line in whole.splitlines()[2:]]
-    rows = {cells[0]: cells for cells in before}
-    rows |= {case.name: [case.name, *_cells(result)] for case, result in results}
-    shown = [rows[case.name] for case in cases() if case.name in rows]
+    rows = {case.name: _cells(result) for case, result in results}
+    order = [case.name for case in cases()]
 
     source = origin()
-    if len(results) < len(shown):
+    count = len({line.split(" | ")[0].strip("| ") for line in whole.splitlines()[2:]} | rows.keys())
+    if len(results) < count:
         new = f"rows with {only!r}" if only else f"rows up to {results[-1][0].name!r}"
         source = f"{earlier.strip('*.').split('; rows ')[0]}; {new}: {source}"
-    put(document, "bench: silence", f"{table(HEADINGS, shown)}\n\n*{source}.*")
+    put_rows(document, "bench: silence", HEADINGS, order, rows, source)
 
 
 def main(given: Sequence[str] | None = None) -> None:

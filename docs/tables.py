@@ -2,7 +2,7 @@
 
 import re
 import subprocess
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from scipy.special import betaincinv
@@ -53,6 +53,32 @@ def put(document: Path, name: str, content: str) -> None:
     document.write_text(
         found.string[: found.start()] + content + found.string[found.end() :], encoding="utf-8"
     )
+
+
+def put_rows(
+    document: Path,
+    name: str,
+    headings: Sequence[str],
+    order: Sequence[str],
+    rows: Mapping[str, Sequence[str]],
+    source: str,
+) -> None:
+    """Renew rows of a table between two markers, by their first cells; the others stay.
+
+    Args:
+        document: Markdown file.
+        name: Of the markers.
+        headings: Of all columns.
+        order: First cells of all rows.
+        rows: The other cells of the new rows.
+        source: Said below the table.
+    """
+    whole = place(document, name).group().partition("\n\n")[0]
+    before = [line.strip("| ").split(" | ") for line in whole.splitlines()[2:]]
+    found = {cells[0]: cells for cells in before}
+    found |= {first: [first, *cells] for first, cells in rows.items()}
+    shown = [found[first] for first in order if first in found]
+    put(document, name, f"{table(headings, shown)}\n\n*{source}.*")
 
 
 def commit() -> str:

@@ -51,6 +51,7 @@ OTHER_PARTS: list[tuple[str, str, tuple[str, ...]]] = [
     ("docs/record/arena.md", "docs/arena_page.py", ("results",)),
     ("docs/record/algorithms.md", "docs/algorithm_figures.py", ("ready algorithms",)),
     ("docs/record/guarantees.md", "benchmarks/silence.py", ("bench: silence",)),
+    ("docs/record/guarantees.md", "benchmarks/walls.py", ("bench: walls",)),
     ("docs/record/guarantees.md", "benchmarks/timing.py", ("bench: spread", "bench: clocks")),
     ("docs/record/guarantees.md", "benchmarks/teams.py", ("bench: teams alone", "bench: teams")),
     ("README.md", "benchmarks/teams.py", ("bench: teams",)),

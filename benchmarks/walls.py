@@ -1,0 +1,207 @@
+"""Walls that no agent knows: `python -m benchmarks.walls` flies `precise` at 1.5 m/s towards one, seen 3 m away.
+
+Place, width and heading of each wall, and the direction of the path, are drawn from a seed. In the rows
+with silence there is the delay and loss too, and no message passes for 3 s from the tick at which the first
+UAV sees the wall.
+
+One line for each row, `--runs` for each run; `--row TEXT` selects rows. `--write` renews each row of the
+table in docs/record/guarantees.md as soon as its runs are done.
+"""
+
+import argparse
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from rich.console import Console
+
+from benchmarks.runs import origin
+from docs.tables import ROOT, put_rows
+from transport.flight.memory import simulate
+from transport.flight.progress import compile_models
+from transport.model.physics.obstacles import clearances
+from transport.model.state import R0, THETA0, V0
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.wire.messages import Measurement, Message, PlantState
+
+SCENARIO = "precise"
+MARGIN_M, LOAD_MARGIN_M = 0.4, 0.1
+_SIGHT_M = 3.0
+_WAY_M = 14.0
+_SILENT_S = 3.0
+_ARRIVED_M = 0.3  # from the end of the path
+_REST_MPS = 0.05
+
+_LATE = ("links.delay_s=0.2", "links.loss=0.3")
+_STOP = "controller.silence=stop"
+_CONFIRMED = "controller.targets=confirmed"
+_SILENT = "3 s of silence"  # on top of the delay and loss
+# Settings of each row.
+ROWS: Mapping[str, tuple[str, ...]] = {
+    "perfect network": (),
+    "200 ms, 30 % loss": _LATE,
+    f"{_SILENT}, eager, stop": (*_LATE, _STOP),
+    f"{_SILENT}, confirmed, stop": (*_LATE, _STOP, _CONFIRMED),
+}
+HEADINGS = (
+    "network and rules", "goes round", "rests before the wall", "contacts", "margins kept",
+    f"UAVs to the wall, least (margin {MARGIN_M} m)",
+    f"rods and payload, least (margin {LOAD_MARGIN_M} m)", "attitude at most", "UAVs apart",
+)  # fmt: skip
+
+
+class _Seen(Exception):  # noqa: N818 - it ends a run, and is no error
+    """A UAV sees the wall."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flown:
+    """Ground truth of a run."""
+
+    arrives: bool
+    rests: bool
+    uav_m: float  # least distance from the wall
+    load_m: float
+    attitude_deg: float
+    apart_m: float
+
+    @property
+    def touches(self) -> bool:
+        """Whether a body touches the wall."""
+        return min(self.uav_m, self.load_m) <= 0.0
+
+    @property
+    def keeps_margins(self) -> bool:
+        """Whether all bodies keep their margins."""
+        return self.uav_m >= MARGIN_M and self.load_m >= LOAD_MARGIN_M
+
+
+def scene(seed: int) -> tuple[str, ...]:
+    """Return the settings of a path with a wall across it, drawn from a seed."""
+    rng = np.random.default_rng([seed, 68])
+    direction = rng.uniform(0.0, 2.0 * math.pi)
+    along_m, beside_m = rng.uniform(6.0, 9.0), rng.uniform(-1.0, 1.0)
+    width_m, heading_deg = rng.uniform(1.0, 4.0), rng.uniform(-60.0, 60.0)
+
+    c, s = math.cos(direction), math.sin(direction)
+    x, y = c * along_m - s * beside_m, s * along_m + c * beside_m
+    phases = (
+        "{name='hover',duration_s=1.0,displacement_m=[0,0,0]}",
+        f"{{name='go',kind='spline',points_m=[[{_WAY_M * c:.3f},{_WAY_M * s:.3f},0]],speed_mps=1.5,ramp_s=3.0}}",
+        "{name='after',duration_s=18.0,displacement_m=[0,0,0]}",
+    )
+    wall = (
+        f"{{kind='box',at_m=[{x:.3f},{y:.3f},-10],size_m=[0.2,{width_m:.3f},8],"
+        f"heading_deg={heading_deg + math.degrees(direction):.2f},margin_m={MARGIN_M},"
+        f"load_margin_m={LOAD_MARGIN_M},seen_within_m={_SIGHT_M}}}"
+    )
+    return (f"maneuver.phase=[{','.join(phases)}]", f"obstacle=[{wall}]", f"seed={seed}")
+
+
+def prepared(*settings: str) -> Setup:
+    """Return `precise` with settings, its model compiled."""
+    path = find_scenario(SCENARIO)
+    scenario = read_scenario(path, settings)
+    compile_models([scenario], Console(stderr=True))
+    return Setup.of(scenario, path.name)
+
+
+def sight_s(setup: Setup) -> float:
+    """Return the instant at which the first UAV sees the wall, s."""
+    seen: list[int] = []
+
+    def watch(message: Message) -> None:
+        if isinstance(message, Measurement) and len(message.seen):
+            seen.append(message.tick)
+            raise _Seen
+
+    try:
+        simulate(setup, watch)
+    except _Seen:
+        return setup.settings.sampling_period_s * seen[0]
+    raise SystemExit("benchmarks.walls: expected a wall in sight, got none")
+
+
+def fly(row: str, seed: int) -> Flown:
+    """Return the run of a row with a wall."""
+    settings = (*scene(seed), *ROWS[row])
+    setup = prepared(*settings)
+    if _SILENT in row:
+        start_s = sight_s(setup)
+        times = f"start_s={start_s},end_s={start_s + _SILENT_S}"
+        others = range(1, len(setup.scenario.owned))
+        cuts = [f"{{between=['agent{agent}'],{times}}}" for agent in others]
+        setup = prepared(*settings, f"links.partition=[{','.join(cuts)}]")
+    states: list[PlantState] = []
+
+    def record(message: Message) -> None:
+        if isinstance(message, PlantState):
+            states.append(message)
+
+    end = simulate(setup, record)
+    x = np.array([one.x for one in states])
+    N = setup.system.N
+    wall_m = clearances(setup.system, setup.obstacles[0], x)
+    places = setup.model.outputs_along(x)[:, : 3 * N].reshape(len(x), -1, 3)
+    apart_m = [
+        np.linalg.norm(places[:, a] - places[:, b], axis=1) for a, b in combinations(range(N), 2)
+    ]
+    goal_I = setup.maneuver.path(np.array([setup.maneuver.duration_s]))[0][0]
+    is_complete = end.outcome == "completed"
+    arrives = is_complete and float(np.linalg.norm(x[-1, R0] - goal_I)) < _ARRIVED_M
+    is_still = float(np.linalg.norm(x[-1, V0])) < _REST_MPS
+    return Flown(
+        arrives=arrives,
+        rests=is_complete and is_still and not arrives,
+        uav_m=float(wall_m[:, :N].min()),
+        load_m=float(wall_m[:, N:].min()),
+        attitude_deg=float(np.degrees(np.abs(x[:, THETA0]).max())),
+        apart_m=float(np.min(apart_m)),
+    )
+
+
+def cells(flown: Sequence[Flown]) -> list[str]:
+    """Return the cells of a row but the first."""
+    count = len(flown)
+    return [
+        f"{sum(one.arrives for one in flown)} of {count}",
+        f"{sum(one.rests for one in flown)}",
+        f"{sum(one.touches for one in flown)}",
+        f"{sum(one.keeps_margins for one in flown)} of {count}",
+        f"{min(one.uav_m for one in flown):.2f} m",
+        f"{min(one.load_m for one in flown):.2f} m",
+        f"{max(one.attitude_deg for one in flown):.1f} deg",
+        f"{min(one.apart_m for one in flown):.2f} m",
+    ]
+
+
+def main(given: Sequence[str] | None = None) -> None:
+    """Fly the rows and print their lines."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.walls", description=__doc__)
+    parser.add_argument("--seeds", type=int, default=20, help="number of walls")
+    parser.add_argument("--first", type=int, default=100, help="seed of the first wall")
+    parser.add_argument("--row", default="", help="text in the names of the rows to fly")
+    parser.add_argument("--runs", action="store_true", help="print a line for each run")
+    parser.add_argument("--write", action="store_true", help="renew the rows of the page")
+    options = parser.parse_args(given)
+    document = ROOT / "docs" / "record" / "guarantees.md"
+
+    for row in (row for row in ROWS if options.row in row):
+        flown = []
+        for seed in range(options.first, options.first + options.seeds):
+            flown.append(fly(row, seed))
+            if options.runs:
+                sys.stdout.write(f"  seed {seed}: {', '.join(cells(flown[-1:]))}\n")
+                sys.stdout.flush()
+        sys.stdout.write(f"{row}: {', '.join(cells(flown))}\n")
+        sys.stdout.flush()
+        if options.write:
+            put_rows(document, "bench: walls", HEADINGS, list(ROWS), {row: cells(flown)}, origin())
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
