@@ -1,7 +1,10 @@
 """The arena: its combinations, entries of the user, tables, and resumption."""
 
 from importlib import import_module
+from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import orjson
@@ -12,6 +15,7 @@ import transport
 from tests.support.results import here
 from transport.agent.user_class.run_for_user import Run
 from transport.experiments.arena.arena_algorithms import BUILT_IN, REFERENCE, Entry, entered
+from transport.experiments.arena.arena_report import ArenaResult
 from transport.experiments.arena.arena_runs import arena
 from transport.experiments.arena.arena_tasks_and_networks import (
     NETWORK_TEXTS,
@@ -21,7 +25,8 @@ from transport.experiments.arena.arena_tasks_and_networks import (
     VERSION,
     Task,
 )
-from transport.experiments.cases import Case, ExperimentError
+from transport.experiments.cases import Case, ExperimentError, Point
+from transport.experiments.statistics import PointStatistics
 from transport.interface.setting_arguments import ArgumentError
 from transport.model import state
 from transport.model.arrays import Array
@@ -303,6 +308,48 @@ def test_the_whole_command(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("short_tasks")
+def _counted(task: str, network: str, algorithm: str, ended: int, errors: int) -> PointStatistics:
+    """Return a point with three runs, of which some end early and others cannot be simulated."""
+    return PointStatistics(
+        point=Point({"task": task, "network": network, "algorithm": algorithm}, "", ()),
+        runs=3 - errors,
+        completed=3 - errors - ended,
+        errors=errors,
+        diverged_s=(1.0,) * ended,
+        numbers={"cost_mean": None},
+        cost_ratio=None,
+    )
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_tasks_that_all_complete_on_all_networks_are_one_row(seed: int) -> None:
+    """A run that ends early, that fails or that is refused, anywhere, gives its task a column."""
+    rng = np.random.default_rng(seed)
+    tasks, networks, algorithms = ("a", "b", "c", "d"), ("perfect", "late"), ("one", "other")
+    is_other = {task: rng.random() < 0.5 for task in tasks}
+    measured: list[PointStatistics] = []
+    refused: dict[int, str] = {}
+    for task in tasks:
+        points = list(product(networks, algorithms))
+        odd, kind = int(rng.integers(len(points))), int(rng.integers(3))
+        for index, (network, algorithm) in enumerate(points):
+            is_odd = is_other[task] and index == odd
+            if is_odd and kind == 2:
+                refused[len(measured)] = "a reason"
+            ended, errors = int(is_odd and kind == 0), int(is_odd and kind == 1)
+            measured.append(_counted(task, network, algorithm, ended, errors))
+    arena_runs: Any = SimpleNamespace(algorithms=dict.fromkeys(algorithms), refused=refused)
+    swept: Any = SimpleNamespace(measured=measured)
+
+    table = ArenaResult(arena_runs, swept).tables()[0]
+    headings = [column.header for column in table.columns]
+    expected = [task for task in tasks if is_other[task]] or list(tasks)
+    assert headings == ["algorithm", "network", *expected]
+    rest = [task for task in tasks if task not in expected]
+    summary = [f"every one, on {', '.join(rest)}"] if rest else []
+    assert [*table.columns[0].cells] == [*algorithms, *summary]
+
+
 def test_from_python() -> None:
     """A class itself enters, and its results are rows; a cost ratio is that of the mean costs."""
     result = transport.arena(

@@ -109,7 +109,7 @@ class ArenaResult:
         missed = [
             task
             for (task, _, _), (one, refused) in self.by_place.items()
-            if refused or one.completed < one.runs
+            if refused or one.errors or one.completed < one.runs
         ]
         return [task for task in self.tasks if task in missed] or self.tasks
 
