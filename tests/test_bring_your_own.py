@@ -57,20 +57,6 @@ def test_the_path_of_the_document(tmp_path: Path) -> None:
     assert np.linalg.norm(v[[0, -1]], axis=1).max() < 0.01
 
 
-def test_the_constraint_of_the_document(tmp_path: Path) -> None:
-    """The penalty on height is valid in a scenario."""
-    (constraint,) = (block for block in blocks("toml") if "controller.constraint" in block)
-    path = tmp_path / "mine.toml"
-    path.write_text(
-        (SCENARIOS / "resilient.toml").read_text(encoding="utf-8") + "\n" + constraint,
-        encoding="utf-8",
-    )
-    run = Setup.of(read_scenario(path), str(path))
-    assert [(c.expression, c.penalty, c.soft) for c in run.settings.constraint] == [
-        ("r0[2] >= -11.0", 0.5, True)
-    ]
-
-
 def test_the_data_of_the_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The class that shares a height flies, and shares it in every plan."""
     controller, even, *_ = blocks("python")

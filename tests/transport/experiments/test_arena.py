@@ -307,7 +307,6 @@ def test_the_whole_command(tmp_path: Path) -> None:
     assert f"{runs} of {runs} runs are done already" in again.stderr
 
 
-@pytest.mark.usefixtures("short_tasks")
 def _counted(task: str, network: str, algorithm: str, ended: int, errors: int) -> PointStatistics:
     """Return a point with three runs, of which some end early and others cannot be simulated."""
     return PointStatistics(
@@ -350,6 +349,7 @@ def test_tasks_that_all_complete_on_all_networks_are_one_row(seed: int) -> None:
     assert [*table.columns[0].cells] == [*algorithms, *summary]
 
 
+@pytest.mark.usefixtures("short_tasks")
 def test_from_python() -> None:
     """A class itself enters, and its results are rows; a cost ratio is that of the mean costs."""
     result = transport.arena(
