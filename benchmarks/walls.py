@@ -22,6 +22,7 @@ from benchmarks.runs import origin
 from docs.tables import ROOT, put_rows
 from transport.flight.memory import simulate
 from transport.flight.progress import compile_models
+from transport.model.arrays import Array
 from transport.model.physics.obstacles import clearances
 from transport.model.state import R0, THETA0, V0
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
@@ -126,16 +127,23 @@ def sight_s(setup: Setup) -> float:
     raise SystemExit("benchmarks.walls: expected a wall in sight, got none")
 
 
-def fly(row: str, seed: int) -> Flown:
-    """Return the run of a row with a wall."""
+def setup_of(row: str, seed: int) -> Setup:
+    """Return the run of a row with a wall; the silence begins with the sight in the run without it."""
     settings = (*scene(seed), *ROWS[row])
     setup = prepared(*settings)
-    if _SILENT in row:
-        start_s = sight_s(setup)
-        times = f"start_s={start_s},end_s={start_s + _SILENT_S}"
-        others = range(1, len(setup.scenario.owned))
-        cuts = [f"{{between=['agent{agent}'],{times}}}" for agent in others]
-        setup = prepared(*settings, f"links.partition=[{','.join(cuts)}]")
+    if _SILENT not in row:
+        return setup
+
+    start_s = sight_s(setup)
+    times = f"start_s={start_s},end_s={start_s + _SILENT_S}"
+    others = range(1, len(setup.scenario.owned))
+    cuts = [f"{{between=['agent{agent}'],{times}}}" for agent in others]
+    return prepared(*settings, f"links.partition=[{','.join(cuts)}]")
+
+
+def fly(row: str, seed: int) -> Flown:
+    """Fly a row with a wall."""
+    setup = setup_of(row, seed)
     states: list[PlantState] = []
 
     def record(message: Message) -> None:
@@ -146,10 +154,6 @@ def fly(row: str, seed: int) -> Flown:
     x = np.array([one.x for one in states])
     N = setup.system.N
     wall_m = clearances(setup.system, setup.obstacles[0], x)
-    places = setup.model.outputs_along(x)[:, : 3 * N].reshape(len(x), -1, 3)
-    apart_m = [
-        np.linalg.norm(places[:, a] - places[:, b], axis=1) for a, b in combinations(range(N), 2)
-    ]
     goal_I = setup.maneuver.path(np.array([setup.maneuver.duration_s]))[0][0]
     is_complete = end.outcome == "completed"
     arrives = is_complete and float(np.linalg.norm(x[-1, R0] - goal_I)) < _ARRIVED_M
@@ -160,7 +164,17 @@ def fly(row: str, seed: int) -> Flown:
         uav_m=float(wall_m[:, :N].min()),
         load_m=float(wall_m[:, N:].min()),
         attitude_deg=float(np.degrees(np.abs(x[:, THETA0]).max())),
-        apart_m=float(np.min(apart_m)),
+        apart_m=_apart_m(setup, x),
+    )
+
+
+def _apart_m(setup: Setup, x: Array) -> float:
+    """Return the least distance between the centres of two UAVs at the states, (K, n), m."""
+    N = setup.system.N
+    places_I = setup.model.outputs_along(x)[:, : 3 * N].reshape(len(x), N, 3)
+    pairs = combinations(range(N), 2)
+    return min(
+        float(np.linalg.norm(places_I[:, a] - places_I[:, b], axis=1).min()) for a, b in pairs
     )
 
 

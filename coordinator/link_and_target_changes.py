@@ -82,7 +82,7 @@ class Changes:
         return messages
 
     def _scripted_target(self, wanted: Any, tick: int) -> Sequence[Message]:
-        """Return the messages of a target that nobody waits for the answer to."""
+        """Return the messages of a target without a request that awaits an answer."""
         try:
             return self.target(wanted, tick)
         except RequestError as error:

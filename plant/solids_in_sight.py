@@ -1,4 +1,4 @@
-"""What UAVs see of obstacles that nobody has told their agents: `Measurement.seen`."""
+"""What UAVs see of obstacles that their agents have not been told of: `Measurement.seen`."""
 
 from collections.abc import Sequence
 

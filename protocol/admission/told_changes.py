@@ -1,7 +1,7 @@
 """Targets and changes of links told in a run, as one process knows them: for processes that missed them.
 
 A coordinator that is started again knows none of those that an earlier one told, and a vehicle that returns
-meanwhile has nobody who repeats them. So each vehicle says with its status how many it knows, and adds the
+meanwhile is not sent them again. So each vehicle says with its status how many it knows, and adds the
 next ones that the least informed process lacks, as far as it has heard.
 """
 

@@ -86,7 +86,7 @@ def test_a_wall_is_gone_round_and_the_path_s_end_reached(network: Sequence[str])
     assert load_m > LOAD_MARGIN_M
     np.testing.assert_allclose(end(log), [9.6, 7.2, -10.0], atol=ARRIVED_M)
     (first, tick) = min(makers(log).items(), key=lambda item: item[1])
-    # Nobody knows it before: no measurement but of those near, none earlier than the target.
+    # No agent knows it before: no measurement but of those near, none earlier than the target.
     seen = [(one.agent, one.tick) for one in log.of(Measurement) if len(one.seen)]
     assert min(tick for _, tick in seen) == tick
     assert f"agent{min(seen, key=lambda one: one[1])[0]}" in makers(log)
@@ -125,7 +125,7 @@ def test_two_walls_of_which_each_hides_behind_the_other() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("rule", ["eager", "confirmed"])
 def test_a_silence_from_the_moment_of_sight_ends_before_the_wall(rule: str) -> None:
-    """Nobody hears of it for 3 s: with a stop all rest before it, and go round it after."""
+    """No other agent hears of it for 3 s: with a stop all rest before it, and go round it after."""
     settings = GO % 20, wall(7.0, 2.0), f"controller.targets={rule}", "controller.silence=stop"
     _, before = flown(*settings)
     since_s = 0.05 * min(makers(before).values())
