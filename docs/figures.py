@@ -187,7 +187,6 @@ def renew(names: Sequence[str], *, of_this_code: bool, seed: int, pictures: bool
     """Simulate what is missing, and write pages and figures."""
     if pictures:
         figures_of_runs()
-    results = {}
     for name in names:
         one = TABLES[name]()
         place(one.document, name)  # refused before minutes are spent
@@ -197,20 +196,37 @@ def renew(names: Sequence[str], *, of_this_code: bool, seed: int, pictures: bool
         if not tasks and not is_of_this_code and problems_of_drawn([one], seed):
             say(f"{name}: a drawn run has changed; all are simulated")
             tasks = missing(one, {})
-        runs = complete(one, tasks)
-        results[name] = results_of(one, runs)
-        put(one.document, name, text_of(one, runs))
-        if one.draw and pictures:
-            one.draw(results[name])
+        _write(one, complete(one, tasks), pictures=pictures)
+    _write_common()
 
+
+def write_as_kept(names: Sequence[str], *, pictures: bool) -> None:
+    """Write pages and figures from kept results; a table with missing runs stays as it is."""
+    for name in names:
+        one = TABLES[name]()
+        runs = kept.read(kept.file_of(name))
+        count = len(missing(one, runs))
+        if count:
+            say(f"{name}: {count} runs are missing")
+        else:
+            _write(one, runs, pictures=pictures)
+    _write_common()
+
+
+def _write(one: Measured, runs: Runs, *, pictures: bool) -> None:
+    """Write the text of a table, and its figures."""
+    put(one.document, one.name, text_of(one, runs))
+    if one.draw and pictures:
+        one.draw(results_of(one, runs))
+
+
+def _write_common() -> None:
+    """Write the origins of pages, and the tables made from others."""
     for page, tables in PAGES.items():
         origins = origins_of_page(tables)
         if origins:
             put(ROOT / "docs" / page, "origin", origins)
-    known = {
-        name: results[name] if name in results else _kept_results(name) for name in registered()
-    }
-    for made, text in derived(known):
+    for made, text in derived({name: _kept_results(name) for name in registered()}):
         put(made.document, made.name, text)
 
 
@@ -281,6 +297,7 @@ def main() -> None:
     parser.add_argument("tables", nargs="*", metavar="TABLE", help=f"of {', '.join(TABLES)}")
     parser.add_argument("--check", action="store_true", help="compare, change nothing")
     parser.add_argument("--all-runs", action="store_true", help="repeat all runs of other commits")
+    parser.add_argument("--as-kept", action="store_true", help="simulate nothing, not even one run")
     parser.add_argument("--no-pictures", action="store_true", help="tables only")
     parser.add_argument("--seed", type=int, default=default_seed(), help="of the drawn runs")
     given = parser.parse_args()
@@ -295,6 +312,9 @@ def main() -> None:
         for problem in problems:
             say(problem)
         say(f"{len(names)} tables, drawn runs of seed {given.seed}: {len(problems)} problems")
+    elif given.as_kept:
+        problems = []
+        write_as_kept(names, pictures=not given.no_pictures)
     else:
         problems = []
         renew(

@@ -8,6 +8,7 @@ from tables import completed_of, table
 
 from transport.experiments.cases import Result
 from transport.experiments.information_experiment import ALL, RULES
+from transport.experiments.statistics import columns_of, with_spread
 from transport.experiments.weather_experiment import NETWORKS, NONE, PERFECT
 
 Row = Mapping[str, str]  # of points.csv
@@ -31,7 +32,7 @@ def worth(rows: Sequence[Row]) -> str:
 
 
 def _cell(rows: Sequence[Row], number: str, **labels: str) -> str:
-    """Return mean and interval of a number of a point, cm, and how many of its runs complete.
+    """Return mean and interval of a number of a point, cm, or how many of its runs complete.
 
     Empty for a point that is not flown.
     """
@@ -41,9 +42,9 @@ def _cell(rows: Sequence[Row], number: str, **labels: str) -> str:
     done, runs = int(row["completed"]), int(row["flights"])
     if done < runs:
         return f"{completed_of(done, runs)} complete"
-    half = row[f"{number}_ci95"]
-    interval_cm = f" ±{100.0 * float(half):.1f}" if half else ""
-    return f"{100.0 * float(row[number]):.1f}{interval_cm}"
+    names = zip(("mean", "half_width", "low", "high"), columns_of(number, None), strict=True)
+    values = {field: float(row[name]) if row[name] else None for field, name in names}
+    return with_spread({**values, "n": done}, lambda value_m: f"{100.0 * value_m:.1f}")
 
 
 # Networks of the table on targets that one agent knows, with their headings.

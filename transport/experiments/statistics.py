@@ -2,7 +2,7 @@
 
 import math
 import statistics
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ WORST_ATTITUDE = "attitude_worst_deg"
 
 # Quantile of Student's distribution at the upper end of a 95 % confidence interval.
 _QUANTILE = 0.975
-# Fewer values than these have error bars of their range.
+# Fewer values than these are shown with their range: the interval of two or three can exceed their mean.
 FEW = 5
 
 
@@ -46,10 +46,31 @@ class Estimate(NamedTuple):
         below = min(self.half_width, self.mean) if self.low >= 0.0 else self.half_width
         return below, self.half_width
 
+    def scaled(self, factor: float) -> "Estimate":
+        """Return the estimate in another unit, for a factor above zero."""
+        half_width = None if self.half_width is None else factor * self.half_width
+        return Estimate(
+            factor * self.mean, half_width, self.n, factor * self.low, factor * self.high
+        )
+
     def text(self, digits: int) -> str:
-        """Return the mean with half its interval, if it has one."""
-        half = "" if self.half_width is None else f" ±{self.half_width:.{digits}f}"
-        return f"{self.mean:.{digits}f}{half}"
+        """Return the mean with half its interval, with the range of fewer than five values."""
+        return with_spread(self._asdict(), lambda value: f"{value:.{digits}f}")
+
+
+def with_spread(values: Mapping[str, Any], text: Callable[[float], str]) -> str:
+    """Return a mean in words with half its interval, with its range if n is below five, alone if n is one.
+
+    Args:
+        values: The fields of an `Estimate`.
+        text: Returns a number as text.
+    """
+    mean = text(values["mean"])
+    if values["half_width"] is None:
+        return mean
+    if values["n"] < FEW:
+        return f"{mean} [{text(values['low'])}, {text(values['high'])}]"
+    return f"{mean} ±{text(values['half_width'])}"
 
 
 def estimate(values: Sequence[float]) -> Estimate | None:
@@ -95,23 +116,19 @@ class PointStatistics:
         value = self.numbers[name]
         return None if value is None else value.mean
 
-    def half_width(self, name: str) -> float | None:
-        """Return half the 95 % interval of a number; that of the cost ratio is the cost's, scaled."""
-        value = self.numbers["cost_mean" if name == COST_RATIO else name]
-        if value is None or value.half_width is None:
-            return None
+    def estimate(self, name: str) -> Estimate | None:
+        """Return a number with its uncertainty; that of the cost ratio is the cost's, scaled."""
         if name != COST_RATIO:
-            return value.half_width
-        return None if self.cost_ratio is None else value.half_width * self.cost_ratio / value.mean
+            return self.numbers[name]
+        cost = self.numbers["cost_mean"]
+        if cost is None or self.cost_ratio is None:
+            return None
+        return cost.scaled(self.cost_ratio / cost.mean)._replace(mean=self.cost_ratio)
 
     def bar(self, name: str) -> tuple[float, float]:
-        """Return the lengths of the error bar of a number; those of the cost ratio are the cost's, scaled."""
-        value = self.numbers["cost_mean" if name == COST_RATIO else name]
-        if value is None:
-            return 0.0, 0.0
-        scale = 1.0 if name != COST_RATIO else (self.cost_ratio or 0.0) / value.mean
-        below, above = value.bar()
-        return scale * below, scale * above
+        """Return the lengths of the error bar of a number."""
+        value = self.estimate(name)
+        return (0.0, 0.0) if value is None else value.bar()
 
     def row(self) -> dict[str, Any]:
         """Return values by column, as in points.csv."""
@@ -126,9 +143,16 @@ class PointStatistics:
             WORST_ATTITUDE: self.attitude_worst_deg,
         }
         for name, value in self.numbers.items():
-            row[name] = value and value.mean
-            row[f"{name}_ci95"] = value and value.half_width
+            row |= columns_of(name, value)
         return row
+
+
+def columns_of(name: str, value: Estimate | None) -> dict[str, float | None]:
+    """Return the columns of a number in points.csv: mean, half its interval, smallest and largest value."""
+    names = (name, *(f"{name}_{ending}" for ending in ("ci95", "min", "max")))
+    if value is None:
+        return dict.fromkeys(names)
+    return dict(zip(names, (value.mean, value.half_width, value.low, value.high), strict=True))
 
 
 def statistics_of(
@@ -183,8 +207,9 @@ def _ratio(measured: PointStatistics, baseline: float | None) -> float | None:
 
 
 # Most characters in a line of a table.
-WIDTH = 140
-TITLE = "means of completed runs, ± 95 % confidence"
+WIDTH = 160
+SPREAD = f"± half the 95 % interval, [range] of fewer than {FEW}"
+TITLE = f"means of completed runs, {SPREAD}"
 
 # Numbers from here on are shown without decimals.
 _LARGE = 100.0
@@ -201,9 +226,15 @@ class Column(NamedTuple):
 
     def cell(self, row: Mapping[str, Any]) -> str:
         """Return the number of a row as text."""
-        half_width = row.get(f"{self.name}_ci95") if self.interval else None
-        values = [row.get(self.name), half_width]
-        return " ±".join(self._text(value) for value in values if value is not None) or "-"
+        mean = row.get(self.name)
+        if mean is None:
+            return "-"
+        half_width, low, high = (
+            row.get(f"{self.name}_{ending}") if self.interval else None
+            for ending in ("ci95", "min", "max")
+        )
+        values = {"mean": mean, "half_width": half_width, "low": low, "high": high}
+        return with_spread({**values, "n": row.get("completed")}, self._text)
 
     def _text(self, value: float) -> str:
         """Return a number in the unit of the column, a large one without decimals."""

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from transport.experiments.cases import ERROR, NUMBERS, Point, Result
-from transport.experiments.statistics import estimate, statistics_of
+from transport.experiments.statistics import COST_RATIO, Column, estimate, statistics_of
 
 BASELINE = Point(scenario="a", labels={"delay_s": 0.0}, text="0 ms", baseline=True)
 LATE = Point(scenario="a", labels={"delay_s": 0.1}, text="100 ms")
@@ -49,6 +49,40 @@ def test_error_bars_stay_on_the_axis() -> None:
     few = estimate([1.0, 2.0, 6.0])
     assert few is not None
     assert few.bar() == (2.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ([2.0], "2.0"),
+        ([1.0, 3.0], "2.0 [1.0, 3.0]"),  # half the interval is 12.7
+        ([1.0, 2.0, 3.0, 6.0], "3.0 [1.0, 6.0]"),
+        ([1.0, 2.0, 3.0, 4.0, 5.0], "3.0 ±2.0"),
+    ],
+)
+def test_few_values_are_told_with_their_range(values: list[float], text: str) -> None:
+    """A single value stands alone, five have their interval; so in the column of a table, with its factor."""
+    found = estimate(values)
+    assert found is not None
+    assert found.text(1) == text
+
+    results = [result(cost=value) for value in values]
+    (point,) = statistics_of([BASELINE], [results], NUMBERS[1:])
+    assert Column("", "cost_mean", digits=1, interval=True).cell(point.row()) == text
+    scaled = Column("", "cost_mean", 10.0, 0, interval=True).cell(point.row())
+    assert scaled == text.replace(".0", "0")
+
+
+def test_the_cost_ratio_has_the_spread_of_the_cost() -> None:
+    """Its interval and its range are the cost's over the baseline's cost."""
+    costs = [2.0, 4.0]
+    base, late = statistics_of(
+        [BASELINE, LATE], [[result(cost=1.5)], [result(cost=cost) for cost in costs]], NUMBERS[1:]
+    )
+    ratio = late.estimate(COST_RATIO)
+    assert ratio is not None
+    assert (ratio.mean, ratio.low, ratio.high) == pytest.approx((2.0, 2.0 / 1.5, 4.0 / 1.5))
+    assert base.estimate(COST_RATIO) == (1.0, None, 1, 1.0, 1.0)
 
 
 def test_diverged_runs_count_but_are_not_averaged() -> None:

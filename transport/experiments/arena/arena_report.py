@@ -24,7 +24,7 @@ from transport.experiments.arena.arena_tasks_and_networks import (
 )
 from transport.experiments.cases import Case
 from transport.experiments.figures.figure_arena import draw_measure
-from transport.experiments.statistics import COST_RATIO, PointStatistics
+from transport.experiments.statistics import COST_RATIO, SPREAD, PointStatistics, columns_of
 from transport.experiments.sweep import Results, Simulate, Swept, markdown_of, sweep
 from transport.flight.run_files import machine, versions
 from transport.protocol.scenario.files.atomic_writing import write_whole
@@ -143,7 +143,7 @@ class ArenaResult:
         return None if is_empty else table
 
     def _text(self, axis: ArenaAxis, place: tuple[str, str, str]) -> str:
-        """Return the cell of a point: mean and half its 95 % interval, if there are several runs."""
+        """Return the cell of a point: mean, with interval or range if there are several runs."""
         one, refused = self.by_place[place]
         if refused:
             return _REFUSED
@@ -152,12 +152,8 @@ class ArenaResult:
             return f"{one.completed}/{one.runs}{end}" + f" {one.errors}!" * bool(one.errors)
         if axis.number != COST_RATIO and axis.number not in one.numbers:
             return _MISSING
-        mean = one.mean(axis.number)
-        half = one.half_width(axis.number)
-        if mean is None:
-            return _MISSING
-        text = f"{axis.factor * mean:.{axis.digits}f}"
-        return text if half is None else f"{text} ±{axis.factor * half:.{axis.digits}f}"
+        value = one.estimate(axis.number)
+        return _MISSING if value is None else value.scaled(axis.factor).text(axis.digits)
 
     def sentences(self) -> list[str]:
         """Return what was tuned for each algorithm, and what cannot be flown and why."""
@@ -243,7 +239,7 @@ class ArenaResult:
         count = self.arena.seeds
         seeds = f"{count} seed{'s' * (count > 1)} of each random run"
         if count > 1:
-            seeds += ", ± half the 95 % interval"
+            seeds += f", {SPREAD}"
         origin = f"Arena {VERSION}, {seeds}; {versions()}; machine: {machine()}"
         return "\n".join([*lines, "", f"*{origin}*", ""])
 
@@ -261,4 +257,4 @@ def conduct(
 
 def _row(one: PointStatistics, refused: str) -> dict[str, Any]:
     """Return a point as JSON data."""
-    return {**one.row(), f"{COST_RATIO}_ci95": one.half_width(COST_RATIO), "refused": refused}
+    return {**one.row(), **columns_of(COST_RATIO, one.estimate(COST_RATIO)), "refused": refused}

@@ -12,7 +12,7 @@ import numpy as np
 
 from transport.experiments.cases import ExperimentError, Point
 from transport.experiments.declaration import QUICK_MANEUVER, Experiment
-from transport.experiments.statistics import COST_RATIO, PointStatistics, estimate
+from transport.experiments.statistics import COST_RATIO, PointStatistics, columns_of, estimate
 from transport.experiments.sweep import Swept
 from transport.model.arrays import Array
 
@@ -108,8 +108,7 @@ class ComparisonCurve:
         for i, (cell, measured) in enumerate(zip(self.cells, self.measured, strict=True)):
             ratio = estimate(list(self.ratios[i][np.isfinite(self.ratios[i])]))
             row = {"kept": self.kept, **measured.row()}
-            row[COST_RATIO] = ratio and ratio.mean
-            row[f"{COST_RATIO}_ci95"] = ratio and ratio.half_width
+            row |= columns_of(COST_RATIO, ratio)
             del row["scenario"]
 
             agent = float(np.median(self.loads[AGENT][i]))

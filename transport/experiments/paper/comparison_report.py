@@ -15,15 +15,12 @@ from transport.experiments.paper import comparison
 from transport.experiments.paper.comparison import CENTRALIZED, Cell, ComparisonCurve
 from transport.experiments.paper.comparison_figures import draw_costs, draw_maneuver
 from transport.experiments.paper.equal_terms import ranges, sentence
-from transport.experiments.statistics import COST_RATIO, Column, console_table
+from transport.experiments.statistics import COST_RATIO, SPREAD, Column, console_table
 from transport.experiments.sweep import Results, Simulate, Swept, sweep, write_markdown
 from transport.protocol.scenario.files.atomic_writing import write_csv
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
 
-TITLE = (
-    "paper: means of completed runs; ± 95 % confidence of the ratio to centralized, "
-    "taken seed by seed"
-)
+TITLE = f"paper: means of completed runs; ratio to centralized, taken seed by seed, {SPREAD}"
 
 _LABELS = {"weather": "weather", "controller": "controller", "kept": "horizon\nkept"}
 # Only the ratio has a confidence interval: the spread of the others is that of the wind.
