@@ -1,43 +1,87 @@
 """Matrices of the arena: tasks in rows, algorithms in columns, in each cell one mark for each network."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import NullLocator
 
 from transport.experiments.arena.arena_tasks_and_networks import NETWORKS
-from transport.experiments.statistics import PointStatistics
+from transport.experiments.figures.figure_parts import (
+    draw_colour_bar,
+    mark_style,
+    scale_of,
+    values_of,
+)
+from transport.experiments.statistics import COST_RATIO, PointStatistics
 from transport.report.figures.column import Room, column_panels, head, text_width_in
-from transport.report.figures.style import COLUMN_IN, MARKER, styles_of
+from transport.report.figures.style import styles_of
 
+# Height of a row, of the matrix at least so that numbers of a scale are apart, and room around it, inches.
 _ROW_IN = 0.27
-_LEAST_IN = 0.5  # height of the matrix, so that numbers of a scale are apart
-_SLANT_DEG = 40.0  # of the names of algorithms
-_BELOW_IN = 0.1  # beside the height of the names
+_LEAST_IN = 0.5
+_BELOW_NAMES_IN = 0.1
 _BESIDE_NAME_IN = 0.08
+_BELOW_LEGEND_IN = 0.12
 _TITLE_IN = 0.3  # of two lines
-_RIGHT_IN, _RIGHT_OF_SCALE_IN = 0.08, 0.42
-_BAR_GAP_IN, _BAR_IN = 0.08, 0.09
-_LEAST_SPAN = 1.001  # of a scale, at least this ratio
-# Marks and tiles of a cell stand in two rows: distance of marks, and size of a tile of that distance.
-_DOWN = 2
+_RIGHT_IN = 0.08
+_RIGHT_OF_SCALE_IN = 0.42
+_SLANT_DEG = 40.0  # of the names of algorithms
+_EDGE: Any = {"color": "#d9d9d9", "linewidth": 0.5}  # between cells
+# Marks and tiles of a cell stand in two rows; they take this share of it, and a tile this share of its place.
+_ROWS_IN_CELL = 2
 _SPREAD = 0.88
 _TILE = 0.9
-_NONE: Any = {"facecolor": "#ffffff", "edgecolor": "#b0b0b0", "linewidth": 0.4, "hatch": "//////"}
-_FILLS = {"all complete": "full", "some do": "left", "none does": "none"}
+_NONE_COMPLETES: Any = {
+    "facecolor": "#ffffff",
+    "edgecolor": "#b0b0b0",
+    "linewidth": 0.4,
+    "hatch": "//////",
+}
+# Fill of a mark by what completes, and its text in the legend.
+_ALL, _SOME, _NONE = "full", "left", "none"
+_FILLS = {_ALL: "all complete", _SOME: "some do", _NONE: "none does"}
+_GREY = ("#555555", "o", "")
 
-_LABELS = {"none": "no network"}  # of networks in the legend
+_NAMES = {"none": "no network"}  # of networks in the legend
 
-_Place = tuple[float, float]
+
+@dataclass(frozen=True, slots=True)
+class CellLayout:
+    """Places of networks in a cell of the matrix, whose sides have the length 1."""
+
+    networks: Sequence[str]
+
+    @property
+    def across(self) -> int:
+        """Number of places beside each other."""
+        return math.ceil(len(self.networks) / _ROWS_IN_CELL)
+
+    @property
+    def rows(self) -> list[Sequence[str]]:
+        """Networks of each row, from above."""
+        firsts = range(0, len(self.networks), self.across)
+        return [self.networks[first : first + self.across] for first in firsts]
+
+    def place(self, network: str) -> tuple[float, float]:
+        """Return the place of a network right of the middle of the cell and below it."""
+        row, column = divmod(self.networks.index(network), self.across)
+        right = _SPREAD / self.across * (column - (self.across - 1) / 2.0)
+        below = _SPREAD / _ROWS_IN_CELL * (row - (len(self.rows) - 1) / 2.0)
+        return right, below
+
+    @property
+    def tile(self) -> tuple[float, float]:
+        """Width and height of the tile of a network."""
+        return _TILE * _SPREAD / self.across, _TILE * _SPREAD / _ROWS_IN_CELL
 
 
 def draw_arena(figure: Figure, measured: Sequence[PointStatistics]) -> None:
@@ -45,91 +89,98 @@ def draw_arena(figure: Figure, measured: Sequence[PointStatistics]) -> None:
 
     A place without mark was not flown.
     """
-    networks = _networks(measured)
-    styles = styles_of(networks)
-    shown = [
-        Line2D([], [], label=_LABELS.get(name, name), **_mark(styles[name], "full"))
-        for name in networks
-    ]
-    grey = ("#555555", "o", "")
-    fills = [Line2D([], [], label=text, **_mark(grey, fill)) for text, fill in _FILLS.items()]
-    pairs = zip_longest(shown, fills)  # a legend is filled by columns: networks are its first row
-    legend = [handle for pair in pairs for handle in pair if handle is not None]
-    panel = _matrix(figure, measured, legend=legend)
-    for one, (column, row) in _places(measured, networks):
+    layout = _layout(measured)
+    looks = styles_of(layout.networks)
+    panel = _matrix(figure, measured, legend=_legend(looks))
+    for one, (column, row) in _places(measured, layout):
         if one.runs:
-            share = one.completed / one.runs
-            fill = "full" if share == 1.0 else "left" if share else "none"
-            style = styles[str(one.point.labels["network"])]
-            panel.plot([column], [row], **_mark(style, fill))
+            panel.plot([column], [row], **_mark(looks[_network(one)], _fill(one)))
+
+
+def _legend(looks: Mapping[str, tuple[str, str, str]]) -> list[Line2D]:
+    """Return the legend: networks in its first row, fills in the second."""
+    networks = [
+        Line2D([], [], label=_NAMES.get(name, name), **_mark(look, _ALL))
+        for name, look in looks.items()
+    ]
+    fills = [Line2D([], [], label=text, **_mark(_GREY, fill)) for fill, text in _FILLS.items()]
+    pairs = zip_longest(networks, fills)  # a legend is filled by columns
+    return [handle for pair in pairs for handle in pair if handle is not None]
+
+
+def _fill(one: PointStatistics) -> str:
+    """Return how much of the mark of a point is filled, by the share of its runs that complete."""
+    if one.completed == one.runs:
+        return _ALL
+    return _SOME if one.completed else _NONE
+
+
+def _mark(look: tuple[str, str, str], fill: str) -> dict[str, Any]:
+    """Return the style of a mark with a fill."""
+    return {**mark_style(look), "markeredgewidth": 0.6, "fillstyle": fill}
 
 
 def draw_measure(
     figure: Figure, measured: Sequence[PointStatistics], number: str, title: str, factor: float
 ) -> None:
-    """Draw a number of completed runs as colours, a tile for each network; hatched: none completes."""
-    networks = _networks(measured)
-    means = {id(one): one.mean(number) for one in measured if _has(one, number)}
-    values = [factor * mean for mean in means.values() if mean] or [1.0]
-    scale = LogNorm(min(values), max(*values, _LEAST_SPAN * min(values)))
+    """Draw a number of completed runs as colours, a tile for each network; hatched: none completes.
+
+    A logarithmic scale has no zero: a point whose mean is 0 has no tile, as one without the number.
+    """
+    layout = _layout(measured)
+    numbers = {id(one): factor * (_mean(one, number) or 0.0) for one in measured}
+    scale = scale_of(list(numbers.values()))
     colours = ScalarMappable(scale)
+
     panel = _matrix(figure, measured, right_in=_RIGHT_OF_SCALE_IN)
-    across = _across(networks)
-    rows = [networks[i : i + across] for i in range(0, len(networks), across)]
-    width, height = _TILE * _SPREAD / across, _TILE * _SPREAD / _DOWN
-    cell = f"\nin a cell: {' / '.join(', '.join(row) for row in rows)}" if len(networks) > 1 else ""
-    head(panel, f"{title}{cell}", legend=False)
-    for one, (column, row) in _places(measured, networks):
-        corner = (column - width / 2.0, row - height / 2.0)
-        mean = means.get(id(one))
-        if mean:
-            (colour,) = colours.to_rgba(np.array([factor * mean]))
-            panel.add_patch(Rectangle(corner, width, height, color=colour, linewidth=0.0))
+    head(panel, f"{title}{_order_in_words(layout)}", legend=False)
+    for one, place in _places(measured, layout):
+        value = numbers[id(one)]
+        if value > 0.0:
+            (colour,) = colours.to_rgba(np.array([value]))
+            _draw_tile(panel, place, layout, {"color": colour, "linewidth": 0.0})
         elif one.runs and not one.completed:
-            panel.add_patch(Rectangle(corner, width, height, **_NONE))
+            _draw_tile(panel, place, layout, _NONE_COMPLETES)
 
-    _draw_scale(figure, panel, colours, (min(values), max(values)))
-
-
-def _draw_scale(
-    figure: Figure, panel: Axes, colours: ScalarMappable, ends: tuple[float, float]
-) -> None:
-    """Draw the colour bar beside a matrix, with its ends and its middle as numbers."""
-    place = panel.get_position()
-    left = place.x1 + _BAR_GAP_IN / COLUMN_IN
-    axes = figure.add_axes((left, place.y0, _BAR_IN / COLUMN_IN, place.height))
-    bar = figure.colorbar(colours, cax=axes)
-    low, high = ends
+    bar = draw_colour_bar(figure, [panel], scale)
+    bar.ax.yaxis.set_minor_locator(NullLocator())
+    shown = [value for value in numbers.values() if value > 0.0] or [1.0]
+    low, high = min(shown), max(shown)
     ticks = list(dict.fromkeys([low, math.sqrt(low * high), high]))
-    axes.yaxis.set_minor_locator(NullLocator())
     bar.set_ticks(ticks, labels=[f"{tick:.3g}" for tick in ticks])
 
 
-def _has(one: PointStatistics, number: str) -> bool:
-    return number == "cost_ratio" or number in one.numbers
+def _mean(one: PointStatistics, number: str) -> float | None:
+    """Return the mean of a number of a point; None without one."""
+    has_number = number == COST_RATIO or number in one.numbers
+    return one.mean(number) if has_number else None
 
 
-def _mark(style: tuple[str, str, str], fill: str) -> dict[str, Any]:
-    """Return the mark of a network, filled by the share of completed runs."""
-    colour, marker, _ = style
-    return {
-        "color": colour,
-        "marker": marker,
-        "linestyle": "none",
-        "markersize": MARKER,
-        "markeredgewidth": 0.6,
-        "fillstyle": fill,
-    }
+def _order_in_words(layout: CellLayout) -> str:
+    """Return the line of a title that tells the order of networks in a cell; empty for a single one."""
+    if len(layout.networks) <= 1:
+        return ""
+    return f"\nin a cell: {' / '.join(', '.join(row) for row in layout.rows)}"
 
 
-def _values(measured: Sequence[PointStatistics], label: str) -> list[str]:
-    """Return the values of a label in their order."""
-    return list(dict.fromkeys(str(one.point.labels[label]) for one in measured))
+def _draw_tile(
+    panel: Axes, place: tuple[float, float], layout: CellLayout, style: Mapping[str, Any]
+) -> None:
+    """Draw the tile of a network about its place."""
+    column, row = place
+    width, height = layout.tile
+    corner = (column - width / 2.0, row - height / 2.0)
+    panel.add_patch(Rectangle(corner, width, height, **style))
 
 
-def _networks(measured: Sequence[PointStatistics]) -> list[str]:
-    found = _values(measured, "network")
-    return [name for name in NETWORKS if name in found]
+def _layout(measured: Sequence[PointStatistics]) -> CellLayout:
+    """Return the layout of a cell with the networks of some points."""
+    flown = {_network(one) for one in measured}
+    return CellLayout([name for name in NETWORKS if name in flown])
+
+
+def _network(one: PointStatistics) -> str:
+    return str(one.point.labels["network"])
 
 
 def _matrix(
@@ -140,53 +191,42 @@ def _matrix(
     right_in: float = _RIGHT_IN,
 ) -> Axes:
     """Return the panel of an empty figure: a row for each task, a column for each algorithm."""
-    tasks = _values(measured, "task")
-    algorithms = _values(measured, "algorithm")
-    names = [name.rpartition(":")[2] for name in algorithms]
+    tasks = [str(task) for task in values_of(measured, "task")]
+    algorithms = values_of(measured, "algorithm")
+    names = [str(name).rpartition(":")[2] for name in algorithms]
+    slant = math.sin(math.radians(_SLANT_DEG))
     room = Room(
         left_in=max(map(text_width_in, tasks)) + _BESIDE_NAME_IN,
         right_in=right_in,
-        top_in=0.12 if legend else _TITLE_IN,
-        bottom_in=_BELOW_IN + math.sin(math.radians(_SLANT_DEG)) * max(map(text_width_in, names)),
+        top_in=_BELOW_LEGEND_IN if legend else _TITLE_IN,
+        bottom_in=_BELOW_NAMES_IN + slant * max(map(text_width_in, names)),
     )
-    (panel,) = column_panels(
-        figure, [max(_ROW_IN * len(tasks), _LEAST_IN)], legend=legend, x_label="", room=room
-    )
+    height_in = max(_ROW_IN * len(tasks), _LEAST_IN)
+    (panel,) = column_panels(figure, [height_in], legend=legend, x_label="", room=room)
+
     panel.set(xlim=(-0.5, len(algorithms) - 0.5), ylim=(len(tasks) - 0.5, -0.5))
-    slant: Any = {"rotation": _SLANT_DEG, "ha": "right", "rotation_mode": "anchor"}
-    panel.set_xticks(range(len(algorithms)), names, **slant)
+    panel.set_xticks(
+        range(len(names)), names, rotation=_SLANT_DEG, ha="right", rotation_mode="anchor"
+    )
     panel.set_yticks(range(len(tasks)), tasks)
     panel.tick_params(length=0.0)
     panel.grid(visible=False)
     for edge in range(len(tasks) + 1):
-        panel.axhline(edge - 0.5, color="#d9d9d9", linewidth=0.5)
+        panel.axhline(edge - 0.5, **_EDGE)
     for edge in range(len(algorithms) + 1):
-        panel.axvline(edge - 0.5, color="#d9d9d9", linewidth=0.5)
+        panel.axvline(edge - 0.5, **_EDGE)
     return panel
 
 
 def _places(
-    measured: Sequence[PointStatistics], networks: Sequence[str]
-) -> list[tuple[PointStatistics, _Place]]:
-    """Return each point with its place in its cell: column and row of the matrix."""
-    tasks = _index(_values(measured, "task"))
-    algorithms = _index(_values(measured, "algorithm"))
-    across = _across(networks)
-    down = -(-len(networks) // across)
-    places = []
+    measured: Sequence[PointStatistics], layout: CellLayout
+) -> Iterator[tuple[PointStatistics, tuple[float, float]]]:
+    """Yield each point with its place: columns and rows of the matrix, from the middle of the first cell."""
+    tasks = values_of(measured, "task")
+    algorithms = values_of(measured, "algorithm")
     for one in measured:
         labels = one.point.labels
-        row, column = divmod(networks.index(str(labels["network"])), across)
-        x = algorithms[str(labels["algorithm"])] + _SPREAD / across * (column - (across - 1) / 2.0)
-        y = tasks[str(labels["task"])] + _SPREAD / _DOWN * (row - (down - 1) / 2.0)
-        places.append((one, (x, y)))
-    return places
-
-
-def _across(networks: Sequence[str]) -> int:
-    """Return the number of marks beside each other in a cell."""
-    return -(-len(networks) // _DOWN)
-
-
-def _index(names: Sequence[str]) -> Mapping[str, int]:
-    return {name: place for place, name in enumerate(names)}
+        right, below = layout.place(_network(one))
+        column = algorithms.index(labels["algorithm"]) + right
+        row = tasks.index(labels["task"]) + below
+        yield one, (column, row)

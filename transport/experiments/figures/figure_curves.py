@@ -17,9 +17,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, NullLocator
 
 from transport.experiments.declaration import NONE, Axis, Experiment, axis
+from transport.experiments.figures.figure_parts import mark_style, values_of
 from transport.experiments.statistics import COST_RATIO, PointStatistics
 from transport.report.figures.column import Room, column_panels, head
-from transport.report.figures.style import DIVERGED, MARKER, label_decades, styles_of
+from transport.report.figures.style import DIVERGED, label_decades, styles_of
 
 Scenarios = Mapping[str, Sequence[PointStatistics]]
 
@@ -109,8 +110,7 @@ class _Abscissa:
     def of(cls, experiment: Experiment, scenarios: Scenarios) -> "_Abscissa":
         """Return the axis of all points of an experiment."""
         x = axis(experiment.x)
-        points = [one.point for own in scenarios.values() for one in own]
-        values = list(dict.fromkeys(point.labels[x.label] for point in points))
+        values = values_of((one for own in scenarios.values() for one in own), x.label)
         is_growth = experiment.drawn_as == "scaling"
         is_threshold = experiment.drawn_as == "sharing"
         is_number = is_growth or (isinstance(values[0], int | float) and not is_threshold)
@@ -240,28 +240,28 @@ def _draw_means(
 def _curves(experiment: Experiment, scenarios: Scenarios, *, joined: bool) -> Iterator[_Curve]:
     """Yield each curve of each scenario.
 
-    Points labelled `NONE` belong to all curves of their scenario.
+    A scenario has a colour, a value in the column of the curves a marker and a line; with a single scenario
+    each value has a colour of its own. Points labelled `NONE` belong to all curves of their scenario.
     """
     column = experiment.curves
     is_single = len(scenarios) == 1
-    styles = styles_of(list(scenarios))
-    for scenario, measured in scenarios.items():
-        own = styles[scenario]
+    for scenario, look in styles_of(list(scenarios)).items():
+        measured = scenarios[scenario]
         if column is None:
             points = _points(experiment, measured, None)
-            style = _style(own, joined=joined)
-            yield _Curve(points, {**style, "label": scenario})
+            yield _Curve(points, {**_style(look, joined=joined), "label": scenario})
             continue
 
-        labels = dict.fromkeys(one.point.labels[column] for one in measured)
-        values = [label for label in labels if label != NONE]
-        names = [_name(experiment, column, value) for value in values]
-        shapes = styles_of(names)
-        for value, name in zip(values, names, strict=True):
-            points = _points(experiment, measured, value)
-            colour, marker, line = shapes[name]
-            style = _style((colour if is_single else own[0], marker, line), joined=joined)
+        named = {
+            _name(experiment, column, value): value
+            for value in values_of(measured, column)
+            if value != NONE
+        }
+        for name, (own_colour, marker, line) in styles_of(list(named)).items():
+            points = _points(experiment, measured, named[name])
+            colour = own_colour if is_single else look[0]
             label = name if is_single else f"{scenario}, {name}"
+            style = _style((colour, marker, line), joined=joined)
             yield _Curve(points, {**style, "label": label})
 
 
@@ -291,13 +291,7 @@ def _name(experiment: Experiment, column: str, value: float | str) -> str:
 
 def _style(look: tuple[str, str, str], *, joined: bool) -> dict[str, Any]:
     """Return the style of a curve with a colour, marker and line."""
-    colour, marker, line = look
-    return {
-        "color": colour,
-        "marker": marker,
-        "linestyle": line if joined else "",
-        "markersize": MARKER,
-    }
+    return mark_style(look, look[2] if joined else "")
 
 
 def _scale(axes: Axes, means: Sequence[float], *, is_ratio: bool, is_growth: bool) -> None:

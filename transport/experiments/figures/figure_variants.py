@@ -1,6 +1,6 @@
-"""Variants of a scenario: the cost over the baseline's.
+"""Rows of marks: the cost of each variant of a scenario, or the payload's errors in each case.
 
-Each variant has a row, each network a colour.
+A row has a mark for each network, or for each value of an axis: they stand below each other, about its middle.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,18 +13,18 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import ScaledTranslation
 
 from transport.experiments.declaration import Axis, axis
+from transport.experiments.figures.figure_parts import mark_style, values_of
 from transport.experiments.statistics import PointStatistics
 from transport.report.figures.column import Room, column_panels, head, text_width_in
 from transport.report.figures.style import (
     DIVERGED,
-    MARKER,
     REFERENCE,
     SMALL,
     label_decades,
     styles_of,
 )
 
-# Height of a row, room around and between panels, distance of the marks of diverged runs, in.
+# Height of a row, room around and between panels, distance of the marks of diverged runs, inches.
 _ROW_IN = 0.185
 _ABOVE_IN = 0.2
 _BETWEEN_IN = 0.28
@@ -32,12 +32,18 @@ _BELOW_IN = 0.42
 _RIGHT_IN = 0.5
 _BESIDE_NAME_IN = 0.08
 _BESIDE_PANEL_IN = 0.12
-# Distance between the networks of a variant, in rows, and room at both ends of the axis, a factor.
+# Distance between the marks of a row, in rows, and room at both ends of the axis of costs, a factor.
 _APART = 0.5
 _ROOM = 1.15
-# Panels beside each other: width of one, as a share of its place; room below for numbers.
+# Panels beside each other: width of one, as a share of its place; room below for numbers, inches; the end of
+# an axis over the highest value that it shows, and its numbers at most.
 _STRIP = 0.86
 _BELOW_STRIPS_IN = 0.18
+_ABOVE_HIGHEST = 1.1
+_MOST_NUMBERS = 3
+_WORD_OFFSET_PT = (8.0, 2.0)  # of "diverged" from the upper right corner, points
+
+Styles = Mapping[str, dict[str, Any]]  # of marks, by the name of a network or value
 
 
 def draw_variants(figure: Figure, scenarios: Mapping[str, Sequence[PointStatistics]]) -> None:
@@ -46,8 +52,7 @@ def draw_variants(figure: Figure, scenarios: Mapping[str, Sequence[PointStatisti
     Points with diverged runs have a mark beside the panel.
     """
     measured = [statistics for own in scenarios.values() for statistics in own]
-    networks = list(dict.fromkeys(str(one.point.labels["network"]) for one in measured))
-    styles = _marks(networks)
+    styles = _marks([str(network) for network in values_of(measured, "network")])
     names_by_scenario = [list(dict.fromkeys(map(_name, own))) for own in scenarios.values()]
     widths_in = [text_width_in(name) for names in names_by_scenario for name in names]
 
@@ -96,11 +101,32 @@ def draw_tracking(figure: Figure, measured: Sequence[PointStatistics], x: Axis, 
 
     Errors, largest errors and attitudes stand beside each other, with their error bars.
     """
-    cases: dict[str, list[PointStatistics]] = {}
-    for one in measured:
-        cases.setdefault(str(one.point.labels[rows]), []).append(one)
-    values = list(dict.fromkeys(x.text(one.point.labels[x.label]) for one in measured))
-    styles = _marks(values)
+    cases = [str(case) for case in values_of(measured, rows)]
+    styles = _marks([x.text(value) for value in values_of(measured, x.label)])
+    marks = []
+    for row, case in enumerate(cases):
+        for one in (one for one in measured if str(one.point.labels[rows]) == case):
+            value = x.text(one.point.labels[x.label])
+            marks.append(_Mark(one, row + _beside(list(styles), value), styles[value]))
+
+    for panel, strip in zip(_panels_beside(figure, cases, styles), _STRIPS, strict=True):
+        ends = [_draw_in_strip(panel, strip, mark) for mark in marks]
+        head(panel, strip.title, legend=False)
+        panel.set_xlim(0.0, _ABOVE_HIGHEST * max(ends, default=0.0) or 1.0)
+        panel.set_ylim(len(cases) - 0.5, -0.5)
+        panel.xaxis.set_major_locator(MaxNLocator(_MOST_NUMBERS, steps=[1, 2, 5, 10]))
+
+
+class _Mark(NamedTuple):
+    """A point with the row of its mark, and its style."""
+
+    point: PointStatistics
+    row: float
+    style: dict[str, Any]
+
+
+def _panels_beside(figure: Figure, cases: Sequence[str], styles: Styles) -> list[Axes]:
+    """Return a panel of an empty figure for each of `_STRIPS`, beside each other: the first has the cases."""
     room = Room(
         left_in=max(map(text_width_in, cases)) + _BESIDE_NAME_IN,
         top_in=_ABOVE_IN,
@@ -110,33 +136,23 @@ def draw_tracking(figure: Figure, measured: Sequence[PointStatistics], x: Axis, 
     (whole,) = column_panels(figure, [_ROW_IN * len(cases)], legend=legend, x_label="", room=room)
     whole.set_axis_off()
 
-    # Each point with the row of its mark, and the style of its value.
-    marks = []
-    for row, own in enumerate(cases.values()):
-        for one in own:
-            value = x.text(one.point.labels[x.label])
-            marks.append((one, row + _beside(values, value), styles[value]))
-
-    for place, strip in enumerate(_STRIPS):
-        panel = whole.inset_axes((place / len(_STRIPS), 0.0, _STRIP / len(_STRIPS), 1.0))
-        ends = [_draw_in_strip(panel, strip, *mark) for mark in marks]
-        highest = max(ends, default=0.0)
-        head(panel, strip.title, legend=False)
-        panel.set(xlim=(0.0, 1.1 * highest or 1.0), ylim=(len(cases) - 0.5, -0.5))
+    panels = []
+    count = len(_STRIPS)
+    for place in range(count):
+        panel = whole.inset_axes((place / count, 0.0, _STRIP / count, 1.0))
         panel.set_yticks(range(len(cases)), cases if place == 0 else [""] * len(cases))
-        panel.xaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
+        panels.append(panel)
+    return panels
 
 
-def _draw_in_strip(
-    panel: Axes, strip: _Strip, one: PointStatistics, row: float, style: dict[str, Any]
-) -> float:
-    """Draw a number of a point in a row; return the end of its error bar."""
-    mean = one.mean(strip.number)
+def _draw_in_strip(panel: Axes, strip: _Strip, mark: _Mark) -> float:
+    """Draw a number of a point in its row; return the end of its error bar, 0 without a completed run."""
+    mean = mark.point.mean(strip.number)
     if mean is None:
         return 0.0
-    below, above = one.bar(strip.number)
+    below, above = mark.point.bar(strip.number)
     bar = [[strip.factor * below], [strip.factor * above]]
-    panel.errorbar([strip.factor * mean], [row], xerr=bar, elinewidth=0.8, **style)
+    panel.errorbar([strip.factor * mean], [mark.row], xerr=bar, elinewidth=0.8, **mark.style)
     return strip.factor * (mean + above)
 
 
@@ -154,10 +170,7 @@ def _span(measured: Sequence[PointStatistics]) -> tuple[float, float]:
 
 def _marks(names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return the style of the marks of each name, such as a network."""
-    return {
-        name: {"color": colour, "marker": marker, "markersize": MARKER, "linestyle": "none"}
-        for name, (colour, marker, _) in styles_of(names).items()
-    }
+    return {name: mark_style(look) for name, look in styles_of(names).items()}
 
 
 def _draw_points(
@@ -165,7 +178,7 @@ def _draw_points(
     panel: Axes,
     own: Sequence[PointStatistics],
     names: Sequence[str],
-    styles: Mapping[str, dict[str, Any]],
+    styles: Styles,
 ) -> None:
     """Draw the variants of a scenario, and beside the panel those with diverged runs."""
     offset = ScaledTranslation(_BESIDE_PANEL_IN, 0.0, figure.dpi_scale_trans)
@@ -185,7 +198,7 @@ def _draw_points(
             "diverged",
             xy=(1.0, 1.0),
             xycoords="axes fraction",
-            xytext=(8.0, 2.0),
+            xytext=_WORD_OFFSET_PT,
             textcoords="offset points",
             fontsize=SMALL,
         )

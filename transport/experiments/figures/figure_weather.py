@@ -9,15 +9,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from transport.experiments.figures.figure_parts import mark_style, values_of
 from transport.experiments.statistics import PointStatistics
 from transport.experiments.weather_experiment import NETWORKS
 from transport.report.figures.column import Room, column_panels, head
-from transport.report.figures.style import DIVERGED, MARKER, styles_of
+from transport.report.figures.style import DIVERGED, styles_of
 
+# Height of a panel, and room around it, inches.
 _PANEL_IN = 0.62
-_LEFT_IN, _RIGHT_IN, _ABOVE_IN, _BELOW_IN = 0.5, 0.2, 0.2, 0.5
+_ROOM = Room(left_in=0.5, right_in=0.2, top_in=0.2, bottom_in=0.5)
+_BESIDE = 0.4  # room at both ends of the axis, of the distance of two networks
 _NUMBER = "payload_rms_m"
-_BESIDE = 1.0  # place of diverged points, of the height of a panel: below its title
+_TOP = 1.0  # place of diverged points, of the height of a panel: below its title
 
 
 def draw_weather(figure: Figure, scenarios: Mapping[str, Sequence[PointStatistics]]) -> None:
@@ -26,49 +29,38 @@ def draw_weather(figure: Figure, scenarios: Mapping[str, Sequence[PointStatistic
     A controller that has one network only is a horizontal line: it needs none, or has none.
     """
     measured = [statistics for own in scenarios.values() for statistics in own]
-    air = list(dict.fromkeys(str(statistics.point.labels["weather"]) for statistics in measured))
-    styles = styles_of(list(scenarios))
-    legend = []
-    for name, (colour, marker, line) in styles.items():
-        style: dict[str, Any] = {"color": colour, "marker": marker, "linestyle": line}
-        legend.append(Line2D([], [], label=name, markersize=MARKER, **style))
+    air = values_of(measured, "weather")
+    styles = {name: mark_style(look, look[2]) for name, look in styles_of(list(scenarios)).items()}
     panels = column_panels(
         figure,
         [_PANEL_IN] * len(air),
-        legend=legend,
+        legend=[Line2D([], [], label=name, **style) for name, style in styles.items()],
         x_label="network",
-        room=Room(left_in=_LEFT_IN, right_in=_RIGHT_IN, top_in=_ABOVE_IN, bottom_in=_BELOW_IN),
+        room=_ROOM,
     )
     for panel, weather in zip(panels, air, strict=True):
         for name, own in scenarios.items():
             points = [one for one in own if one.point.labels["weather"] == weather]
             _draw(panel, points, styles[name])
         head(panel, f"{weather}: payload error, m rms", legend=False)
-        panel.set_xlim(-0.4, len(NETWORKS) - 0.6)
+        panel.set_xlim(-_BESIDE, len(NETWORKS) - 1 + _BESIDE)
         panel.set_ylim(bottom=0.0)
         panel.set_xticks(range(len(NETWORKS)), [name.replace(", ", ",\n") for name in NETWORKS])
 
 
-def _draw(panel: Axes, points: Sequence[PointStatistics], style: tuple[str, str, str]) -> None:
+def _draw(panel: Axes, points: Sequence[PointStatistics], style: dict[str, Any]) -> None:
     """Draw the points of a controller in one weather."""
-    colour, marker, line = style
     networks = list(NETWORKS)
-    places, means, bars = [], [], []
-    for one in points:
-        place = networks.index(str(one.point.labels["network"]))
-        estimate = one.numbers[_NUMBER]
-        # No line leads over a point without a completed run.
-        places.append(place)
-        means.append(math.nan if estimate is None else estimate.mean)
-        bars.append(one.bar(_NUMBER))
+    places = [networks.index(str(one.point.labels["network"])) for one in points]
+    # No line leads over a point without a completed run.
+    means = [math.nan if (mean := one.mean(_NUMBER)) is None else mean for one in points]
+    bars = [one.bar(_NUMBER) for one in points]
+
+    at_top: Any = {"transform": panel.get_xaxis_transform(), "clip_on": False}
+    for place, one in zip(places, points, strict=True):
         if one.completed < one.runs:
-            panel.plot(
-                place, _BESIDE, marker, color=colour, markersize=MARKER,
-                transform=panel.get_xaxis_transform(), clip_on=False, **DIVERGED,
-            )  # fmt: skip
+            panel.plot(place, _TOP, **at_top, **style | DIVERGED)
     if len(points) == 1 and math.isfinite(means[0]):
-        panel.axhline(means[0], color=colour, linestyle=line, linewidth=0.8)
-    panel.errorbar(
-        places, means, yerr=np.array(bars).T, color=colour, marker=marker, linestyle=line,
-        markersize=MARKER, linewidth=0.8, capsize=1.5,
-    )  # fmt: skip
+        line = {"color": style["color"], "linestyle": style["linestyle"]}
+        panel.axhline(means[0], linewidth=0.8, **line)
+    panel.errorbar(places, means, yerr=np.array(bars).T, linewidth=0.8, capsize=1.5, **style)

@@ -1,0 +1,235 @@
+"""Figures of hand-made points: places, colours and texts of the arena's cells, of maps, rows and weathers."""
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from transport.experiments.cases import Point
+from transport.experiments.declaration import Axis
+from transport.experiments.figures.figure_arena import CellLayout, draw_arena, draw_measure
+from transport.experiments.figures.figure_maps import draw_maps
+from transport.experiments.figures.figure_parts import scale_of
+from transport.experiments.figures.figure_variants import draw_tracking, draw_variants
+from transport.experiments.figures.figure_weather import draw_weather
+from transport.experiments.statistics import Estimate, PointStatistics
+from transport.experiments.weather_experiment import NETWORKS
+
+RUNS = 4
+
+
+def point(
+    labels: Mapping[str, str | float],
+    numbers: Mapping[str, float | None] = MappingProxyType({}),
+    *,
+    completed: int = RUNS,
+    diverged_s: Sequence[float] = (),
+    ratio: float | None = None,
+) -> PointStatistics:
+    """Return a point of four runs, in which each number has the same value, or none."""
+    estimates = {
+        name: None if value is None else Estimate(value, 0.0, RUNS, value, value)
+        for name, value in numbers.items()
+    }
+    return PointStatistics(
+        point=Point(labels=labels, text=""),
+        runs=RUNS,
+        completed=completed,
+        errors=0,
+        diverged_s=tuple(diverged_s),
+        numbers=estimates,
+        cost_ratio=ratio,
+    )
+
+
+def flown(network: str, algorithm: str, completed: int, error_m: float) -> PointStatistics:
+    """Return a point of the arena with a payload error; without a completed run it has none."""
+    labels = {"task": "gusts", "network": network, "algorithm": algorithm}
+    return point(labels, {"payload_rms_m": error_m if completed else None}, completed=completed)
+
+
+# Scales
+
+
+@pytest.mark.parametrize(
+    ("numbers", "decades", "ends"),
+    [
+        ([0.02, 0.0, 4.0], None, (0.02, 4.0)),
+        ([0.002, 40.0], 3.0, (0.04, 40.0)),  # no more than three decades
+        ([5.0, 5.0], None, (5.0, 5.005)),
+        ([0.0], None, (1.0, 1.001)),
+    ],
+)
+def test_a_scale_holds_all_numbers_above_zero(
+    numbers: list[float], decades: float | None, ends: tuple[float, float]
+) -> None:
+    """Its ends are the least and the largest number, as far as the decades allow, and always differ."""
+    scale = scale_of(numbers, decades)
+    assert (scale.vmin, scale.vmax) == pytest.approx(ends)
+
+
+# Arena
+
+
+def test_networks_have_their_places_in_a_cell() -> None:
+    """Three networks stand in two rows, 0.44 of a cell apart, about its middle; a tile has 0.9 of its place."""
+    layout = CellLayout(["perfect", "late", "radio"])
+    assert layout.rows == [["perfect", "late"], ["radio"]]
+    places = [layout.place(network) for network in layout.networks]
+    assert np.array(places) == pytest.approx(
+        np.array([[-0.22, -0.22], [0.22, -0.22], [-0.22, 0.22]])
+    )
+    assert layout.tile == pytest.approx((0.396, 0.396))
+    assert CellLayout(["perfect"]).place("perfect") == (0.0, 0.0)
+
+
+def test_marks_of_the_arena_tell_how_many_runs_complete() -> None:
+    """Full for all, half for some, hollow for none, each at its algorithm and network."""
+    figure = Figure()
+    draw_arena(
+        figure,
+        [
+            flown("perfect", "paper", RUNS, 0.1),
+            flown("late", "paper", 1, 0.1),
+            flown("perfect", "alone:Alone", 0, 0.1),
+        ],
+    )
+    (panel,) = figure.axes
+    edges = 4 + 1  # lines between the cells of one row and two columns
+    marks = [
+        (line.get_fillstyle(), *np.ravel(line.get_xdata()), *np.ravel(line.get_ydata()))
+        for line in panel.get_lines()[edges:]
+    ]
+    assert marks == [("full", 0.0, -0.22), ("left", 0.0, 0.22), ("none", 1.0, -0.22)]
+    assert [label.get_text() for label in panel.get_xticklabels()] == ["paper", "Alone"]
+
+
+def test_tiles_of_the_arena_have_the_colour_of_their_number() -> None:
+    """In the unit of the figure; hatched where no run completes, and the bar names ends and middle."""
+    figure = Figure()
+    measured = [
+        flown("perfect", "paper", RUNS, 0.01),
+        flown("perfect", "resilient", RUNS, 0.04),
+        flown("perfect", "alone", 0, 0.0),
+    ]
+    draw_measure(figure, measured, "payload_rms_m", "payload error, cm", 100.0)
+    panel, bar = figure.axes
+    low, high, none = (patch for patch in panel.patches if isinstance(patch, Rectangle))
+    colours = mpl.colormaps[mpl.rcParams["image.cmap"]]
+    assert low.get_facecolor() == pytest.approx(colours(0.0))
+    assert high.get_facecolor() == pytest.approx(colours(1.0))
+    assert none.get_hatch()
+    assert low.get_xy() == pytest.approx((-0.396, -0.198))
+    assert (low.get_width(), low.get_height()) == pytest.approx((0.792, 0.396))
+    assert [label.get_text() for label in bar.get_yticklabels()] == ["1", "2", "4"]
+
+
+# Maps
+
+DELAY = Axis("delay_s", "delay", "ms", 1e3)
+LOSS = Axis("loss", "loss", "%", 100.0)
+COST = Axis("cost_mean", "mean cost", "$10^{-3}$", 1e3)
+
+
+def test_a_map_writes_each_number_in_its_cell() -> None:
+    """Columns and rows increase; some runs or none are told, and a hatched cell says when the first ends."""
+    figure = Figure()
+    measured = [
+        point({"delay_s": 0.2, "loss": 0.3}, {"cost_mean": 0.0121}, completed=3),
+        point({"delay_s": 0.0, "loss": 0.0}, {"cost_mean": 0.002}),
+        point(
+            {"delay_s": 0.2, "loss": 0.0}, {"cost_mean": None}, completed=0, diverged_s=[4.25, 7.0]
+        ),
+    ]
+    draw_maps(figure, DELAY, LOSS, COST, {"paper": measured})
+    panel = figure.axes[0]
+    texts = {text.get_position(): text.get_text() for text in panel.texts}
+    assert texts[0, 0] == "2.00"
+    assert texts[1, 1] == "12.1\n3 of 4"
+    assert texts[1, 0] == "ends at\n4.2 s"
+    assert [label.get_text() for label in panel.get_xticklabels()] == ["0", "200"]
+    assert [label.get_text() for label in panel.get_yticklabels()] == ["0", "30"]
+    colours = panel.get_images()[0].get_array()
+    assert np.ma.filled(np.ma.asarray(colours), 0.0) == pytest.approx(
+        np.array([[2.0, 0.0], [0.0, 12.1]])
+    )
+
+
+def test_a_distance_stands_in_a_map_only_if_all_runs_complete() -> None:
+    """That of the other runs would say little: the cell tells how many complete."""
+    figure = Figure()
+    labels = {"delay_s": 0.0, "loss": 0.0}
+    shown = Axis("separation_min_m", "distance", "m")
+    draw_maps(
+        figure, DELAY, LOSS, shown, {"paper": [point(labels, {shown.label: 0.4}, completed=3)]}
+    )
+    assert [text.get_text() for text in figure.axes[0].texts] == ["3 of 4", "paper"]
+
+
+# Rows
+
+
+def test_networks_of_a_variant_stand_about_its_row() -> None:
+    """Half a row apart, at their cost over the baseline's; diverged runs are marked beside the panel."""
+    figure = Figure()
+    measured = [
+        point(
+            {"network": network, "part": "preview", "value": "false"}, ratio=ratio, completed=done
+        )
+        for network, ratio, done in (("perfect", 1.2, RUNS), ("late", 1.5, 3))
+    ]
+    draw_variants(figure, {"paper": measured})
+    (panel,) = figure.axes
+    marks = [
+        (*np.ravel(line.get_xdata()), *np.ravel(line.get_ydata())) for line in panel.get_lines()
+    ]
+    assert marks[:3] == [(1.2, -0.25), (1.5, 0.25), (1.0, 0.25)]
+    assert [label.get_text() for label in panel.get_yticklabels()] == ["preview: false"]
+    assert panel.get_xlim() == pytest.approx((1.0 / 1.15, 1.5 * 1.15))
+
+
+def test_tracking_shows_three_numbers_beside_each_other() -> None:
+    """In cm and degrees, a row for each case and a mark for each speed; axes end above the highest value."""
+    figure = Figure()
+    speed = Axis("speed_mps", "largest speed", "m/s")
+    numbers = {"payload_rms_m": 0.02, "payload_max_m": 0.05, "attitude_max_deg": 7.0}
+    measured = [
+        point({"case": case, "speed_mps": mps}, numbers)
+        for case in ("late", "wind")
+        for mps in (3.0, 5.0)
+    ]
+    draw_tracking(figure, measured, speed, "case")
+    (whole,) = figure.axes
+    panels = whole.child_axes
+    assert [panel.get_xlim()[1] for panel in panels] == pytest.approx([2.2, 5.5, 7.7])
+    rows = [float(np.ravel(line.get_ydata())[0]) for line in panels[0].get_lines()]
+    assert rows == pytest.approx([-0.25, 0.25, 0.75, 1.25])
+    assert [label.get_text() for label in panels[0].get_yticklabels()] == ["late", "wind"]
+
+
+# Weather
+
+
+def test_a_controller_with_one_network_is_a_line_over_all() -> None:
+    """Errors stand at their networks, m; a point with a diverged run has a hollow mark at the top."""
+    networks = list(NETWORKS)
+    labels = {"weather": "still air"}
+    team = [
+        point({**labels, "network": networks[0]}, {"payload_rms_m": 0.02}),
+        point({**labels, "network": networks[1]}, {"payload_rms_m": 0.03}, completed=2),
+    ]
+    alone = [point({**labels, "network": networks[0]}, {"payload_rms_m": 0.1})]
+    figure = Figure()
+    draw_weather(figure, {"precise": team, "alone": alone})
+    (panel,) = figure.axes
+    lines = [
+        (np.ravel(line.get_xdata()).tolist(), np.ravel(line.get_ydata()).tolist())
+        for line in panel.get_lines()
+    ]
+    assert ([0, 1], [0.02, 0.03]) in lines
+    assert ([1], [1.0]) in lines  # of the height of the panel
+    assert ([0.0, 1.0], [0.1, 0.1]) in lines  # over the whole width
