@@ -71,12 +71,14 @@ def test_the_example_of_a_team_is_rendered(tmp_path: Path) -> None:
         assert result.returncode == 0, result.stderr
     ground = (tmp_path / "deployment/ground/systemd/transport-coordinator.service").read_text()
     assert "Restart=on-failure" in ground
-    assert "RestartPreventExitStatus=2 3 4 5 6 7 130" in ground
+    assert "RestartPreventExitStatus=2 3 4 5 6 7 11 130" in ground
     assert "TimeoutStopSec=infinity" in ground
     vehicle = (tmp_path / "deployment/uav1/systemd/transport-vehicle1.service").read_text()
     assert "--uav 1 --link udp:127.0.0.1:14550" in vehicle
     assert "PrivateDevices=yes" in vehicle
     assert "TimeoutStopSec=10" in vehicle
+    # After a lost peer, 4, it rejoins the run; 2 and 3 refuse it, all others end it.
+    assert "RestartPreventExitStatus=2 3 5 6 7 11 130" in vehicle
 
 
 def test_a_vehicle_has_key_stand_and_device(tmp_path: Path) -> None:
