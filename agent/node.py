@@ -4,32 +4,23 @@ A measurement opens its tick k. In lockstep the agent then waits for the plans o
 coordinator received, as they may still be on their way. With several iterations of negotiation it
 next exchanges proposals with the others, and only then sends its plan. In real time it does not
 wait: when it is free it uses the messages that are here, and of several measurements the newest.
+
+Where the team is to go is `agent.planning.followed_path`; this file says what a step waits for.
 """
 
-import math
-from collections import deque
 from collections.abc import Callable, Sequence
-from operator import itemgetter
 from typing import Any
-
-import numpy as np
-from msgspec.structs import replace
 
 from transport.agent.communication.clock_offsets import Clocks
 from transport.agent.communication.radio import AirNews
-from transport.agent.communication.target_confirmation import Unconfirmed
 from transport.agent.estimation.filter.belief import Belief
 from transport.agent.planner import PROJECT, AgentPlanner, OpenStep
 from transport.agent.planning.alone_planner import ALONE, AlonePlanner
+from transport.agent.planning.followed_path import FollowedPath
 from transport.agent.planning.mpc_planner import Planner
-from transport.agent.planning.sight import Sight
-from transport.agent.planning.step_report import numbers_note
 from transport.agent.received import Received
 from transport.protocol.admission.delayed_messages import Arrivals
-from transport.protocol.admission.known_targets import KnownTargets, braking_only
 from transport.protocol.admission.participant import Participant
-from transport.protocol.admission.stop_in_silence import MOSTLY, Stopping
-from transport.protocol.admission.targets_in_plans import Place, carried_by, is_of_sight, place_of
 from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import (
@@ -79,21 +70,10 @@ class AgentNode(Participant):
         self._agent = agent
         self._stopwatch = stopwatch
         self._planner = planner_of(setup, agent, stopwatch)
-        self._targets = KnownTargets(setup)
-        self._told: deque[Target] = deque()  # to this agent, still to come
-        self._own_targets: set[Place] = set()  # those of them that have begun
-        self._confirms = setup.settings.targets == "confirmed"
-        self._unconfirmed = Unconfirmed(agent)
-        self._sight = Sight(agent)
-        self._is_path_new = False  # since what has been seen was compared with it
-        self._stopping: Stopping | None = None
-        if setup.settings.silence == "stop":
-            self._stopping = Stopping(setup.settings.sampling_period_s, setup.ticks)
-        self._refused: set[tuple[int, Place]] = set()  # by the agent whose plan carried it
+        self._path = FollowedPath(setup, agent, self._planner)
         radio = setup.known.radio
         self._air = None if radio is None else AirNews(agent, radio)
         self._hears_by_radio = self._air is not None
-        self._setup = setup
         super().__init__(setup.rules, agent_name(agent), incarnation, after=1, own=agent)
 
     def _begin(self, incarnation: int) -> None:
@@ -142,9 +122,7 @@ class AgentNode(Participant):
     # Messages that arrive.
 
     def _follow_target(self, target: Target) -> None:
-        """Keep a target that this agent is told until its tick."""
-        if not target.to or self._agent in target.to:
-            self._told.append(target)
+        self._path.tell(target)
 
     def _take(self, message: Message, now_ns: int) -> None:
         if isinstance(message, Measurement):
@@ -172,9 +150,7 @@ class AgentNode(Participant):
         if was_on_it and not is_on_it:
             # Its information may be outdated, so it comes back as a new process.
             self._planner.restart()
-            self._unconfirmed.returned(roster.tick)
-            if self._stopping is not None:
-                self._stopping.begin_anew()
+            self._path.return_to_roster(roster.tick)
             self._begin(self.incarnation + 1)
         return waiting
 
@@ -205,141 +181,20 @@ class AgentNode(Participant):
         return out
 
     def _open(self, measurement: Measurement, now_ns: int) -> list[Message]:
-        """Begin the step of a measurement's tick, towards the newest target that has begun.
-
-        Targets are followed in turn: the motion of the team to the newest one began on the way to
-        those before. One that is heard late is followed where its motion is by now.
-        """
+        """Begin the step of a measurement's tick, on the path with the newest targets."""
         self._tick = measurement.tick
-        while self._told and self._told[0].tick <= self._tick:
-            target = self._told.popleft()
-            self._own_targets.add(place_of(target))
-            self._learn(target)
         received = self._received(measurement, now_ns)
-        notes = self._hear_targets(received.plans)
-        since = self._membership.since
-        for target in self._unconfirmed.confirmed(self._tick, received.agents, since):
-            self._learn(self._begun(target))
-        self._keep_pace(received)
-        notes += self._look(measurement)
+        notes = self._path.begin(received, self._membership.since, self._out)
         self._step = self._planner.begin(received)
         return notes
-
-    def _keep_pace(self, received: Received) -> None:
-        """Stop the path in silence, and go on with the others after it."""
-        if self._stopping is None:
-            return
-        self._stopping.hear(received.plans)
-        now_s = np.array([self._tick * self._setup.settings.sampling_period_s])
-        _, v_I = self._targets.setup.maneuver.path(now_s)
-        loss = self._stopping.advance(
-            self._tick,
-            is_alone=self._planner.share_alone > MOSTLY,  # until now
-            roster=received.agents,
-            speed_mps=float(np.linalg.norm(v_I)),
-        )
-        if loss is not None:
-            self._is_path_new = True
-            self._targets.slow(loss)
-            self._planner.follow(self._targets.setup)
-
-    def _look(self, measurement: Measurement) -> list[Message]:
-        """Make a target that keeps clear of what has been seen, where the path does not; return a note."""
-        sees_more = self._sight.take(measurement)
-        if sees_more:
-            self._planner.see(self._sight.seen)
-        if not (sees_more or self._is_path_new) or not self._sight.seen:
-            return []
-        period_s = self._setup.settings.sampling_period_s
-        now_s = self._tick * period_s
-        left_s = (self._setup.ticks - 1) * period_s - now_s
-        maneuver = self._targets.setup.maneuver
-        along_s = maneuver.progress(now_s)
-        avoidance = self._sight.avoid(self._targets.without_stops, along_s, left_s)
-        if avoidance is not None:
-            self._own_targets.add(place_of(avoidance.target))
-            self._learn(avoidance.target)
-        self._is_path_new = False
-        if avoidance is None:
-            return []
-        return [numbers_note(self._tick, self._agent, {}, self._out, avoidance.text)]
-
-    def _begun(self, target: Target) -> Target:
-        """Return a target that all have; one because of an obstacle begins by the own progress."""
-        if not is_of_sight(target):
-            return target
-        period_s = self._setup.settings.sampling_period_s
-        progress_s = self._targets.setup.maneuver.progress(self._tick * period_s)
-        begins = max(math.ceil(progress_s / period_s - 1e-6), target.tick, 1)
-        return replace(target, begins=begins)
-
-    def _learn(self, target: Target) -> None:
-        """Follow a target unless it is known, or keep it until all on the roster have it.
-
-        One because of an obstacle is followed up to its rest at once.
-        """
-        place = place_of(target)
-        if self._confirms and target.to and not target.begins:
-            is_new = place > self._targets.newest or self._unconfirmed.has(place)
-            if is_new and self._unconfirmed.take(target, self._tick):
-                self._planner.announce()
-            if is_of_sight(target) and self._unconfirmed.has(place):
-                self._follow(braking_only(target))
-            return
-        self._follow(target)
-        self._unconfirmed.forget(place_of(target))
-        self._unconfirmed.forget_before(self._targets.newest)
-
-    def _follow(self, target: Target) -> None:
-        """Lead the path to a target, unless it does already."""
-        if self._targets.add(target):
-            self._is_path_new = True
-            self._planner.follow(self._targets.setup)
-
-    def _hear_targets(self, plans: Sequence[Plan]) -> list[Message]:
-        """Follow the targets that plans carry; return a note for each that is refused."""
-        notes: list[Message] = []
-        carried = [
-            (place_of(target), plan.agent, target) for plan in plans for target in carried_by(plan)
-        ]
-        for place, sender, target in sorted(carried, key=itemgetter(0, 1)):
-            is_known = self._targets.knows(target) and not self._unconfirmed.has(place)
-            if is_known or (sender, place) in self._refused:
-                continue
-            try:
-                self._check_heard(target)
-            except MessageError as error:
-                self._refused.add((sender, place))
-                problem = f"target of tick {target.tick} in a plan of {agent_name(sender)}: {error}"
-                notes.append(numbers_note(self._tick, self._agent, {}, self._out, problem))
-                continue
-            self._learn(target)
-        return notes
-
-    def _check_heard(self, target: Target) -> None:
-        """Refuse a target that this agent would have been told itself, or that is out of reach.
-
-        Raises: MessageError: with the reason.
-        """
-        was_here = target.tick >= self._membership.since.get(self._agent, self._tick)
-        if self._agent in target.to and was_here and place_of(target) not in self._own_targets:
-            text = f"expected one told to {self.name}, which has not been told"
-            raise MessageError("wrong_sender", text)
-        self._targets.check(target)
 
     def _plan(self) -> list[Message]:
         """Return the next proposal of the open step, or its plan and report, which conclude it."""
         step = self._step
         messages = self._planner.plan(step, self._out, self.publish_ns)
-        stopping = self._stopping
-        lag = 0 if stopping is None else stopping.lag
-        behind = 0 if stopping is None else stopping.behind(self._tick)
-        carried = self._targets.carried(self._tick - behind, self._unconfirmed.carried())
-        if carried or lag:
-            messages = [_carrying(message, carried, lag) for message in messages]
         if step is not None and step.negotiation == 0:
             self._step = None
-        return messages
+        return self._path.with_targets(messages, self._tick)
 
     def _received(self, measurement: Measurement, now_ns: int) -> Received:
         """Return the information for a measurement's tick; forget earlier messages."""
@@ -419,9 +274,3 @@ class AgentNode(Participant):
     def _is_immediate(self, plan: Plan, k: int, negotiation: int) -> bool:
         """Return whether a proposal's link passes a copy of it without delay."""
         return 0.0 in self._plans.links[plan.sender].delays(k, negotiation)
-
-
-def _carrying(message: Message, targets: tuple[bytes, ...], lag: int) -> Message:
-    """Return a message, with targets and lag if it is the plan of a tick."""
-    is_plan = isinstance(message, Plan) and message.negotiation == 0
-    return replace(message, targets=targets, lag=lag) if is_plan else message
