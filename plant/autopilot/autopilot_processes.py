@@ -1,7 +1,9 @@
 """The programs of the autopilots, and the physics side of their simulator interface.
 
-ArduPilot's JSON interface, a UDP socket each: the autopilot sends the pulses of its motors, and
-waits for the sensors of the next step, so neither runs ahead of the other.
+ArduPilot's JSON interface, a UDP socket each: the autopilot sends the pulses of its motors from a port of its own,
+and waits for the sensors of the next step, so neither runs ahead of the other. A packet that is not answered
+within a second comes again, with its number: one that has been answered is left out, else the motors would lag
+a step more from then on.
 """
 
 import ctypes
@@ -94,11 +96,15 @@ class Autopilots:
         self._rotor_most_N = np.array([each.thrust_N[1] for each in rotors])
         self._sockets: list[socket.socket] = []
         self._processes: list[subprocess.Popen[bytes]] = []
+        # Of each autopilot: where its newest packet came from, and the number of that packet.
         self._addresses: list[tuple[str, int]] = []
+        self._answered: list[int | None] = []
         self._folders: list[Path] = []
         folder = os.environ.get(FOLDER) or tempfile.mkdtemp(prefix="transport-autopilots-")
         is_temporary = FOLDER not in os.environ
-        weakref.finalize(self, _end, self._processes, folder if is_temporary else None)
+        weakref.finalize(
+            self, _end, self._processes, self._sockets, folder if is_temporary else None
+        )
 
         command = program(setup)
         hover_N = setup.run.hover.u[::INPUTS]
@@ -124,10 +130,8 @@ class Autopilots:
         physics.settimeout(_LOOK_S)
         self._folders.append(folder)
         self._sockets.append(physics)
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind((_LOCAL, 0))
-            its_port = probe.getsockname()[1]
-        self._addresses.append((_LOCAL, its_port))
+        self._addresses.append((_LOCAL, _DISCARD))
+        self._answered.append(None)
         options = {
             "--model": f"JSON:{_LOCAL}",
             "-I": str(i),
@@ -136,10 +140,9 @@ class Autopilots:
             "--speedup": "100",  # the physics decide
             "--defaults": "defaults.parm",
             "--sim-address": _LOCAL,
-            "--sim-port-in": str(its_port),
             "--sim-port-out": str(physics.getsockname()[1]),
-            "--serial0": f"udpclient:{_LOCAL}:{link_port}",
-            "--serial1": f"udpclient:{_LOCAL}:{_DISCARD}",
+            "--serial0": f"udpclient:{_LOCAL}:{_DISCARD}",  # believes packets without a signature
+            "--serial1": f"udpclient:{_LOCAL}:{link_port}",
             "--serial2": f"udpclient:{_LOCAL}:{_DISCARD}",
         }
         arguments = [text for option in options.items() for text in option]
@@ -182,7 +185,11 @@ class Autopilots:
         until_s = time.monotonic() + _PATIENCE_S
         while time.monotonic() < until_s:
             try:
-                return physics.recv(_LARGEST_PACKET)
+                packet, self._addresses[i] = physics.recvfrom(_LARGEST_PACKET)
+                number = _SERVO.unpack_from(packet)[2]
+                if number != self._answered[i]:
+                    self._answered[i] = number
+                    return packet
             except TimeoutError:
                 code = self._processes[i].poll()
                 if code is not None:
@@ -213,10 +220,14 @@ class Autopilots:
             physics.sendto(text.encode("ascii"), self._addresses[i])
 
 
-def _end(processes: list[subprocess.Popen[bytes]], folder: str | None) -> None:
+def _end(
+    processes: list[subprocess.Popen[bytes]], sockets: list[socket.socket], folder: str | None
+) -> None:
     for process in processes:
         process.kill()
     for process in processes:
         process.wait()
+    for physics in sockets:
+        physics.close()
     if folder is not None:
         shutil.rmtree(folder, ignore_errors=True)

@@ -107,7 +107,7 @@ class StandIn:
         self.parameters = {**_DEFAULTS, **_read_parameters(options.defaults)}
         self.control = CopterControl(self.parameters)
         key = read_key(options.signing_key) if options.signing_key else None
-        endpoint = Endpoint.of(options.serial0, "--serial0")
+        endpoint = Endpoint.of(options.serial1, "--serial1")
         self.link = MavlinkLink(endpoint, (options.sysid, 1), 0, key)
         self._system = options.sysid
         self._home = [float(part) for part in options.home.split(",")[:3]]
@@ -348,9 +348,8 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--home", default="47.0,8.0,0,0")
     parser.add_argument("--defaults", type=Path)
     parser.add_argument("--sim-address", default="127.0.0.1")
-    parser.add_argument("--sim-port-in", type=int, default=9003)
     parser.add_argument("--sim-port-out", type=int, default=9002)
-    parser.add_argument("--serial0", default="udpclient:127.0.0.1:14550")
+    parser.add_argument("--serial1", default="udpclient:127.0.0.1:14550")
     parser.add_argument("--signing-key", type=Path)
     known, _ = parser.parse_known_args(arguments)
     return known
@@ -361,20 +360,21 @@ def main(arguments: Sequence[str]) -> None:
     options = _options(arguments)
     copter = StandIn(options)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as physics:
-        physics.bind((options.sim_address, options.sim_port_in))
         physics.settimeout(_AGAIN_S)
         there = options.sim_address, options.sim_port_out
         heard_s = time.monotonic()
+        outputs = copter.servos()
         while time.monotonic() < heard_s + _ORPHAN_S:
-            physics.sendto(copter.servos(), there)
+            physics.sendto(outputs, there)
             try:
                 packet = physics.recv(_MOST_BYTES)
-            except (TimeoutError, ConnectionRefusedError):
+            except TimeoutError:
                 continue
             heard_s = time.monotonic()
             copter.step(packet)
             copter.hear()
             copter.tell()
+            outputs = copter.servos()
 
 
 if __name__ == "__main__":

@@ -52,14 +52,12 @@ class Bench:
         self._physics = socket.socket(type=socket.SOCK_DGRAM)
         self._physics.bind((_LOCAL, 0))
         self._physics.settimeout(0.5)
-        self._there = _LOCAL, free_udp_port()
         options = {
             "--sysid": system,
             "--home": "47.0,8.0,400,0",
             "--defaults": "defaults.parm",
-            "--sim-port-in": self._there[1],
             "--sim-port-out": self._physics.getsockname()[1],
-            "--serial0": f"udpclient:{_LOCAL}:{self.port}",
+            "--serial1": f"udpclient:{_LOCAL}:{self.port}",
             **({} if key is None else {"--signing-key": key.resolve()}),
         }
         arguments = [str(part) for option in options.items() for part in option]
@@ -96,7 +94,7 @@ class Bench:
         time_s = 0.0
         while not self._is_over.is_set():
             try:
-                packet = self._physics.recv(512)
+                packet, there = self._physics.recvfrom(512)
             except TimeoutError:
                 continue
             _, _, _, *pulses = _SERVO.unpack_from(packet)
@@ -106,5 +104,5 @@ class Bench:
             self._physics.sendto(
                 b'\n{"timestamp":%.6f,"imu":{"gyro":[0,0,0],"accel_body":[0,0,-9.81]},'
                 b'"position":[1,2,-10],"quaternion":[1,0,0,0],"velocity":[0,0,0]}\n' % time_s,
-                self._there,
+                there,
             )
