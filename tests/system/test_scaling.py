@@ -10,7 +10,7 @@ from tests.support.runs import ticks
 from transport.experiments import design_experiments
 from transport.experiments.cases import cases_of, resource_use
 from transport.experiments.declaration import EXPERIMENTS
-from transport.experiments.statistics import WIDTH
+from transport.experiments.result_tables import WIDTH
 
 DONE, USAGE, SCENARIO = 0, 2, 3
 SIZES = EXPERIMENTS["scaling"].options["sizes"].default

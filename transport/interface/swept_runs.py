@@ -12,7 +12,8 @@ from transport.experiments import sweep as experiment_sweep
 from transport.experiments.cases import Case, Point, cases_of_point, check
 from transport.experiments.declaration import Experiment, axis
 from transport.experiments.figures.experiment_figures import fill
-from transport.experiments.statistics import TITLE, WIDTH, PointStatistics, table_of
+from transport.experiments.result_tables import TITLE, WIDTH, table_of
+from transport.experiments.statistics import PointStatistics
 from transport.experiments.sweep import Results
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.interface.figure import RunFigure, drawn

@@ -9,7 +9,7 @@ import pytest
 from tests.support.results import here, kept, tables
 from tests.support.runs import ticks
 from transport.experiments.cases import NUMBERS
-from transport.experiments.statistics import WIDTH
+from transport.experiments.result_tables import WIDTH
 from transport.flight import memory
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Control

@@ -8,7 +8,8 @@ import pytest
 from scipy import stats
 
 from transport.experiments.cases import ERROR, NUMBERS, Point, Result
-from transport.experiments.statistics import COST_RATIO, Column, estimate, statistics_of
+from transport.experiments.result_tables import Column
+from transport.experiments.statistics import COST_RATIO, estimate, statistics_of
 
 BASELINE = Point(scenario="a", labels={"delay_s": 0.0}, text="0 ms", baseline=True)
 LATE = Point(scenario="a", labels={"delay_s": 0.1}, text="100 ms")

@@ -27,9 +27,11 @@ from transport.experiments import (
     weather_experiment,
 )
 from transport.experiments.cases import Case, Result, cases_of, refused
+from transport.experiments.conclusions import conclusions
 from transport.experiments.declaration import EXPERIMENTS, Experiment, Values
 from transport.experiments.paper import comparison, comparison_report
-from transport.experiments.statistics import TITLE, WIDTH, PointStatistics, conclusions, table_of
+from transport.experiments.result_tables import TITLE, WIDTH, table_of
+from transport.experiments.statistics import PointStatistics
 from transport.experiments.sweep import Results, Swept, sweep, write_markdown
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.run_files import machine

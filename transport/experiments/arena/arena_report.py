@@ -24,7 +24,8 @@ from transport.experiments.arena.arena_tasks_and_networks import (
 )
 from transport.experiments.cases import Case
 from transport.experiments.figures.figure_arena import draw_measure
-from transport.experiments.statistics import COST_RATIO, SPREAD, PointStatistics, columns_of
+from transport.experiments.result_tables import SPREAD
+from transport.experiments.statistics import COST_RATIO, PointStatistics, columns_of
 from transport.experiments.sweep import Results, Simulate, Swept, markdown_of, sweep
 from transport.flight.run_files import machine, versions
 from transport.protocol.scenario.files.atomic_writing import write_whole

@@ -15,7 +15,8 @@ from transport.experiments.paper import comparison
 from transport.experiments.paper.comparison import CENTRALIZED, Cell, ComparisonCurve
 from transport.experiments.paper.comparison_figures import draw_costs, draw_maneuver
 from transport.experiments.paper.equal_terms import ranges, sentence
-from transport.experiments.statistics import COST_RATIO, SPREAD, Column, console_table
+from transport.experiments.result_tables import SPREAD, Column, console_table
+from transport.experiments.statistics import COST_RATIO
 from transport.experiments.sweep import Results, Simulate, Swept, sweep, write_markdown
 from transport.protocol.scenario.files.atomic_writing import write_csv
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
