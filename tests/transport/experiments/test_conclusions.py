@@ -52,10 +52,11 @@ def test_a_sentence_tells_what_completes_and_the_extremes() -> None:
 def test_growth_is_the_power_of_the_size(power: float) -> None:
     """Times of c N^p grow as N^p; teams below four UAVs, in which the constant part dominates, do not count."""
     sizes = {2: 100.0, 4: 4.0**power, 8: 8.0**power, 12: 12.0**power}
-    measured = [
-        point(f"{uavs} UAVs", {"ownership": "pairs", "uavs": uavs}, {"cpu_step_p50_ms": ms, "cpu_team_tick_ms": 0.0, "plan_bytes_per_s": 0.0})
-        for uavs, ms in sizes.items()
-    ]  # fmt: skip
+    without = {"cpu_team_tick_ms": 0.0, "plan_bytes_per_s": 0.0}
+    measured = []
+    for uavs, step_ms in sizes.items():
+        labels: Mapping[str, str | float] = {"ownership": "pairs", "uavs": uavs}
+        measured.append(point(f"{uavs} UAVs", labels, {"cpu_step_p50_ms": step_ms, **without}))
     (sentence,) = conclusions(measured)
     assert sentence.startswith("pairs: completes 12 of 12 runs, none diverged; ")
     assert f"CPU of an agent's step grows as N^{power:.2f} from 4 to 12 UAVs" in sentence

@@ -26,7 +26,7 @@ from transport.model import state
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import FaultNote, LinkChange
 from transport.report.figures.captions import captions
-from transport.report.figures.column import caption_of, marks_of
+from transport.report.figures.event_marks import caption_of, marks_of
 from transport.report.figures.run_figures import FIGURES, draw, fill
 from transport.report.figures.style import COLUMN_IN, CURVES, RC, SMALL, styles_of
 from transport.report.report import write_report

@@ -12,14 +12,8 @@ from transport.cli.output import Format, blame, fail, rows, show
 from transport.flight.run_files import new_folder
 from transport.log.run_folder import open_run
 from transport.protocol.scenario.files.atomic_writing import write_csv
-from transport.report.run_comparison import (
-    ComparedRun,
-    Row,
-    Setting,
-    doubts,
-    draw_compared,
-    settings_apart,
-)
+from transport.report.overlaid_runs import draw_compared
+from transport.report.run_comparison import ComparedRun, Row, Setting, doubts, settings_apart
 from transport.report.run_comparison import rows as quantities
 
 # Heading of the settings that differ, how many are shown, and characters of a value.

@@ -38,7 +38,7 @@ from transport.report.figures.style import (
     save,
     styles_of,
 )
-from transport.report.run_comparison import fill_overlaid
+from transport.report.overlaid_runs import fill_overlaid
 
 # Colour of each controller; marker and line of a horizon with as many steps and of one with as many
 # seconds.

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from transport.analysis.replay.replay_difference import Comparison
 from transport.model.arrays import Array
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.report.figures.column import column_panels, finish, head
+from transport.report.figures.column import column_panels, head
+from transport.report.figures.event_marks import finish
 from transport.report.figures.style import COMPONENTS, RC, save
 
 _HEIGHT_IN = 1.1

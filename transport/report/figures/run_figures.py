@@ -11,9 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from transport.analysis.analysed_run import AnalysedRun
-from transport.report.figures.column import column_panels, finish, marks_of
+from transport.report.figures.column import column_panels
 from transport.report.figures.delays_figure import draw_delays
 from transport.report.figures.estimate_figure import draw_estimate
+from transport.report.figures.event_marks import finish, marks_of
 from transport.report.figures.figures_3d import draw_trajectories
 from transport.report.figures.inputs_figure import draw_inputs
 from transport.report.figures.performance_figure import draw_performance
