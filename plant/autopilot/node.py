@@ -2,7 +2,8 @@
 
 It plays physics and sensors to them in small steps, at the pace of the run, and publishes no
 measurements: those come from the processes of the vehicles, which hear the autopilots. Until
-tick 0 the team stands: its state is held, while the autopilots start, arm and raise their thrust.
+tick 0 the team stands: its state is held, while the autopilots start, arm and raise their thrust. That is at most
+in real time until tick 0 is told, whatever the pace of the run: ArduCopter's navigation takes 40 s.
 """
 
 from collections.abc import Sequence
@@ -72,9 +73,13 @@ class PlayedPlant(PlantNode):
                 self._speed_of_run,
                 self._wall_offset_ns,
             )
-            begun_ns = now_ns if self._begun_ns is None else self._begun_ns
-            passed_ns = (self._ticking.start_ns - begun_ns) * self._speed_of_run
-            self._first = max(round(passed_ns / self._step_ns), self._played)
+            until_ns = (self._ticking.start_ns - now_ns) * self._speed_of_run
+            self._let_go_after(max(round(until_ns / self._step_ns), 0), now_ns)
+
+    def _let_go_after(self, steps: int, now_ns: int) -> None:
+        """Let the team go after a number of steps, from now on at the pace of the run."""
+        self._first = self._played + steps
+        self._begun_ns = now_ns - round(self._played * self._step_ns / self._speed_of_run)
 
     def _work(self, now_ns: int) -> list[Message]:  # noqa: ARG002
         """Return nothing on a message: this plant acts by its clock."""
@@ -84,13 +89,14 @@ class PlayedPlant(PlantNode):
         """Play the steps that are due; return what is recorded of periods that end."""
         if self._begun_ns is None:
             self._begun_ns = now_ns
-        due = int((now_ns - self._begun_ns) * self._speed_of_run / self._step_ns)
+        speed = 1.0 if self._first is None else self._speed_of_run
+        due = int((now_ns - self._begun_ns) * speed / self._step_ns)
         behind_s = (due - self._played) * self._autopilots.step_s
         out: list[Message] = []
         if self._first is None:
             # Before tick 0 is told nothing depends on the pace: a host that is slow falls back.
             if behind_s > _BEHIND_S:
-                self._begun_ns += round((behind_s - _BEHIND_S) / self._speed_of_run * 1e9)
+                self._begun_ns += round((behind_s - _BEHIND_S) * 1e9)
         elif behind_s > _BEHIND_S and not self._diverged:
             remedy = "lower clock.speed"
             self._autopilots.failure = f"the physics are {behind_s:.1f} s behind: {remedy}"

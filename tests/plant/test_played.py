@@ -18,10 +18,10 @@ MS, S = 10**6, 10**9
 WALL_NS = 1_700_000_000 * S
 
 
-@lru_cache(maxsize=1)
-def flight() -> Setup:
-    """The ready scenario."""
-    return Setup.of(read_scenario(SCENARIO), str(SCENARIO))
+@lru_cache(maxsize=2)
+def flight(speed: float = 1.0) -> Setup:
+    """The ready scenario at a pace."""
+    return Setup.of(read_scenario(SCENARIO, (f"clock.speed={speed}",)), str(SCENARIO))
 
 
 class Constant:
@@ -45,9 +45,9 @@ class Constant:
         self.sensed.append(sensed.reshape(-1, 15).copy())
 
 
-def played(share: float) -> tuple[PlayedPlant, Constant]:
+def played(share: float, speed: float = 1.0) -> tuple[PlayedPlant, Constant]:
     """A plant above autopilots that give a share of the thrust of hover."""
-    run = flight()
+    run = flight(speed)
     bank = Constant(share * run.hover.u)
     return PlayedPlant(plant_run(run), bank, wall_offset_ns=WALL_NS), bank
 
@@ -81,6 +81,19 @@ def test_the_team_stands_until_tick_0() -> None:
     assert len(bank.times_s) == 400
     # At rest an accelerometer feels what carries the body: its weight, upwards.
     assert bank.sensed[-1][:, 14] == pytest.approx([-9.81] * 4)
+
+
+def test_autopilots_start_in_real_time() -> None:
+    """A run at half of real time starts its autopilots in real time, and slows down when tick 0 is told."""
+    plant, bank = played(1.0, 0.5)
+    go(plant, 0, 1 * S)
+    assert len(bank.times_s) == 400
+    plant.receive(schedule(2 * S), 1 * S)
+    go(plant, 1 * S, 2 * S)
+    assert len(bank.times_s) == 600
+    said = go(plant, 2 * S, 3 * S)
+    assert len(bank.times_s) == 800
+    assert len([message for message in said if isinstance(message, PlantState)]) == 10
 
 
 def test_from_tick_0_on_it_flies_and_is_recorded() -> None:

@@ -57,7 +57,7 @@ class Outside(PlayedPlant):
         if self._first is None and np.all(
             bank.thrusts_N > CARRIES * self._setup.run.hover.u[::INPUTS]
         ):
-            self._first = self._played
+            self._let_go_after(0, now_ns)
         told = super().poll(now_ns)
         for message in told:
             if isinstance(message, PlantState):
