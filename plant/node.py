@@ -6,11 +6,10 @@
 
 The inputs of [t_k, t_{k+1}) are decided by the plans of tick k with actuation "immediate", and by those
 of k - 1 with "next_tick", so that plant and agents compute at the same time. Faults of UAVs, sensors and
-load act with tick k, before its measurements. UAVs without a usable plan follow the fail-safe, which
-follows the targets that the whole team knows.
+load act with tick k, before its measurements. UAVs without a usable plan follow the fail-safe, along the
+path that the whole team knows (`plant.team_paths`). What happens within a period is `plant.motion_over_period`.
 """
 
-import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,46 +23,23 @@ from transport.model.physics.parameters import Payload
 from transport.plant.actual_bodies import payload_during
 from transport.plant.actuator_schedule import MOTOR_OFF, ActuatorSchedule
 from transport.plant.engines import UNKNOWN_ERROR, Engine
-from transport.plant.inner_loops import INNER_STEP_S, inner_loop
+from transport.plant.motion_over_period import Integrated, PeriodMotion
 from transport.plant.plant_run import PlantRun
-from transport.plant.rotors_and_motors import Motors
 from transport.plant.solids_in_sight import seen_from
+from transport.plant.team_paths import TeamPaths
 from transport.plant.vehicle_sensors import Sensors
 from transport.plant.wind_and_noise import Environment
-from transport.protocol.admission.known_targets import KnownTargets
 from transport.protocol.admission.participant import Participant
-from transport.protocol.admission.stop_in_silence import Stopping
-from transport.protocol.admission.targets_in_plans import Place, carried_by, is_of_sight, place_of
 from transport.protocol.scenario.faults.scripted_faults import OF_PLANT, Fault
 from transport.protocol.wire.messages import (
     ActualInputs,
     Measurement,
     Message,
-    Plan,
     PlantState,
     Target,
     Tick,
 )
 from transport.protocol.wire.names import PLANT
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Integrated:
-    """The plant after one sampling period.
-
-    Attributes:
-        x: State at its end, (12 + 12 N,), SI.
-        error: Largest local error of a component, -1 if it is unknown.
-        actual: Thrust and moments of the motors at its end, (4 N,), N and N m.
-        mean: Their mean over it.
-        tensions: Least tension of each cable, N, 0 while slack; none with rods.
-    """
-
-    x: Array
-    error: float
-    actual: Array
-    mean: Array
-    tensions: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,7 +65,6 @@ class PlantNode(Participant):
     wake_ns: int | None = None
 
     def __init__(self, setup: PlantRun, incarnation: int = 0) -> None:
-        section = setup.section
         self._setup = setup
         super().__init__(
             setup.run.rules, PLANT, incarnation, after=int(setup.run.rules.clock.next_tick)
@@ -97,34 +72,14 @@ class PlantNode(Participant):
         self.environment = Environment(setup)
         self.engine = Engine(setup, self.environment.system)
 
-        self._period_s = setup.run.settings.sampling_period_s
-        # Updates of the inner loops in a period, and integration steps between two of them.
-        self._parts = 1
-        if setup.run.settings.inputs != "moments":
-            self._parts = _at_least(self._period_s / INNER_STEP_S)
-        self._steps = _at_least(self._period_s / self._parts / section.step_s)
-        self._inner_loop = inner_loop(setup, self._period_s / self._parts)
-
-        instants_s = self._period_s * np.arange(setup.run.rules.ticks + 1, dtype=np.float64)
-        self._path_I, _ = setup.run.maneuver.path(instants_s)
+        self._motion = PeriodMotion(setup, self.engine)
+        self._paths = TeamPaths(setup.run)
         self._tilts = state.tilt_indices(setup.run.system.N)
-        self._whole_team = setup.run.whole_team()
-        # Targets that the team knows, and by target the agents whose plans have carried it.
-        self._targets = KnownTargets(setup.run)
-        self._informed: dict[Place, set[int]] = {}
-        self._stopping: Stopping | None = None
-        if setup.run.settings.silence == "stop":
-            self._stopping = Stopping(self._period_s, setup.run.ticks)
-        fail_safe = self._whole_team.law.fail_safe
-        self._schedule = ActuatorSchedule(setup.run.hover.u, fail_safe, setup.run.settings)
+        self._schedule = ActuatorSchedule(
+            setup.run.hover.u, self._paths.fail_safe, setup.run.settings
+        )
         own = [fault for fault in setup.run.rules.faults if fault.do in OF_PLANT]
         self._faults = deque(own)  # still to come
-        # Motors that will degrade tell what they give from the first tick on.
-        degrades = any(fault.do == "degrade" for fault in own)
-        factors = np.ones(setup.run.system.N)
-        for one in section.uav:
-            factors[one.id - 1] = one.thrust_factor
-        self._motors = Motors(section.motors, setup.run.hover.u, fails=degrades, factors=factors)
         # Newest change of the load while it goes on, and the payload before it.
         self._loading: tuple[Fault, Payload] | None = None
         self._off: set[int] = set()  # UAVs without motors, 0-based
@@ -154,61 +109,8 @@ class PlantNode(Participant):
             self._pending.append(message)
 
     def _follow_target(self, target: Target) -> None:
-        """Take in a target; path and fail-safe before its tick stay the same, bit for bit.
-
-        UAVs without an agent follow one that is told to some once all on the roster know it.
-        """
-        self._setup = self._setup.led_to(target)
-        instants = np.arange(target.tick, len(self._path_I), dtype=np.float64)
-        self._path_I[target.tick :], _ = self._setup.run.maneuver.path(self._period_s * instants)
-        if not target.to:
-            self._lead_team(target)
-
-    def _lead_team(self, target: Target) -> None:
-        """Let the fail-safe follow a target that the team knows; one that agents made is its path as well."""
-        if self._targets.add(target):
-            self._renew_team()
-            if is_of_sight(target):
-                instants = np.arange(self._k, len(self._path_I), dtype=np.float64)
-                maneuver = self._targets.setup.maneuver
-                self._path_I[self._k :], _ = maneuver.path(self._period_s * instants)
-
-    def _renew_team(self) -> None:
-        """Let the fail-safe follow the newest path that the team knows."""
-        reference = self._targets.setup.reference.sampled
-        if reference.change is not None:
-            self._whole_team.follow(reference, reference.change)
-        self._renew_fail_safe()
-
-    def _keep_pace(self, plans: Sequence[Plan]) -> None:
-        """Let the fail-safe stop in silence and go on with the agents on the roster."""
-        stopping = self._stopping
-        if stopping is None:
-            return
-        stopping.hear(plans)
-        roster = self._membership.since
-        _, v_I = self._targets.setup.maneuver.path(np.array([self._k * self._period_s]))
-        loss = stopping.advance(
-            self._k,
-            is_alone=stopping.is_any_alone(roster),
-            roster=roster,
-            speed_mps=float(np.linalg.norm(v_I)),
-        )
-        if loss is not None:
-            self._targets.slow(loss)
-            self._renew_team()
-
-    def _hear_targets(self, plans: Sequence[Plan]) -> None:
-        """Let the fail-safe follow the targets that plans of all agents on the roster have carried."""
-        for plan in plans:
-            for target in carried_by(plan):
-                is_waiting = target.informed and not target.begins
-                if is_waiting or self._targets.knows(target):
-                    continue
-                informed = self._informed.setdefault(place_of(target), set())
-                informed.add(plan.agent)
-                if informed >= self._membership.since.keys():
-                    self._lead_team(target)
+        if self._paths.tell(target, self._k):
+            self._renew_fail_safe()
 
     def _work(self, now_ns: int) -> list[Message]:
         """Measure and integrate in turn as far as the messages received allow."""
@@ -267,6 +169,9 @@ class PlantNode(Participant):
             x = self.environment.measured(tick.tick, agent, self._x)
             payload = x[: state.PAYLOAD]
             uav_states = state.uav_blocks(x)[owned]
+        seen = {}
+        if places_I is not None:
+            seen = {"seen": seen_from(places_I[owned], self._setup.hidden)}
         return self._out.stamp(
             Measurement,
             tick=tick.tick,
@@ -279,9 +184,7 @@ class PlantNode(Participant):
             uav_states=uav_states,
             inputs=self._u.reshape(-1, state.INPUTS)[owned],
             missing=missing if any(missing) else (),
-            **(
-                {} if places_I is None else {"seen": seen_from(places_I[owned], self._setup.hidden)}
-            ),
+            **seen,
         )
 
     def _fail_uavs(self, tick: int) -> None:
@@ -295,7 +198,7 @@ class PlantNode(Participant):
                     self._switch_off(fault.uav, released=True)
                 case "degrade":
                     if fault.uav not in self._off:
-                        self._motors.degrade(fault.uav, fault.efficiency)
+                        self._motion.motors.degrade(fault.uav, fault.efficiency)
                 case "sensors_off":
                     if self._sensors is not None:
                         self._sensors.fail(fault.uav, fault.sensors, fault.until)
@@ -320,7 +223,7 @@ class PlantNode(Participant):
     def _switch_off(self, uav: int, *, released: bool) -> None:
         """Switch the motors of a UAV off, 0-based, and take it off its rod if it is released."""
         self._off.add(uav)
-        self._motors.degrade(uav, 0.0)
+        self._motion.motors.degrade(uav, 0.0)
         if released:
             self._x = released_state(self._x, uav)
             self._released.add(uav)
@@ -332,8 +235,8 @@ class PlantNode(Participant):
         # The engine and the fail-safe take the remaining team.
         self.engine.restart(self._x, self.environment.system)
         self._renew_fail_safe()
-        if self._inner_loop is not None:
-            self._inner_loop.reset(self._x)
+        if self._motion.inner_loop is not None:
+            self._motion.inner_loop.reset(self._x)
 
     def _unload(self, uav: int) -> None:
         """Take thrust and wind off the bob that stands for a released UAV, 0-based.
@@ -346,14 +249,15 @@ class PlantNode(Participant):
             self._forces.reshape(-1, 3)[1 + uav] = 0.0
 
     def _renew_fail_safe(self) -> None:
-        """Take the fail-safe of the remaining UAVs along the newest reference."""
-        of_all = self._whole_team.law.fail_safe
+        """Take the fail-safe of the remaining UAVs along the newest shared path."""
+        of_all = self._paths.fail_safe
         self._schedule.fail_safe = of_all.of_team(self._off, self._released)
 
     def _integrate(self, now_ns: int) -> list[Message]:
         """Integrate [t_k, t_{k+1}) and return what is recorded of it."""
         period = self._period(now_ns)
-        return self._conclude(period, self._advance(period.u, period.forces))
+        end = self._motion.over_period(self._x, period.u, period.forces)
+        return self._conclude(period, end)
 
     def _period(self, now_ns: int) -> PlantPeriod:
         """Return what is decided for [t_k, t_{k+1})."""
@@ -393,8 +297,8 @@ class PlantNode(Participant):
         usable, lost = self._plans.take(self._k, now_ns)
         for plan in usable:
             self._schedule.add(plan)
-        self._hear_targets(usable)
-        self._keep_pace(usable)
+        if self._paths.hear(usable, self._k, self._membership.since):
+            self._renew_fail_safe()
         return lost
 
     def _commands(self) -> tuple[Array, tuple[int, ...]]:
@@ -407,46 +311,9 @@ class PlantNode(Participant):
         )
         return no_inputs(u, self._off), without
 
-    def _advance(self, u: Array, forces: Array | None) -> Integrated:
-        """Integrate a sampling period under commands, (4 N,), and external forces, (3 + 3 N,)."""
-        end = self._begun(u)
-        part_s = self._period_s / self._parts
-
-        for _ in range(self._parts):
-            command = u
-            if self._inner_loop is not None:
-                rates = u.reshape(-1, state.INPUTS)
-                command = self._inner_loop.moments(rates, end.x).reshape(-1)
-            end = self._part(end, command, forces, part_s)
-        return end
-
-    def _begun(self, u: Array) -> Integrated:
-        """Return the state at the beginning of a period under inputs, (4 N,)."""
-        return Integrated(
-            x=self._x,
-            error=UNKNOWN_ERROR,  # less than any error
-            actual=u,
-            mean=np.zeros_like(u),
-            tensions=np.array([np.inf]),  # the least ones have the shape of the engine's
-        )
-
-    def _part(
-        self, until: Integrated, command: Array, forces: Array | None, part_s: float
-    ) -> Integrated:
-        """Integrate a part of a period, s, with thrust and moments commanded, (4 N,)."""
-        x, error, actual = until.x, until.error, until.actual
-        mean, tensions = until.mean, until.tensions
-        for actual, duration_s in self._motors.inputs(command, part_s, self._steps):
-            x, local_error = self.engine.advance(actual, forces, duration_s)
-            error = max(local_error, error)
-            mean = mean + duration_s / self._period_s * actual
-            tensions = np.minimum(tensions, self.engine.tensions)
-        return Integrated(x=x, error=error, actual=actual, mean=mean, tensions=tensions)
-
     def _actual_inputs(self, k: int, end: Integrated) -> list[Message]:
         """Return the actual inputs of a period if they are not the commands, or with cables."""
-        are_commands = self._motors.ideal and self._inner_loop is None
-        if are_commands and not len(end.tensions):
+        if self._motion.follows_commands and not len(end.tensions):
             return []
         inputs = end.mean.reshape(-1, state.INPUTS)
         uavs = tuple(range(1, len(inputs) + 1))
@@ -463,11 +330,7 @@ class PlantNode(Participant):
 
     def _failure(self, tick: int, x: Array) -> str:
         """Return why the run ends after a period, empty if it goes on."""
-        if self.engine.failure:
-            return self.engine.failure
-        if self._inner_loop is not None and self._inner_loop.failure:
-            return self._inner_loop.failure
-        return self._divergence(tick, x)
+        return self._motion.failure or self._divergence(tick, x)
 
     def _divergence(self, tick: int, x: Array) -> str:
         """Return why the run has diverged, empty if it has not."""
@@ -482,12 +345,7 @@ class PlantNode(Participant):
             size = f"{body} {('roll', 'pitch')[axis]} of {tilts[worst]:.0f} deg"
             return f"{size} exceeds {limits.max_attitude_deg:g} deg"
 
-        distance_m = float(np.linalg.norm(x[state.R0] - self._path_I[tick]))
+        distance_m = float(np.linalg.norm(x[state.R0] - self._paths.given_I[tick]))
         if distance_m > limits.max_error_m:
             return f"payload position error of {distance_m:.1f} m exceeds {limits.max_error_m:g} m"
         return ""
-
-
-def _at_least(ratio: float) -> int:
-    """Return a ratio rounded up, but not for its rounding error."""
-    return math.ceil(ratio - 1e-9)

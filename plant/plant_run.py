@@ -1,13 +1,12 @@
 """A run as its plant sees it: with the bodies as they are, and the section of the plant."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from transport.model.physics.obstacles import Obstacle
 from transport.protocol.scenario.sections.plant_sections import PlantSection
 from transport.protocol.scenario.sections.schema import SystemSection
 from transport.protocol.scenario.sections.vehicles_section import VehiclesSection
 from transport.protocol.scenario.setup.team_run import TeamRun
-from transport.protocol.wire.messages import Target
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,7 +30,3 @@ class PlantRun:
     bodies: SystemSection  # with their actual drag, which controllers need not know
     vehicles: VehiclesSection  # settings of autopilots
     hidden: tuple[HiddenObstacle, ...] = ()
-
-    def led_to(self, message: Target) -> "PlantRun":
-        """Return the run with the target of a message."""
-        return replace(self, run=self.run.led_to(message))

@@ -10,13 +10,15 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from transport.model.arrays import Array
-from transport.plant.node import Integrated, PlantNode, PlantPeriod
+from transport.plant.motion_over_period import Integrated
+from transport.plant.node import PlantNode, PlantPeriod
 from transport.plant.plant_run import PlantRun
 from transport.protocol.admission.participant import Ticking
 from transport.protocol.wire.messages import Message, Schedule
 
 # Most steps in one turn, so that messages are read between them.
 _MOST_STEPS = 40
+_STEPS = 1  # of integration, between two exchanges
 # Time between two turns, s of wall time.
 _TURN_S = 0.005
 # Time by which the physics may be behind the ticks of the run, s of scenario time: what a host that
@@ -54,8 +56,7 @@ class PlayedPlant(PlantNode):
         self._autopilots = autopilots
         self._wall_offset_ns = wall_offset_ns
         self._step_ns = round(autopilots.step_s * 1e9)
-        self._steps_per_tick = round(self._period_s / autopilots.step_s)
-        self._steps = 1  # integration steps between two exchanges
+        self._steps_per_tick = round(setup.run.settings.sampling_period_s / autopilots.step_s)
         self._speed_of_run = setup.run.rules.clock.speed
         self.wake_ns = 0
         self._begun_ns: int | None = None  # when the first step was played
@@ -133,14 +134,15 @@ class PlayedPlant(PlantNode):
         self._tick = k
         self._fail_uavs(k)
         self._decided = self._period(now_ns)
-        self._until = self._begun(self._decided.u)
+        self._until = self._motion.begin(self._x, self._decided.u)
 
     def _step(self, wrench: Array, is_last: bool) -> list[Message]:
         """Integrate one step under thrust and moments of the motors; conclude a period with its last."""
         if self._decided is None or self._until is None:
             return []
         step_s = self._autopilots.step_s
-        self._until = self._part(self._until, wrench, self._decided.forces, step_s)
+        forces = self._decided.forces
+        self._until = self._motion.part(self._until, wrench, forces, step_s, _STEPS)
         if not is_last and not self._autopilots.failure:
             return []
         end = self._until
