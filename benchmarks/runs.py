@@ -21,7 +21,7 @@ from transport.flight.run_files import machine
 from transport.model.arrays import Array
 from transport.model.kernels import native
 from transport.mpc.controller import Controller
-from transport.mpc.program.qp_solvers import QP
+from transport.mpc.program.quadratic_program import QP
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.teams.team_of_any_size import Team, resized

@@ -14,7 +14,8 @@ from scipy import sparse
 from benchmarks.runs import CLIMB, programs, setup, spread, times_ms
 from docs.tables import table
 from transport.model.arrays import Array
-from transport.mpc.program.qp_solvers import QP, solve, solve_clarabel
+from transport.mpc.program.qp_solvers import solve, solve_clarabel
+from transport.mpc.program.quadratic_program import QP
 
 # Limits that bind at every step of the same climb: thrust a tenth above that of hover, and a tenth
 # of its rate.

@@ -29,8 +29,8 @@ from transport.model.arrays import Array, frozen
 from transport.model.physics.obstacles import Obstacle
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller, Horizon, StepResult
-from transport.mpc.program.qp_solvers import unsolved
-from transport.mpc.program.softened_user_constraints import softened_problem
+from transport.mpc.program.constraints.softened_user_constraints import softened_problem
+from transport.mpc.program.quadratic_program import unsolved
 from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import Message, Plan, StepReport
 from transport.protocol.wire.node_interface import Outbox

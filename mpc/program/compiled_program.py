@@ -21,7 +21,7 @@ from transport.mpc.program.decision import Decision
 from transport.mpc.program.feedback_law import FeedbackLaw
 from transport.mpc.program.horizon_and_terminal_cost import CostToGo, Objective
 from transport.mpc.program.prediction import Linear, Prediction
-from transport.mpc.program.qp_solvers import QP
+from transport.mpc.program.quadratic_program import QP
 
 _NO_GAIN = np.zeros((0, 0))
 frozen(_NO_GAIN)

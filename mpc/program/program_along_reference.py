@@ -20,7 +20,7 @@ from transport.mpc.program.constraints.stack import Rows, Stack
 from transport.mpc.program.decision import Decision
 from transport.mpc.program.feedback_law import FeedbackLaw, Gains
 from transport.mpc.program.prediction import Linear
-from transport.mpc.program.qp_solvers import QP
+from transport.mpc.program.quadratic_program import QP
 from transport.mpc.program.rollout import Actuation, OwnRates, rollout
 from transport.mpc.program.trajectory import TimeVarying
 

@@ -1,13 +1,9 @@
-"""The quadratic program, its solvers, and the check that every solution must pass.
+"""Solvers of the quadratic program, each followed by the check of its residuals.
 
-minimise 1/2 z' H z + g' z   subject to   lower <= z <= upper,   row_lower <= A z <= row_upper
+`solve` tries, until one passes the check: the program with bounds alone, the chosen solver, the other one.
 """
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import clarabel
 import daqp
@@ -16,13 +12,19 @@ import numpy.typing as npt
 
 from transport.model.arrays import Array
 from transport.model.kernels import native
+from transport.mpc.program.quadratic_program import (
+    NO_RESIDUALS,
+    QP,
+    RESIDUAL_TOLERANCE,
+    RESIDUALS,
+    Residuals,
+    Solution,
+    Status,
+    residuals,
+    unsolved,
+)
 from transport.mpc.settings import SolverName
 
-Status = Literal["solved", "infeasible", "limit", "numerical"]
-
-# Largest residual of a solved QP, relative to its data: solvers then agree in the stage cost to
-# 1e-6.
-RESIDUAL_TOLERANCE = 1e-6
 # A usual QP needs one guess of its active bounds, others two or three; the limit ends a cycle.
 MOST_GUESSES = 8
 # Largest entry of a row that is solved as it is, and the inverse of the smallest one.
@@ -39,117 +41,6 @@ _CLARABEL: dict[str, Status] = {
     "MaxIterations": "limit",
     "MaxTime": "limit",
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class QP:
-    """The data of one program, row-major.
-
-    Equalities are rows with equal bounds, missing bounds are infinite.
-    """
-
-    H: Array  # positive definite, (n, n)
-    g: Array  # (n,)
-    lower: Array  # bounds on z, (n,)
-    upper: Array
-    A: Array  # rows, (r, n)
-    row_lower: Array  # bounds on A z, (r,)
-    row_upper: Array
-
-    @cached_property
-    def addresses(self) -> list[int]:
-        """Addresses of the data, row-major, for the compiled kernels."""
-        data = self.H, self.g, self.lower, self.upper, self.A, self.row_lower, self.row_upper
-        return [native.address(array) for array in data]
-
-    @cached_property
-    def work(self) -> int:
-        """Address of a work space for `within_bounds`, for the compiled kernels."""
-        rows, n = self.A.shape
-        return native.work("within_bounds", native.KERNELS.within_bounds_work(n, rows))
-
-    def __getstate__(self) -> dict[str, Array]:
-        """Return the data for copies, which have addresses of their own."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
-
-    def objective(self, z: Array) -> float:
-        """Return 1/2 z' H z + g' z."""
-        return float(z @ (0.5 * (self.H @ z) + self.g))
-
-
-@dataclass(frozen=True, slots=True)
-class Residuals:
-    """The violations of the optimality conditions, relative to the data."""
-
-    stationarity: float  # |H z + g + multipliers| relative to 1 + |g|
-    primal: float  # largest violation of a bound or row, relative to 1 + |z|
-    # Largest multiplier times distance to its bound, relative to 1 + |objective|.
-    complementarity: float
-
-    @property
-    def worst(self) -> float:
-        """Largest of the three; nan counts as infinite."""
-        values = (self.stationarity, self.primal, self.complementarity)
-        return max(values) if math.isfinite(sum(values)) else np.inf
-
-
-_NO_RESIDUALS = Residuals(np.inf, np.inf, np.inf)
-_RESIDUALS = 3  # numbers
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Solution:
-    """The result of a solver, also of one that failed."""
-
-    status: Status  # "solved" only if the residuals pass, or if nothing of it is used
-    z: Array  # (n,), meaningless unless solved
-    bound_multipliers: Array  # (n,), positive when the upper bound pushes
-    row_multipliers: Array  # (r,), positive when the upper bound pushes
-    residuals: Residuals  # optimality conditions at z
-    iterations: int  # the solver's own count
-    solver: str
-    fallback: bool = False  # the chosen solver failed, and this one solved or tried
-    # Planned violations of hard constraints that no plan meets, by expression, in its unit.
-    violations: Mapping[str, float] = field(default_factory=dict)
-
-
-def residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:
-    """Return the Karush-Kuhn-Tucker residuals of a solution, arguments as in `Solution`.
-
-    H z + g + m + A' m_rows = 0,   lower <= z <= upper,   m (distance to its bound) = 0
-    Source: docs/equations.md (28).
-    """
-    if native.AVAILABLE:
-        return _compiled_residuals(qp, z, bound_multipliers, row_multipliers)
-    values = np.concatenate([z, qp.A @ z])
-    multipliers = np.concatenate([bound_multipliers, row_multipliers])
-    lower = np.concatenate([qp.lower, qp.row_lower])
-    upper = np.concatenate([qp.upper, qp.row_upper])
-
-    slope = qp.H @ z + qp.g + bound_multipliers + row_multipliers @ qp.A
-    outside = np.maximum(np.maximum(lower - values, values - upper), 0.0)
-
-    # A multiplier at an infinite bound must be zero, so its own size is the violation.
-    to_upper = np.where(np.isfinite(upper), upper - values, 1.0)
-    to_lower = np.where(np.isfinite(lower), values - lower, 1.0)
-    slackness = np.where(multipliers > 0.0, multipliers * to_upper, -multipliers * to_lower)
-    return Residuals(
-        stationarity=float(np.abs(slope).max() / (1.0 + np.abs(qp.g).max())),
-        primal=float(outside.max() / (1.0 + np.abs(z).max())),
-        complementarity=float(np.abs(slackness).max() / (1.0 + abs(qp.objective(z)))),
-    )
-
-
-def _compiled_residuals(
-    qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array
-) -> Residuals:
-    """Return the residuals by the compiled kernel."""
-    rows, n = qp.A.shape
-    values = np.empty(_RESIDUALS)
-    solution = map(native.address, (z, bound_multipliers, row_multipliers))
-    work = native.work("residuals", n)
-    native.KERNELS.residuals(n, rows, *qp.addresses, *solution, native.address(values), work)
-    return Residuals(*values.tolist())
 
 
 def solve(
@@ -219,19 +110,6 @@ def _row_factors(A: Array) -> Array | None:
     return factors
 
 
-def unsolved(n: int, rows: int, solver: str) -> Solution:
-    """Return the failure of a QP that is not solved because its numbers are out of range."""
-    return Solution(
-        status="numerical",
-        z=np.zeros(n),
-        bound_multipliers=np.zeros(n),
-        row_multipliers=np.zeros(rows),
-        residuals=_NO_RESIDUALS,
-        iterations=0,
-        solver=solver,
-    )
-
-
 def within_bounds(qp: QP) -> Solution | None:
     """Return the solution of a QP in which no row is active, else None.
 
@@ -241,7 +119,7 @@ def within_bounds(qp: QP) -> Solution | None:
         return None
     rows, n = qp.A.shape
     # z, the multipliers of the bounds, and the residuals, one after the other.
-    answer = np.empty(2 * n + _RESIDUALS)
+    answer = np.empty(2 * n + RESIDUALS)
     begin = native.address(answer)
     places = begin, begin + n * answer.itemsize, begin + 2 * n * answer.itemsize
     guesses = native.KERNELS.solve_within_bounds(
@@ -404,7 +282,7 @@ class _Sides:
 def _checked(qp: QP, answer: _Answer) -> Solution:
     """Return the solution, with status "solved" only if the residuals pass."""
     status = answer.status
-    conditions = _NO_RESIDUALS
+    conditions = NO_RESIDUALS
     if status == "solved":
         conditions = residuals(qp, answer.z, answer.bounds, answer.rows)
         if conditions.worst > RESIDUAL_TOLERANCE:

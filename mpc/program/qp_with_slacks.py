@@ -15,7 +15,7 @@ from transport.mpc.program.decision import Decision
 from transport.mpc.program.feedback_law import FeedbackLaw
 from transport.mpc.program.horizon_and_terminal_cost import CostToGo, Objective, condense
 from transport.mpc.program.prediction import Linear, Prediction, follow, own_response, predict
-from transport.mpc.program.qp_solvers import QP
+from transport.mpc.program.quadratic_program import QP
 from transport.mpc.program.relaxation import Relaxation, relaxed
 from transport.mpc.program.rollout import Rollout
 from transport.mpc.program.stage_cost import Cost

@@ -7,7 +7,7 @@ import numpy as np
 
 from tests.support.systems import paper_setup, situations, team
 from transport.model.arrays import Array
-from transport.mpc.program.qp_solvers import QP
+from transport.mpc.program.quadratic_program import QP
 from transport.mpc.settings import ConstraintSection, ControllerSettings, SeparationSection
 
 

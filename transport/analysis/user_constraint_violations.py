@@ -10,7 +10,7 @@ import numpy.typing as npt
 from transport.analysis.series import Series
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
-from transport.mpc.program.softened_user_constraints import softened_problem
+from transport.mpc.program.constraints.softened_user_constraints import softened_problem
 from transport.mpc.program.user_expressions import UserConstraints, Variable
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Note

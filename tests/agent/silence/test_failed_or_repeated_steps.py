@@ -15,7 +15,7 @@ from transport.agent.received import Received
 from transport.agent.silence.failed_or_repeated_steps import Freshness, Repetition
 from transport.agent.user_class.run_for_user import Run
 from transport.mpc.controller import Controller
-from transport.mpc.program.qp_solvers import QP, Solution, unsolved
+from transport.mpc.program.quadratic_program import QP, Solution, unsolved
 from transport.protocol.scenario.user_class.user_import import own_class
 from transport.protocol.wire.messages import Measurement, Plan, PlantState
 

@@ -14,7 +14,7 @@ from transport.model.physics.hover import hover_after_failures
 from transport.model.state import THETA, V0, uav_slice
 from transport.mpc.program.constraints.separation import pair_distances
 from transport.mpc.program.prediction import Prediction, convolve
-from transport.mpc.program.qp_solvers import QP
+from transport.mpc.program.quadratic_program import QP
 from transport.mpc.settings import (
     ConstraintSection,
     ControllerSettings,

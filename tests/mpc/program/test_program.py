@@ -16,7 +16,8 @@ from transport.mpc.controller import Controller
 from transport.mpc.program.feedback_law import FeedbackLaw
 from transport.mpc.program.horizon_and_terminal_cost import CostToGo
 from transport.mpc.program.prediction import Prediction, free_response, predict, stacked
-from transport.mpc.program.qp_solvers import QP, residuals, solve_clarabel, within_bounds
+from transport.mpc.program.qp_solvers import solve_clarabel, within_bounds
+from transport.mpc.program.quadratic_program import QP, residuals
 from transport.mpc.settings import (
     ConstraintSection,
     ControllerSettings,

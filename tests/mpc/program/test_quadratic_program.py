@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from transport.model.kernels import native
-from transport.mpc.program.qp_solvers import QP, residuals
+from transport.mpc.program.quadratic_program import QP, residuals
 
 # A few products of small numbers: rounding only.
 ROUNDING = 1e-15

@@ -15,7 +15,7 @@ from transport.mpc.program.constraints.shared_rows import default_penalties
 from transport.mpc.program.constraints.stack import Stack
 from transport.mpc.program.constraints.user_constraints import OwnInputs, OwnStates
 from transport.mpc.program.decision import Decision
-from transport.mpc.program.qp_solvers import QP
+from transport.mpc.program.quadratic_program import QP
 
 # Violation that is the tolerance of a solver, in units of the expression.
 _NONE = 1e-6
