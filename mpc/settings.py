@@ -239,14 +239,14 @@ class AloneGains(Section):
     # Largest change of roll and pitch that a deviation asks for.
     steepest_rad: ClassVar[float] = 0.5
     # Largest force of the integral, as a share of the hover thrust.
-    most_held: ClassVar[float] = 0.4
+    largest_integral: ClassVar[float] = 0.4
 
     position: Annotated[Positive, Key(unit="1/s²")] = 6.0
     """acceleration per deviation of position"""
     velocity: Annotated[Positive, Key(unit="1/s")] = 5.0
     """acceleration per deviation of velocity"""
     integral: Annotated[Positive, Key(unit="1/s³")] = 2.5
-    """growth of the held acceleration per deviation of position"""
+    """growth of the acceleration by the integral per deviation of position"""
     swing: Annotated[NotNegative, Key(unit="1/s")] = 0.5
     """acceleration per velocity of the rod's lower end relative to the UAV, for a rod of 1 m; it grows with
     the square root of the rod's length"""

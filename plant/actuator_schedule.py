@@ -34,7 +34,7 @@ class ActuatorSchedule:
         self._plans: list[list[Plan]] = [[] for _ in range(uavs)]
         self._period_s = settings.sampling_period_s
         # Force of the integral of each UAV on a fail-safe that follows, N.
-        self._held_I: dict[int, Array] = {}
+        self._integral_I: dict[int, Array] = {}
 
     def add(self, plan: Plan) -> None:
         """Add a plan to the schedule of its UAVs, in any order of arrival."""
@@ -70,7 +70,7 @@ class ActuatorSchedule:
                 planned = state.input_slice(plan.uavs.index(uav + 1))
                 u[own] = plan.inputs[tick - plan.start_tick, planned]
                 sources[uav] = plan.tick
-                self._held_I.pop(uav, None)
+                self._integral_I.pop(uav, None)
             else:
                 u[own] = self._safe_inputs(uav, tick, x, u_before[own])
                 sources[uav] = FAIL_SAFE
@@ -88,8 +88,10 @@ class ActuatorSchedule:
 
     def _safe_inputs(self, uav: int, tick: int, x: Array, before: Array) -> Array:
         """Return the fail-safe's inputs of a UAV, (4,), within rates and limits."""
-        held_I = self._held_I.get(uav, np.zeros(3))
-        safe = self.fail_safe.inputs(uav, x, tick, held_I)
-        self._held_I[uav] = self.fail_safe.held(uav, x, tick, held_I, self._period_s)
+        integral_I = self._integral_I.get(uav, np.zeros(3))
+        safe = self.fail_safe.inputs(uav, x, tick, integral_I)
+        self._integral_I[uav] = self.fail_safe.integral_after(
+            uav, x, tick, integral_I, self._period_s
+        )
         safe = np.clip(safe, before - self._step, before + self._step)
         return np.clip(safe, self._lower, self._upper)

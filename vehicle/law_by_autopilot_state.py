@@ -32,7 +32,7 @@ class OwnLaw:
             setup.sensors.ages,
             setup.settings.sampling_period_s,
         )
-        self._held_I = np.zeros(3)
+        self._integral_I = np.zeros(3)
 
     def warm_up(self) -> None:
         """Compute the motion that the UAV follows."""
@@ -49,7 +49,7 @@ class OwnLaw:
 
     def rest(self) -> None:
         """Forget the integral: a plan is followed."""
-        self._held_I = np.zeros(3)
+        self._integral_I = np.zeros(3)
 
     def inputs(self, sensed: Array, tick: int, before: Array) -> Array:
         """Return thrust and body rates from a tick on, (4,), within limits of the last ones."""
@@ -57,8 +57,10 @@ class OwnLaw:
         law = self._team.law(self._uav)
         setpoint = self._team.setpoint(self._uav, tick)
         motion = self._sensors.motion(sensed, tick, tick, self._reference)
-        wanted = law.inputs(motion, setpoint, self._held_I)
-        self._held_I = law.held(self._held_I, motion, setpoint, settings.sampling_period_s)
+        wanted = law.inputs(motion, setpoint, self._integral_I)
+        self._integral_I = law.integral_after(
+            self._integral_I, motion, setpoint, settings.sampling_period_s
+        )
 
         step = settings.largest_step(1)
         inputs = np.clip(wanted, before - step, before + step)

@@ -82,7 +82,7 @@ class TeamEstimate:
             settings=setup.settings,
         )
         self.announced.fail_safe = regulation.fail_safe
-        self._held_forces = IntegratorForces(setup.settings.sampling_period_s)
+        self._integrator_forces = IntegratorForces(setup.settings.sampling_period_s)
         self.expected: Expected | None = None
         self._has_landed = False
         self._forces_in_flight = self.estimator.forces
@@ -139,8 +139,8 @@ class TeamEstimate:
 
     def _by_law_alone(self, uav: int, tick: int, x: Array) -> Array:
         """Return the inputs of a UAV alone, (4,): its integral has followed its part of the forces."""
-        held_I = self._held_forces.part(uav, self._motors_off)
-        return self._alone.inputs(uav, x[: self._setup.system.n], tick, held_I)
+        integral_I = self._integrator_forces.part(uav, self._motors_off)
+        return self._alone.inputs(uav, x[: self._setup.system.n], tick, integral_I)
 
     def follow(self, setup: TeamRun) -> None:
         """Take the reference from a run with a further target."""
@@ -195,7 +195,7 @@ class TeamEstimate:
         if share_alone < 1.0 and len(self.forces) > 4 + 3 * self._setup.system.N:
             self._alone.assume_drag(self.forces[-2:])
         # The law of any UAV will do: all have the same gains, and with them the same time constant.
-        self._held_forces.follow(
+        self._integrator_forces.follow(
             self._controller.model.with_weight_of_mass_error(self.forces),
             share_alone=share_alone,
             follows_s=self._alone.law(0).follows_s,

@@ -63,7 +63,7 @@ class AlonePlanner:
 
         self._measurement: Measurement | None = None  # the newest that is usable
         self._sensed = Reports()  # own measurements of the last ticks
-        self._held_I = {uav: np.zeros(3) for uav in self._owned}
+        self._integral_I = {uav: np.zeros(3) for uav in self._owned}
         tensions_N = self._setup.hover.tensions
         self._sensors = {
             uav: OwnSensors(system, uav, float(tensions_N[uav]), ages, period_s)
@@ -176,10 +176,12 @@ class AlonePlanner:
             law = self._team.law(uav)
             setpoint = self._team.setpoint(uav, start)
             motion = self._motion(i, measured, start, before)
-            held_I = self._held_I[uav]
+            integral_I = self._integral_I[uav]
 
-            wanted.append(law.inputs(motion, setpoint, held_I))
-            self._held_I[uav] = law.held(held_I, motion, setpoint, settings.sampling_period_s)
+            wanted.append(law.inputs(motion, setpoint, integral_I))
+            self._integral_I[uav] = law.integral_after(
+                integral_I, motion, setpoint, settings.sampling_period_s
+            )
 
         step = settings.largest_step(len(self._owned))
         inputs = np.clip(np.concatenate(wanted), before - step, before + step)

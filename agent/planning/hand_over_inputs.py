@@ -58,7 +58,7 @@ class HandOver:
         self._period_s = setup.settings.sampling_period_s
         self._mixture = Mixture(self._period_s)
         # While UAVs act alone: force of the integral of each, N, and its sensors.
-        self._held_I: dict[int, Array] = {}
+        self._integral_I: dict[int, Array] = {}
         self._sensors: dict[int, OwnSensors] = {}
 
     @property
@@ -81,7 +81,7 @@ class HandOver:
         """
         share = self._mixture.share
         if share == 0.0:
-            self._held_I.clear()
+            self._integral_I.clear()
             self._sensors.clear()
             return team
 
@@ -99,12 +99,12 @@ class HandOver:
         Those of the setpoints, and a deviation that fades.
         """
         law, setpoint = self._team.alone(uav, start)
-        if uav not in self._held_I:
-            self._held_I[uav] = self._preload(uav, k)
-        held_I = self._held_I[uav]
+        if uav not in self._integral_I:
+            self._integral_I[uav] = self._preload(uav, k)
+        integral_I = self._integral_I[uav]
         motion = self._motion(uav, k, start, linear)
-        deviation = law.inputs(motion, setpoint, held_I) - setpoint.inputs
-        self._held_I[uav] = law.held(held_I, motion, setpoint, self._period_s)
+        deviation = law.inputs(motion, setpoint, integral_I) - setpoint.inputs
+        self._integral_I[uav] = law.integral_after(integral_I, motion, setpoint, self._period_s)
 
         fading = np.exp(-self._period_s / _FADES_S * np.arange(steps))
         ahead = self._team.alone_ahead(uav, start, steps)

@@ -1,4 +1,4 @@
-"""Forces that the integrals of UAVs alone hold, as one agent assumes them.
+"""Integrator states of UAVs alone, forces in N, as one agent assumes them.
 
 Source: docs/equations.md (32f).
 """
@@ -23,7 +23,7 @@ class IntegratorForces:
     def follow(self, forces: Array, *, share_alone: float, follows_s: float) -> None:
         """Follow the external forces estimated at a tick, (3 + 3 N,), inertial frame, N.
 
-        With the team, at a share alone of 0, the held forces are the estimated ones. Alone, also in
+        With the team, at a share alone of 0, these forces are the estimated ones. Alone, also in
         part, they follow with the time constant of the integrals, `follows_s`.
         """
         if self._balanced is None or share_alone == 0.0:
@@ -34,7 +34,7 @@ class IntegratorForces:
         self._balanced = self._balanced + step * (forces - self._balanced)
 
     def part(self, uav: int, motors_off: Collection[int]) -> Array | None:
-        """Return what the integral of a UAV, 0-based, holds, (3,), N; None without any estimate.
+        """Return the force of the integral of a UAV, 0-based, (3,), N; None without any estimate.
 
         UAVs without motors carry nothing, also those that are released.
         """
@@ -44,5 +44,5 @@ class IntegratorForces:
         #   g_i = h_i + h_0 / n,   n the UAVs that carry the payload    (32f)
         carrying = len(balanced) // 3 - 1 - len(motors_off)
         own = slice(3 + 3 * uav, 6 + 3 * uav)
-        held_I: Array = -(balanced[own] + balanced[:3] / carrying)
-        return held_I
+        integral_I: Array = -(balanced[own] + balanced[:3] / carrying)
+        return integral_I

@@ -86,12 +86,14 @@ class AloneLaw:
         turning_loop = [self._stiffness.reshape(-1), self._damping.reshape(-1)]
         return np.concatenate([*rod, self._masses, position_loop, *turning_loop])
 
-    def inputs(self, motion: UavMotion, setpoint: Setpoint, held_I: Array | None = None) -> Array:
+    def inputs(
+        self, motion: UavMotion, setpoint: Setpoint, integral_I: Array | None = None
+    ) -> Array:
         """Return thrust and moments, or body rates, before limits, (4,), N and N m or rad/s: (31b).
 
-        `held_I` is the force of the integral, (3,), N; None for none.
+        `integral_I` is the force of the integral, (3,), N; None for none.
         """
-        force_I = self.force(motion, setpoint, held_I)
+        force_I = self.force(motion, setpoint, integral_I)
 
         # Theta_d has the direction of the force, near that of the setpoint's force.
         yaw = motion.Theta[2]
@@ -113,7 +115,9 @@ class AloneLaw:
         thrust_N = -(rotation(motion.Theta)[:, 2] @ force_I)
         return np.concatenate([[thrust_N], turning])
 
-    def force(self, motion: UavMotion, setpoint: Setpoint, held_I: Array | None = None) -> Array:
+    def force(
+        self, motion: UavMotion, setpoint: Setpoint, integral_I: Array | None = None
+    ) -> Array:
         """Return the desired force of the thrust, (3,), inertial frame, N. Source: docs/equations.md (31a)."""
         gains = self._gains
         desired = setpoint.motion
@@ -125,18 +129,20 @@ class AloneLaw:
             - self._swing * level_swing_I
         )
         force_I: Array = setpoint.force_I + self._masses * acceleration
-        return force_I if held_I is None else force_I + held_I
+        return force_I if integral_I is None else force_I + integral_I
 
-    def held(self, held_I: Array, motion: UavMotion, setpoint: Setpoint, period_s: float) -> Array:
+    def integral_after(
+        self, integral_I: Array, motion: UavMotion, setpoint: Setpoint, period_s: float
+    ) -> Array:
         """Return the force of the integral one period later, (3,), N. Source: docs/equations.md (31a)."""
         error_I = setpoint.motion.position_I - motion.position_I
-        rate_I = self._masses * self._gains.integral * error_I - held_I / self._gains.forgets_s
-        return self.within(held_I + period_s * rate_I)
+        rate_I = self._masses * self._gains.integral * error_I - integral_I / self._gains.forgets_s
+        return self.within(integral_I + period_s * rate_I)
 
-    def within(self, held_I: Array) -> Array:
+    def within(self, integral_I: Array) -> Array:
         """Return a force of the integral within its limits, (3,), N."""
-        most_N = self._gains.most_held * self._hover_N
-        return np.minimum(np.maximum(held_I, -most_N), most_N)
+        most_N = self._gains.largest_integral * self._hover_N
+        return np.minimum(np.maximum(integral_I, -most_N), most_N)
 
     def gain(self) -> Array:
         """Return the derivative of `inputs` about hover by the state of the team, (4, n): (31c)."""
@@ -185,7 +191,7 @@ class AloneLaw:
         """Return the change of the integral's force by the deviation of position, (3, 3), N/(m s): (31a)."""
         return -np.diag(self._masses * self._gains.integral)
 
-    def by_held(self) -> Array:
+    def by_integral(self) -> Array:
         """Return the derivative of `inputs` about hover by the force of the integral, (4, 3): G_F of (31c)."""
         return self._by_force()
 

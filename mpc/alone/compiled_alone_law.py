@@ -42,20 +42,22 @@ class CompiledAloneLaw:
     def __init__(self, system: System, uav: int, law: AloneLaw) -> None:
         # Arrays whose addresses the kernel is given at every call.
         self._x: Array = np.zeros(system.n)
-        self._held_I: Array = np.zeros(3)
+        self._integral_I: Array = np.zeros(3)
         self._law = law.numbers()
 
         x = native.address(self._x)
         own = x + self._x.itemsize * state.uav_slice(uav).start
         self._before = x, own, native.address(self._law)
-        self._held_address = native.address(self._held_I)
+        self._integral_address = native.address(self._integral_I)
 
-    def inputs(self, x: Array, setpoint: CompiledSetpoint, held_I: Array | None = None) -> Array:
+    def inputs(
+        self, x: Array, setpoint: CompiledSetpoint, integral_I: Array | None = None
+    ) -> Array:
         """Return the inputs at a state of the team, (n,), before limits, (4,)."""
         u = np.empty(state.INPUTS)
         self._x[:] = x
-        self._held_I[:] = 0.0 if held_I is None else held_I
+        self._integral_I[:] = 0.0 if integral_I is None else integral_I
         native.KERNELS.alone_inputs(
-            *self._before, setpoint.address, self._held_address, native.address(u)
+            *self._before, setpoint.address, self._integral_address, native.address(u)
         )
         return u

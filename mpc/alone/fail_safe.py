@@ -147,25 +147,29 @@ class FailSafe:
             return self.gain(uav)
         return self._laws[uav].gain_along(x, self.setpoint(uav, tick))
 
-    def inputs(self, uav: int, x: Array, tick: int, held_I: Array | None = None) -> Array:
+    def inputs(self, uav: int, x: Array, tick: int, integral_I: Array | None = None) -> Array:
         """Return the inputs of one UAV, 0-based, at a state at t_k, (n,), before limits, (4,).
 
-        `held_I` is the force of its integral, (3,), N; None where that is not known.
+        `integral_I` is the force of its integral, (3,), N; None where that is not known.
         Source: docs/equations.md (31), (31a), (58).
         """
         if self.follows:
             motion = motion_of(self._system, uav, x)
-            return self._laws[uav].inputs(motion, self.setpoint(uav, tick), held_I)
+            return self._laws[uav].inputs(motion, self.setpoint(uav, tick), integral_I)
         only_thrust = np.array([1.0, 0.0, 0.0, 0.0])
         at_rest: Array = self.u_hover[state.input_slice(uav)] * only_thrust
         return at_rest + self._gains[uav] @ x[state.uav_slice(uav)]
 
-    def held(self, uav: int, x: Array, tick: int, held_I: Array, period_s: float) -> Array:
+    def integral_after(
+        self, uav: int, x: Array, tick: int, integral_I: Array, period_s: float
+    ) -> Array:
         """Return the force of the integral one period later, (3,), N; the same if it keeps level."""
         if not self.follows:
-            return held_I
+            return integral_I
         motion = motion_of(self._system, uav, x)
-        return self._laws[uav].held(held_I, motion, self.setpoint(uav, tick), period_s)
+        return self._laws[uav].integral_after(
+            integral_I, motion, self.setpoint(uav, tick), period_s
+        )
 
 
 def _attitude_gain(system: System, uav: int) -> Array:

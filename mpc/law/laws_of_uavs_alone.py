@@ -90,15 +90,15 @@ class AloneTeam:
         ticks = range(first, first + steps)
         return np.array([self._kept_setpoint(uav, tick).inputs for tick in ticks])
 
-    def inputs(self, uav: int, x: Array, tick: int, held_I: Array | None = None) -> Array:
+    def inputs(self, uav: int, x: Array, tick: int, integral_I: Array | None = None) -> Array:
         """Return the inputs of a UAV, 0-based, alone at a state, (n,), before limits, (4,)."""
         setpoint = self.setpoint(uav, tick)
         if not native.AVAILABLE:
-            return self.law(uav).inputs(motion_of(self._system, uav, x), setpoint, held_I)
+            return self.law(uav).inputs(motion_of(self._system, uav, x), setpoint, integral_I)
         if uav not in self._compiled_laws:
             self._compiled_laws[uav] = CompiledAloneLaw(self._system, uav, self.law(uav))
         return self._compiled_laws[uav].inputs(
-            x, self._compiled_setpoint(uav, tick, setpoint), held_I
+            x, self._compiled_setpoint(uav, tick, setpoint), integral_I
         )
 
     def _compiled_setpoint(self, uav: int, tick: int, setpoint: Setpoint) -> CompiledSetpoint:

@@ -59,7 +59,7 @@ class AloneLoop(SampledLoop):
         # By deviations as old as each of the five quantities, by the integrals, by the observers' velocity
         # of the rods, and by the inputs in force until the new ones act.
         self._by_motion = np.zeros((5, system.m, self._T.shape[1]))
-        self._by_held = np.zeros((system.m, 3 * system.N))
+        self._by_integral = np.zeros((system.m, 3 * system.N))
         self._by_observed = np.zeros((system.m, 2 * system.N))
         self._by_before = np.zeros((system.m, system.m))
         # Change of the integrals' forces by deviations of position, and the rods' ends that are measured.
@@ -111,7 +111,7 @@ class AloneLoop(SampledLoop):
         """Add the integral of a UAV."""
         own = slice(3 * uav, 3 * uav + 3)
         by_position = law.by_position()
-        self._by_held[state.input_slice(uav), own] = law.by_held()
+        self._by_integral[state.input_slice(uav), own] = law.by_integral()
         self._integrals[0, own] = by_position @ slopes.position_I @ self._T
         self._integrals[1, own] = self._moving_s * by_position @ slopes.velocity_I @ self._T
 
@@ -133,7 +133,7 @@ class AloneLoop(SampledLoop):
             rate = rate + self.period_s * RATE_GAIN * error
 
         # The command of each UAV by what its sensors tell, by its integral and by inputs in force.
-        issued = self._by_held @ before.integrals + self._by_before @ before.commands[0]
+        issued = self._by_integral @ before.integrals + self._by_before @ before.commands[0]
         for by_motion, age in zip(self._by_motion, self._ages, strict=True):
             issued = issued + by_motion @ deviations[age]
         if self._observes:

@@ -26,7 +26,7 @@ class Answers(Protocol):
 
 # Deviation of the force that the integral of a UAV alone holds from the one assumed, sideways, as a
 # share of what the UAV carries: that of gusts of 1 m/s.
-_HELD = 0.015
+_INTEGRAL_SHARE = 0.015
 
 
 class SilentTeam:
@@ -42,12 +42,14 @@ class SilentTeam:
         noise = np.repeat(setup.sensors.noise, state.SENSED // len(setup.sensors.noise))
         # Of their inputs, by the noise of their sensors, (m,).
         self._variance = slopes**2 @ noise**2
-        self._held = self._held_deviations(setup, alone)
-        self.holds = bool(self._held.any())  # whether forces of integrals are assumed to deviate
+        self._integrals = self._integral_deviations(setup, alone)
+        self.has_integrals = bool(
+            self._integrals.any()
+        )  # whether their forces are assumed to deviate
 
     @staticmethod
-    def _held_deviations(setup: TeamRun, alone: FailSafe) -> Array:
-        """Return how much the forces that integrals hold deviate, sideways, by UAV, (N,), N.
+    def _integral_deviations(setup: TeamRun, alone: FailSafe) -> Array:
+        """Return how much the forces of integrals deviate, sideways, by UAV, (N,), N.
 
         They do so for the time constant T of the integral; as white noise in each period that is
         2 T / T_s times the variance. Where forces are not estimated, no wind is assumed.
@@ -57,17 +59,17 @@ class SilentTeam:
             return np.zeros(N)
         hover_N = setup.hover.u.reshape(N, state.INPUTS)[:, 0]
         as_white_noise = [math.sqrt(2.0 * alone.law(uav).follows_s / period_s) for uav in range(N)]
-        return np.asarray(_HELD * hover_N * as_white_noise)
+        return np.asarray(_INTEGRAL_SHARE * hover_N * as_white_noise)
 
-    def held(self, silent: Silent, unannounced: Unannounced) -> Array:
+    def integral_deviations(self, silent: Silent, unannounced: Unannounced) -> Array:
         """Return the deviation of the forces on all bodies by integrals of UAVs alone, (3 + 3 N, 2).
 
         Columns: x, y, inertial frame. One wind moves all UAVs: their integrals err alike.
         """
-        N = len(self._held)
+        N = len(self._integrals)
         share = (silent.alone * unannounced.by_law).reshape(N, state.INPUTS)[:, 0]
         forces = np.zeros((1 + N, 3, 2))  # on the payload and on each UAV
-        forces[1:, :2] = (share * self._held)[:, None, None] * np.eye(2)
+        forces[1:, :2] = (share * self._integrals)[:, None, None] * np.eye(2)
         return forces.reshape(-1, 2)
 
     def gain(self, silent: Silent, period: Answers) -> Array:

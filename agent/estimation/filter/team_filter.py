@@ -249,7 +249,7 @@ class TeamFilter:
         Source: docs/equations.md (63e).
         """
         model, x, u = place.model, place.x, place.actual
-        along_x, along_y = self._silent.held(silent, period.unannounced).T
+        along_x, along_y = self._silent.integral_deviations(silent, period.unannounced).T
         f, *by_axis = model.derivatives(x, u, [np.zeros_like(along_x), along_x, along_y])
         E = np.zeros((len(A), 2))
         E[: len(x)] = (by_axis - f).T
@@ -272,9 +272,9 @@ class TeamFilter:
             return Q
         T, P = belief.covariance.basis.T, belief.covariance.P[:s, :s]
         Q[:s, :s] += self._silent.noise(period.silent, period, B_xi, T, P)
-        if period.is_alone and self._silent.holds:
-            held = L.T @ self._by_integrals(period.silent, period, place, discrete.A)
-            Q[:s, :s] += held @ held.T
+        if period.is_alone and self._silent.has_integrals:
+            integrals = L.T @ self._by_integrals(period.silent, period, place, discrete.A)
+            Q[:s, :s] += integrals @ integrals.T
         return Q
 
     @staticmethod

@@ -85,10 +85,10 @@ def test_its_kernel_is_its_twin(system: System) -> None:
         x_ref = AT_REST.x + 0.1 * rng.standard_normal(system.n)
         law = AloneLaw(system, uav, float(AT_REST.u[4 * uav]))
         setpoint = setpoint_of(system, uav, x_ref, AT_REST.u)
-        for held_I in (None, rng.standard_normal(3)):
-            expected = law.inputs(motion_of(system, uav, x), setpoint, held_I)
+        for integral_I in (None, rng.standard_normal(3)):
+            expected = law.inputs(motion_of(system, uav, x), setpoint, integral_I)
             compiled = CompiledAloneLaw(system, uav, law)
-            found = compiled.inputs(x, CompiledSetpoint(setpoint), held_I)
+            found = compiled.inputs(x, CompiledSetpoint(setpoint), integral_I)
             np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-11)
 
 
@@ -224,9 +224,9 @@ def test_the_integral_finds_a_force_and_has_a_bound() -> None:
     x[state.R0] += [0.5, 0.0, 0.0]
     held = np.zeros(3)
     for _ in range(2000):
-        held = law.held(held, motion_of(SYSTEM, UAV, x), setpoint, PERIOD_S)
+        held = law.integral_after(held, motion_of(SYSTEM, UAV, x), setpoint, PERIOD_S)
     np.testing.assert_allclose(
-        held, [-GAINS.most_held * AT_REST.u[4 * UAV], 0.0, 0.0], atol=ROUNDING
+        held, [-GAINS.largest_integral * AT_REST.u[4 * UAV], 0.0, 0.0], atol=ROUNDING
     )
 
 
@@ -237,7 +237,7 @@ def test_without_a_deviation_the_integral_forgets() -> None:
     first = np.array([1.0, -2.0, 0.5])
     held = first
     for _ in range(round(GAINS.forgets_s / PERIOD_S)):
-        held = law.held(held, setpoint.motion, setpoint, PERIOD_S)
+        held = law.integral_after(held, setpoint.motion, setpoint, PERIOD_S)
     np.testing.assert_allclose(held, np.exp(-1.0) * first, rtol=PERIOD_S / GAINS.forgets_s)
 
 

@@ -27,7 +27,7 @@ def test_level_has_no_setpoint() -> None:
     with pytest.raises(ValueError, match="keeps level"):
         level.setpoint(0, 0)
     held = np.array([1.0, 2.0, 3.0])
-    np.testing.assert_array_equal(level.held(0, AT_REST.x, 0, held, 0.05), held)
+    np.testing.assert_array_equal(level.integral_after(0, AT_REST.x, 0, held, 0.05), held)
 
 
 @pytest.mark.parametrize(

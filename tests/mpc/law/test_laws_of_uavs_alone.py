@@ -23,9 +23,11 @@ def team_of(setup: Setup) -> AloneTeam:
     return AloneTeam(setup.model, setup.hover, setup.settings, regulation, reference)
 
 
-def expected(team: AloneTeam, setup: Setup, uav: int, x: Array, held_I: Array) -> Array:
+def expected(team: AloneTeam, setup: Setup, uav: int, x: Array, integral_I: Array) -> Array:
     """Return the inputs of a UAV by its present law and setpoint."""
-    return team.law(uav).inputs(motion_of(setup.system, uav, x), team.setpoint(uav, TICK), held_I)
+    return team.law(uav).inputs(
+        motion_of(setup.system, uav, x), team.setpoint(uav, TICK), integral_I
+    )
 
 
 @pytest.mark.parametrize("compiled", [False, True], ids=["Python", "kernel"])
@@ -38,7 +40,7 @@ def test_inputs_follow_the_present_team(*, compiled: bool, monkeypatch: pytest.M
     team = team_of(setup)
     rng = np.random.default_rng(5)
     x = setup.hover.x + 0.05 * rng.standard_normal(setup.system.n)
-    held_I = rng.standard_normal(3)
+    integral_I = rng.standard_normal(3)
 
     changes: list[Callable[[], None]] = [
         lambda: None,
@@ -49,7 +51,7 @@ def test_inputs_follow_the_present_team(*, compiled: bool, monkeypatch: pytest.M
     seen = []
     for change in changes:
         change()
-        found = team.inputs(0, x, TICK, held_I)
-        np.testing.assert_allclose(found, expected(team, setup, 0, x, held_I), rtol=1e-11)
+        found = team.inputs(0, x, TICK, integral_I)
+        np.testing.assert_allclose(found, expected(team, setup, 0, x, integral_I), rtol=1e-11)
         seen.append(found)
     assert np.abs(np.diff(seen, axis=0)).max(axis=1).min() > 1e-3
