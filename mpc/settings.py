@@ -246,7 +246,7 @@ class AloneGains(Section):
     velocity: Annotated[Positive, Key(unit="1/s")] = 5.0
     """acceleration per deviation of velocity"""
     integral: Annotated[Positive, Key(unit="1/s³")] = 2.5
-    """growth of the acceleration by the integral per deviation of position"""
+    """growth of the integral's acceleration per deviation of position"""
     swing: Annotated[NotNegative, Key(unit="1/s")] = 0.5
     """acceleration per velocity of the rod's lower end relative to the UAV, for a rod of 1 m; it grows with
     the square root of the rod's length"""
