@@ -115,7 +115,7 @@ def _serve() -> "NoReturn":
     """Be the fork server of another program, whose processes begin with `main`."""
     import socket
 
-    from transport.cli.hosts.processes import serve_processes
+    from transport.cli.hosts.fork_server_process import serve_processes
 
     serve_processes(socket.socket(fileno=int(sys.argv[2])), main)
     os._exit(0)  # the processes that it forked run their exit functions, not the server

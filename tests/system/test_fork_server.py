@@ -17,7 +17,7 @@ import psutil
 import pytest
 
 from tests.support.commands import command, command_of, wait_for
-from transport.cli.hosts.processes import Prepared
+from transport.cli.hosts.fork_server_process import Prepared
 from transport.cli.options import read_setup
 from transport.flight import fork_server, local_processes
 from transport.flight.fork_server import ForkServer

@@ -1,9 +1,6 @@
 """One run on this machine, from scenario to run folder."""
 
-import math
 import os
-import signal
-import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
@@ -14,7 +11,6 @@ from rich.console import Console
 from transport.flight import live
 from transport.flight.fault_script import FaultScript
 from transport.flight.local_processes import (
-    Child,
     Harness,
     free_udp_ports,
     keys_setting,
@@ -32,7 +28,7 @@ from transport.flight.run_files import (
     own_keys,
     run_header,
 )
-from transport.flight.signals import collected_signals
+from transport.flight.run_watch import RunWatch
 from transport.log.writer import LogWriter
 from transport.protocol.network.bus_events import Place
 from transport.protocol.network.endpoints import Endpoints
@@ -43,22 +39,9 @@ from transport.protocol.scenario.sections.vehicles_section import DEFAULT_VEHICL
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import errors_and_exit_codes as codes
 from transport.protocol.wire.key_expressions import RECORDER, Keys
-from transport.protocol.wire.names import COORDINATOR
 
-_ORDERLY_ENDS = {
-    0,
-    codes.EXIT_UNREACHABLE,
-    codes.EXIT_OVERRUN,
-    codes.EXIT_DIVERGED,
-    codes.EXIT_FAILED,
-    codes.EXIT_COLLIDED,
-    codes.EXIT_INTERRUPTED,
-}
-_POLL_S = 0.05
 # Time for the processes to end after the run, s.
 _LEAVE_S = 3.0
-# Time for the recorder to receive the messages of ended processes, s.
-_CATCH_UP_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +142,8 @@ def simulate(
             started()
 
             with below_the_team():
-                _watch(recorder, progress, harness, FaultScript(setup, harness, recorder))
+                faults = FaultScript(setup, harness, recorder)
+                RunWatch(recorder, progress, harness, faults).until_end()
             if recorder.control is not None:
                 harness.wait(_LEAVE_S)
     return _finished(folder, recorder, harness)
@@ -256,7 +240,7 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
             _recorded(place, made, header, progress) as recorder,
         ):
             recorder.start(names)
-            _watch(recorder, progress)
+            RunWatch(recorder, progress).until_end()
     return _finished(folder, recorder)
 
 
@@ -328,59 +312,3 @@ def _cause(reason: str, harness: Harness | None) -> str:
             error = child.last_words or f"{child.name} {child.how_it_ended}"
             return f"{error}; so {reason}"
     return reason
-
-
-def _watch(
-    recorder: Recorder,
-    progress: RunProgress,
-    harness: Harness | None = None,
-    faults: FaultScript | None = None,
-) -> None:
-    """Show progress until the run has ended.
-
-    Forward Ctrl-C; refuse processes started here that end too early.
-    """
-    is_interrupted = False
-    ended_s = math.inf
-    goes_on = True
-    with collected_signals() as signals:
-        while goes_on:  # once more after the end
-            goes_on = recorder.join(_POLL_S)
-            progress.setup = recorder.setup
-            progress.show(recorder.plant_state, recorder.started_s)
-            if faults is not None:
-                faults.work()
-            if (name := signals.next()) is not None:
-                if is_interrupted or recorder.started_s is None:
-                    raise KeyboardInterrupt(name)
-                is_interrupted = True
-                if harness is None:
-                    recorder.stop(name)
-                    continue
-                ending = "ending the run"
-                if not progress.setup.scenario.has_plant:
-                    ending = "the team lands, then `transport release` ends the run"
-                progress.say(f"{name}: {ending}; once more to end it at once")
-                harness.child(COORDINATOR).signal(signal.Signals[name])
-            if harness is None or recorder.control is not None or recorder.started_s is not None:
-                continue
-            for child in harness.ended():
-                # A run may end, or kill a process by script, within its first ticks: its messages can
-                # reach the recorder after a process has ended.
-                ended_s = min(ended_s, time.monotonic())
-                is_orderly = child.code in _ORDERLY_ENDS
-                is_scripted = faults is not None and faults.has_killed(child)
-                is_late = time.monotonic() - ended_s > _CATCH_UP_S
-                if is_late or not (is_orderly or is_scripted):
-                    raise _ended_early(child, harness.logs)
-
-
-def _ended_early(child: Child, logs: Path) -> RunError:
-    """Return the error of a process that has ended before the run began."""
-    code = child.code or 0
-    error = child.last_words or "it has left no error"
-    # A child refuses the same options and scenario as this command would; any other end is that of
-    # a peer.
-    passed_on = code if code in (codes.EXIT_USAGE, codes.EXIT_SCENARIO) else codes.EXIT_UNREACHABLE
-    text = f"{child.name} {child.how_it_ended} before the run began: {error}; logs in {logs}"
-    return RunError(text, passed_on)

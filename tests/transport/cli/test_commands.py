@@ -110,7 +110,8 @@ def test_a_run_imports_viewer_and_report_when_needed() -> None:
 def test_an_agent_starts_without_what_its_run_does_not_have() -> None:
     """Before its first tick an agent of `paper` has imported no radio, no class of the user and no masked arrays."""
     starts = """
-from transport.cli.hosts.processes import import_processes, read_setup
+from transport.cli.hosts.fork_server_process import import_processes
+from transport.cli.options import read_setup
 from transport.agent.node import AgentNode
 import_processes()
 AgentNode(read_setup("paper").run, 1).warm_up()

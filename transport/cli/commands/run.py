@@ -12,7 +12,7 @@ import typer
 from typer import Option
 
 from transport.cli import options
-from transport.cli.hosts.processes import serve_processes
+from transport.cli.hosts.fork_server_process import serve_processes
 from transport.cli.lazy import load
 from transport.cli.output import Format, fail
 from transport.flight.fork_server import fork_into_server

@@ -1,25 +1,23 @@
 """Commands that start one process of a run by hand, or connect hosts, and the server that forks processes.
 
 The commands are agent, coordinator, plant, vehicle, record and router. Each imports only its own role: the
-processes of a run start with these commands. `transport run` forks them from one server process
-(`serve_processes`), which has the imports, the model and the control law already (`Prepared`).
+processes of a run start with these commands. `transport run` forks them from one server process, which has the
+imports, the model and the control law already (`fork_server_process.py`).
 """
 
-import itertools
 import re
 import signal
-import socket
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Option
 
-from transport.cli.lazy import load, with_options
+from transport.cli.lazy import with_options
 from transport.cli.options import (
     RUNS,
     FiguresOption,
@@ -32,13 +30,11 @@ from transport.cli.options import (
     read_setup,
 )
 from transport.cli.output import Format, blame, fail
-from transport.flight.fork_server import serve
 from transport.model.kernels.casadi_functions import needs_compilation
 from transport.protocol.network.bus_events import Place, wall_offset_ns
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.mesh import endpoints_of, process_names, security_of
-from transport.protocol.network.node_process import Journal, run_node, use_one_thread
-from transport.protocol.network.parent import wake_with_its_end
+from transport.protocol.network.node_process import Journal, run_node
 from transport.protocol.scenario.sections.clock_section import LONGEST_WAIT_S
 from transport.protocol.scenario.setup.model_objects import kinds_of
 from transport.protocol.scenario.setup.run_setup import Setup
@@ -47,7 +43,6 @@ from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER, agent_na
 from transport.protocol.wire.node_interface import Node
 
 if TYPE_CHECKING:
-    from transport.mpc.law.present_law import Regulation
     from transport.plant.node import PlantNode
 
 _LOOKS_FOR_SIGNALS_S = 0.2
@@ -137,55 +132,6 @@ def check_endpoints(listen: Sequence[str] | None, connect: Sequence[str] | None)
             if not re.fullmatch(r"[a-z0-9-]+/\S+", endpoint):
                 expected = "an endpoint such as tcp/127.0.0.1:7447"
                 fail(f"{option}: expected {expected}, got {endpoint!r}")
-
-
-class Prepared:
-    """Model and control law of a run, computed once: the processes forked after share their memory.
-
-    The fork server calls `prepare` before each fork. The law's results are shared as long as it is
-    kept: `model.digests_and_shared_results`.
-    """
-
-    def __init__(self) -> None:
-        self.setup: Setup | None = None
-        self.law: Regulation | None = None
-
-    def prepare(self, arguments: Sequence[str]) -> None:
-        """Take in the arguments of a process of the run, which `transport run` has checked."""
-        from transport.mpc.law.present_law import Regulation
-
-        scenario = arguments[arguments.index("--scenario") + 1]
-        settings = [value for option, value in itertools.pairwise(arguments) if option == "--set"]
-        setup = process_setup(scenario, settings, allow_large=True)
-        # `read_setup` returns the same object as long as scenario, settings and file are the same; a
-        # changed file is another setup, of which the law is computed again.
-        if setup is self.setup:
-            return
-        self.setup = setup
-        if setup.scenario.has_vehicles:
-            from transport.protocol.network.mavlink import messages
-
-            messages()  # half a second of import, which a vehicle that returns would fly without
-        self.law = Regulation(setup.model, setup.hover, setup.settings, setup.reference.sampled)
-        self.law.fail_safe.warm_up()
-
-
-def serve_processes(requests: socket.socket, command: Callable[[], NoReturn]) -> None:
-    """Be the fork server (`transport.flight.fork_server`): fork processes that run the command."""
-    wake_with_its_end()
-    import_processes()
-    serve(requests, Prepared().prepare, command)
-
-
-def import_processes() -> None:
-    """Do once what agent, plant and coordinator do first, for the processes that are forked later."""
-    load("transport.cli.streams")
-    commands = load("transport.cli.main").command()
-    for role in ("agent", "coordinator", "plant"):
-        load(f"transport.{role}.node")
-        commands.load(role).build_parsers()
-    load("transport.flight.roles")
-    use_one_thread()
 
 
 @with_options(ProcessOptions)
