@@ -11,7 +11,7 @@ from transport.interface.fly import console
 from transport.interface.scenario_builder import Scenario
 from transport.interface.setting_arguments import ArgumentError, Settings, ShortSettings, names_of
 from transport.search.search import SearchResult
-from transport.search.search_options import OVER, SearchOptions, search
+from transport.search.search_options import DEFAULTS, SearchOptions, search
 from transport.search.search_report import draw, in_words, scenario_text, summary, write
 
 
@@ -67,15 +67,15 @@ def worst(
     scenario: "str | PathLike[str] | Scenario" = "resilient",
     settings: Settings | None = None,
     *,
-    over: str | Sequence[str] = OVER,
-    budget: int = 300,
-    objective: str = "attitude",
-    limit: float | None = None,
+    over: str | Sequence[str] = DEFAULTS.over,
+    budget: int = DEFAULTS.budget,
+    objective: str = DEFAULTS.objective,
+    limit: float | None = DEFAULTS.limit,
     bounds: "str | PathLike[str] | None" = None,
-    search_seed: int = 0,
-    workers: int | None = None,
+    search_seed: int = DEFAULTS.seed,
+    workers: int | None = DEFAULTS.jobs,
     folder: "str | PathLike[str] | None" = None,
-    until_failure: bool = False,
+    until_failure: bool = DEFAULTS.until_failure,
     progress: bool = True,
     **short: Unpack[ShortSettings],
 ) -> Worst:

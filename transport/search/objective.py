@@ -19,6 +19,7 @@ _LIMITS: Mapping[str, float] = {"attitude": 10.0, "payload": 1.0, "constraint": 
 # Units of numbers and limits, where they have the same for every scenario.
 _UNITS: Mapping[str, str] = {"attitude": "deg", "separation": "m", "payload": "m"}
 _SEPARATION_SHARE = 0.9  # of the minimum of the constraint, which is soft
+_SEPARATION_M = 0.4  # this minimum, where a scenario has no constraint
 
 
 def _largest_violation(summary: Mapping[str, Any]) -> float | None:
@@ -46,11 +47,11 @@ class SearchObjective:
             raise ScenarioError("--limit", "", f"expected a number above 0, got {limit:g}")
         if limit is None and measure == "separation":
             separation = scenario.controller.separation
-            limit = _SEPARATION_SHARE * (separation.minimum_m if separation else 0.4)
+            limit = _SEPARATION_SHARE * (separation.minimum_m if separation else _SEPARATION_M)
 
         return SearchObjective(
             measure=measure,  # type: ignore[arg-type]  # checked above
-            limit=_LIMITS.get(measure, 1.0) if limit is None else limit,
+            limit=_LIMITS[measure] if limit is None else limit,
         )
 
     def value(self, summary: Mapping[str, Any]) -> float:

@@ -19,21 +19,23 @@ from transport.search.search_progress import SearchProgress
 from transport.search.search_report import write
 from transport.search.space import Bounds, Space, read_bounds
 
-OVER = ("silence", "deaths", "links")
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchOptions:
     """What is drawn, what counts as a failure, and how long is searched."""
 
-    over: tuple[str, ...] = OVER
-    budget: int = 300
-    objective: str = "attitude"
-    limit: float | None = None
-    bounds: Path | None = None
-    seed: int = 0
-    until_failure: bool = False
-    jobs: int | None = None
+    over: tuple[str, ...] = ("silence", "deaths", "links")  # of `space.KINDS`
+    budget: int = 300  # cases to evaluate, in whole batches
+    objective: str = "attitude"  # of `objective.MEASURES`
+    limit: float | None = None  # None: that of the objective
+    bounds: Path | None = None  # file of bounds of the events; None: those of `space.Bounds`
+    seed: int = 0  # of the search
+    until_failure: bool = False  # end with the first batch that has a failure
+    jobs: int | None = None  # worker processes; None: one for each core
+
+
+# The defaults of the command and of Python are these.
+DEFAULTS = SearchOptions()
 
 
 def search(

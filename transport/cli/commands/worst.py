@@ -11,11 +11,14 @@ from typer import Option
 
 from transport.cli.options import RUNS, FormatOption, ScenarioArgument, SetOption
 from transport.cli.output import Format, show
+from transport.interface.setting_arguments import names_of
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.protocol.wire.errors_and_exit_codes import EXIT_DIVERGED
+from transport.search.objective import MEASURES
 from transport.search.search import SearchResult
-from transport.search.search_options import OVER, SearchOptions, search
+from transport.search.search_options import DEFAULTS, SearchOptions, search
 from transport.search.search_report import FIGURE, SCENARIO, in_words, ranked, summary
+from transport.search.space import KINDS
 
 _LINES = 5  # of the worst cases
 _WIDTH = 100  # columns
@@ -30,31 +33,31 @@ def worst(
         Option(
             metavar="COUNT", min=1, help="Cases to simulate, in eights; a minimal case takes more."
         ),
-    ] = 300,
+    ] = DEFAULTS.budget,
     over: Annotated[
         str,
         Option(
             metavar="KINDS",
-            help="Events to draw: silence,deaths,links,gusts,mass,sensors,targets.",
+            help=f"Events to draw: {','.join(KINDS)}.",
         ),
-    ] = ",".join(OVER),
+    ] = ",".join(DEFAULTS.over),
     objective: Annotated[
         str,
         Option(
             metavar="NUMBER",
-            help="What fails: attitude, separation, payload, constraint or cost.",
+            help=f"What fails: {', '.join(MEASURES[:-1])} or {MEASURES[-1]}.",
         ),
-    ] = "attitude",
+    ] = DEFAULTS.objective,
     limit: Annotated[
         float | None, Option(metavar="VALUE", help="Value at which a run has failed.")
-    ] = None,
+    ] = DEFAULTS.limit,
     bounds: Annotated[
         Path | None, Option(metavar="FILE", help="TOML file with bounds of the events.")
-    ] = None,
-    seed: Annotated[int, Option(metavar="SEED", min=0, help="Seed of the search.")] = 0,
+    ] = DEFAULTS.bounds,
+    seed: Annotated[int, Option(metavar="SEED", min=0, help="Seed of the search.")] = DEFAULTS.seed,
     jobs: Annotated[
         int | None, Option(metavar="COUNT", min=1, help="Parallel runs; default: all cores.")
-    ] = None,
+    ] = DEFAULTS.jobs,
     out: Annotated[
         Path | None,
         Option(
@@ -63,7 +66,7 @@ def worst(
     ] = None,
     until_failure: Annotated[
         bool, Option("--until-failure", help="End with the first batch that has a failure.")
-    ] = False,
+    ] = DEFAULTS.until_failure,
     strict: Annotated[
         bool,
         Option(
@@ -83,7 +86,7 @@ def worst(
     """
     path = find_scenario(scenario)
     options = SearchOptions(
-        over=tuple(word.strip() for word in over.split(",") if word.strip()),
+        over=names_of(over),
         budget=budget,
         objective=objective,
         limit=limit,
