@@ -2,7 +2,7 @@
 
 import math
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -143,6 +143,19 @@ class PointStatistics:
         for name, value in self.numbers.items():
             row |= columns_of(name, value)
         return row
+
+
+def bars_in_words(measured: Iterable[PointStatistics], names: Sequence[str]) -> str:
+    """Return what the error bars of some numbers are; empty without any."""
+    values = [one.estimate(name) for one in measured for name in names]
+    counts = sorted({value.n for value in values if value is not None and value.n > 1})
+    if not counts:
+        return ""
+    runs = " to ".join(f"{count}" for count in dict.fromkeys((counts[0], counts[-1])))
+    if counts[-1] < FEW:
+        return f"bars: range of {runs} runs"
+    few = f", ranges of fewer than {FEW}" if counts[0] < FEW else ""
+    return f"bars: 95 % intervals of {runs} runs{few}"
 
 
 def columns_of(name: str, value: Estimate | None) -> dict[str, float | None]:

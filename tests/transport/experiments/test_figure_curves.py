@@ -87,3 +87,65 @@ def test_diverged_runs_have_a_panel_before_the_others() -> None:
     """Its axis has "never" above the latest time."""
     divergence, *_ = drawn([of(0.002, 0.0)], diverged_s=[2.0, 4.0])
     assert divergence.get_ylim() == pytest.approx((0.0, 1.12 * 1.25 * 4.0))
+
+
+def point(x: float | str, cost: float, curve: str = "none", runs: int = 1) -> PointStatistics:
+    """Return a point of a curve whose runs all have a cost, thousandths, and an attitude of 1 deg."""
+    cost = 1e-3 * cost
+    spread = None if runs == 1 else 0.5 * cost
+    numbers = {"cost_mean": cost, "attitude_max_deg": 1.0}
+    return PointStatistics(
+        point=Point(labels={LABEL: x, "model": curve}, text=""),
+        runs=runs,
+        completed=runs,
+        errors=0,
+        diverged_s=(),
+        numbers={
+            name: Estimate(mean, spread, runs, 0.2 * mean, 2.0 * mean)
+            for name, mean in numbers.items()
+        },
+        cost_ratio=None,
+    )
+
+
+def test_two_scenarios_have_columns_of_panels_with_the_same_axis() -> None:
+    """Equal curves of two scenarios cannot hide each other; names are above, the legend has none."""
+    figure = Figure()
+    own = [point(STEP * k, 3.0) for k in range(3)]
+    draw_curves(figure, Experiment(name="test", x=LABEL), {"paper": own, "resilient": own})
+    cost, other_cost, *_ = figure.axes
+    assert curve(cost)[0] == curve(other_cost)[0] == pytest.approx([3.0] * 3)
+    assert cost.get_ylim() == other_cost.get_ylim()
+    assert cost.get_position().x1 < other_cost.get_position().x0
+    assert [cost.texts[0].get_text(), other_cost.texts[0].get_text()] == ["paper", "resilient"]
+    assert not figure.legends
+
+
+def test_equal_curves_of_a_scenario_stand_beside_each_other() -> None:
+    """At each value, which then has its name and no place of its own on the axis."""
+    figure = Figure()
+    own = [point(STEP * k, 3.0, name) for k in range(3) for name in ("a", "b")]
+    draw_curves(figure, Experiment(name="test", x=LABEL, curves="model"), {"paper": own})
+    cost, *_, last = figure.axes
+    first, second = (
+        np.asarray(one.lines[0].get_xdata())
+        for one in cost.containers
+        if isinstance(one, ErrorbarContainer) and one.lines[0] is not None
+    )
+    assert second - first == pytest.approx([0.07] * 3)  # of a distance of 1 between values
+    assert (first + second) / 2.0 == pytest.approx([0.0, 1.0, 2.0])
+    assert [text.get_text() for text in last.get_xticklabels()] == ["0", "100", "200"]
+
+
+def test_bars_stay_within_a_logarithmic_axis() -> None:
+    """Three runs have their range as bar, and the label below tells so."""
+    figure = Figure()
+    costs = (1.0, 1.0, 1.0, 10.0)
+    own = [point(STEP * k, cost, runs=3) for k, cost in enumerate(costs)]
+    draw_curves(figure, Experiment(name="test", x=LABEL), {"paper": own})
+    cost, *_, last = figure.axes
+    low, high = cost.get_ylim()
+    assert cost.get_yscale() == "log"
+    assert low < 0.2 * costs[0]
+    assert high > 2.0 * costs[-1]
+    assert last.get_xlabel().endswith("\nbars: range of 3 runs")

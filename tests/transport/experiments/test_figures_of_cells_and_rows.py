@@ -214,8 +214,8 @@ def test_tracking_shows_three_numbers_beside_each_other() -> None:
 # Weather
 
 
-def test_a_controller_with_one_network_is_a_line_over_all() -> None:
-    """Errors stand at their networks, m; a point with a diverged run has a hollow mark at the top."""
+def test_controllers_stand_beside_each_other_and_one_without_network_is_a_line() -> None:
+    """Errors, m, stand about their networks; a point with a diverged run has a hollow mark above all of them."""
     networks = list(NETWORKS)
     labels = {"weather": "still air"}
     team = [
@@ -230,6 +230,8 @@ def test_a_controller_with_one_network_is_a_line_over_all() -> None:
         (np.ravel(line.get_xdata()).tolist(), np.ravel(line.get_ydata()).tolist())
         for line in panel.get_lines()
     ]
-    assert ([0, 1], [0.02, 0.03]) in lines
-    assert ([1], [1.0]) in lines  # of the height of the panel
+    assert ([-0.08, 0.92], [0.02, 0.03]) in lines
+    assert ([0.08], [0.1]) in lines
+    assert ([0.92], [0.93]) in lines  # of the height of the panel
+    assert 0.1 / panel.get_ylim()[1] < 0.85
     assert ([0.0, 1.0], [0.1, 0.1]) in lines  # over the whole width

@@ -28,7 +28,7 @@ from transport.protocol.wire.messages import FaultNote, LinkChange
 from transport.report.figures.captions import captions
 from transport.report.figures.event_marks import caption_of, marks_of
 from transport.report.figures.run_figures import FIGURES, draw, fill
-from transport.report.figures.style import COLUMN_IN, CURVES, RC, SMALL, styles_of
+from transport.report.figures.style import COLUMN_IN, CURVES, RC, SMALL, label_decades, styles_of
 from transport.report.report import write_report
 from transport.scene.uav_and_link_colours import uav_marker, uav_style
 
@@ -373,3 +373,19 @@ def test_the_caption_counts_what_is_not_marked() -> None:
     assert caption.endswith(f"{len(notes) - numbered} more not marked")
     few = marks_of(run, log_of([*states, *notes[:3]]))
     assert "not marked" not in " ".join(caption_of(few))
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "shown"),
+    [
+        (0.68, 3.0, [0.7, 1.0, 1.5, 2.0, 3.0]),
+        (0.76, 1.56, [0.8, 0.9, 1.0, 1.2, 1.5]),
+        (0.1, 12.0, [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0]),
+    ],
+)
+def test_a_logarithmic_axis_has_enough_numbers(low: float, high: float, shown: list[float]) -> None:
+    """Four or more, however few decades it has."""
+    axes = Figure().add_subplot()
+    axes.set(xscale="log", xlim=(low, high))
+    label_decades(axes.xaxis)
+    assert [tick for tick in axes.get_xticks() if low <= tick <= high] == pytest.approx(shown)

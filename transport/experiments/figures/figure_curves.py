@@ -1,26 +1,40 @@
 """Curves over one quantity: the time of divergence, and means with their confidence intervals.
 
-A scenario has a colour, a curve of it (a distribution, a kind of loss) a marker and a line.
+A scenario has a colour, and a column of panels if there are two or three; a curve of it (a distribution, a kind of
+loss) has a marker and a line.
 """
 
-import itertools
 import math
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator, NullLocator
+from matplotlib.ticker import MaxNLocator
 
-from transport.experiments.declaration import NONE, Axis, Experiment, axis
+from transport.experiments.declaration import NONE, Experiment, axis
+from transport.experiments.figures.figure_abscissa import Abscissa
 from transport.experiments.figures.figure_parts import mark_style, values_of
-from transport.experiments.statistics import COST_RATIO, PointStatistics
-from transport.report.figures.column import Room, column_panels, head
-from transport.report.figures.style import DIVERGED, label_decades, styles_of
+from transport.experiments.statistics import COST_RATIO, PointStatistics, bars_in_words
+from transport.report.figures.column import (
+    NAME_IN,
+    Room,
+    column_panels,
+    head,
+    name_above,
+    side_by_side,
+)
+from transport.report.figures.style import (
+    DIVERGED,
+    MARKER,
+    REFERENCE,
+    TEXT,
+    label_decades,
+    styles_of,
+)
 
 Scenarios = Mapping[str, Sequence[PointStatistics]]
 
@@ -28,13 +42,12 @@ Scenarios = Mapping[str, Sequence[PointStatistics]]
 _PANEL_IN = 0.95
 _FLAT_PANEL_IN = 0.5
 _ABOVE_IN = 0.2
-# More values than this get round ticks instead of one each, and no line between them.
-_MOST_TICKS = 10
-# Distance between neighbouring curves, as shares of the axis and of the distance between values,
-# and room at both ends of the axis.
-_APART_OF_SPAN = 0.035
-_APART_OF_GAP = 0.7
-_ROOM = 0.04
+_BELOW_IN = 0.28
+_LINE_IN = 0.1  # of the second line of the label below
+# More scenarios than these share their panels; middle of the panels in parts of the width.
+_MOST_COLUMNS = 3
+_MIDDLE = 0.55
+_AROUND_PT = 1.5  # by which a marker is larger than the one above it
 # Height of "never" over the latest divergence, and highest tick below it.
 _NEVER = 1.25
 _HIGHEST_TICK = 0.85
@@ -60,10 +73,19 @@ class FigurePanel(NamedTuple):
 
 
 class _Curve(NamedTuple):
-    """A curve: its points in the order of the horizontal axis, and its style with its name."""
+    """A curve: its scenario, its points in the order of the horizontal axis, and its style with its name."""
 
+    scenario: str
     points: list[PointStatistics]
     style: dict[str, Any]
+
+
+class _Drawn(NamedTuple):
+    """A drawn mean, and the ends of its error bar."""
+
+    mean: float
+    low: float
+    high: float
 
 
 _ATTITUDE = FigurePanel("largest payload attitude (deg)", "attitude_max_deg")
@@ -90,124 +112,126 @@ _PANELS: Mapping[str, Sequence[FigurePanel]] = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Abscissa:
-    """The horizontal axis of an experiment.
-
-    Attributes:
-        axis: Its column, title and unit.
-        values: Values of the points, in their order.
-        is_number: Whether values stand at their numbers; names and thresholds have equal distances.
-        is_growth: Whether the axis is logarithmic.
-    """
-
-    axis: Axis
-    values: Sequence[float | str]
-    is_number: bool
-    is_growth: bool
-
-    @classmethod
-    def of(cls, experiment: Experiment, scenarios: Scenarios) -> "_Abscissa":
-        """Return the axis of all points of an experiment."""
-        x = axis(experiment.x)
-        values = values_of((one for own in scenarios.values() for one in own), x.label)
-        is_growth = experiment.drawn_as == "scaling"
-        is_threshold = experiment.drawn_as == "sharing"
-        is_number = is_growth or (isinstance(values[0], int | float) and not is_threshold)
-        return cls(axis=x, values=values, is_number=is_number, is_growth=is_growth)
-
-    @property
-    def is_few(self) -> bool:
-        """True if every value has a tick."""
-        return len(self.values) <= _MOST_TICKS
-
-    @property
-    def is_joined(self) -> bool:
-        """True if the points of a curve are joined by a line."""
-        return self.is_few and not isinstance(self.values[0], str)
-
-    @property
-    def places(self) -> dict[float | str, float]:
-        """Place of each value on the axis."""
-        if self.is_number:
-            return {value: self.axis.factor * float(value) for value in self.values}
-        return {value: float(i) for i, value in enumerate(self.values)}
-
-    @property
-    def span(self) -> float:
-        """Length of the axis between its first and last value, 1 for a single one."""
-        places = self.places.values()
-        return max(places) - min(places) or 1.0
-
-    def apart(self, curves: int) -> float:
-        """Return the distance between curves that keeps markers and error bars apart.
-
-        Only names leave room for it: on an axis of numbers a marker stands on its value.
-        """
-        if self.is_number:
-            return 0.0
-        pairs = itertools.pairwise(sorted(self.places.values()))
-        gap = min((high - low for low, high in pairs), default=self.span)
-        return min(_APART_OF_SPAN * self.span, _APART_OF_GAP * gap / curves)
-
-    def places_of(self, curves: Sequence[_Curve]) -> list[list[float]]:
-        """Return the places of the points of each curve."""
-        apart = self.apart(len(curves))
-        middle = (len(curves) - 1) / 2.0
-        places = self.places
-        return [
-            [places[one.point.labels[self.axis.label]] + apart * (i - middle) for one in points]
-            for i, (points, _) in enumerate(curves)
-        ]
-
-    def apply(self, panel: Axes, curves: int) -> None:
-        """Set limits, scale and ticks of a panel."""
-        places = self.places
-        margin = _ROOM * self.span + self.apart(curves) * (curves + 1) / 2.0
-        panel.set_xlim(min(places.values()) - margin, max(places.values()) + margin)
-
-        if self.is_growth:
-            panel.set_xscale("log")
-            panel.xaxis.set_minor_locator(NullLocator())
-
-        if self.is_few or not self.is_number:
-            names = [
-                value if isinstance(value, str) else f"{self.axis.factor * value:g}"
-                for value in self.values
-            ]
-            panel.set_xticks(list(places.values()), names)
-
-
 def draw_curves(figure: Figure, experiment: Experiment, scenarios: Scenarios) -> None:
-    """Draw the panels of an experiment, each with the curves of all scenarios.
+    """Draw the panels of an experiment, each with the curves of all scenarios, or of one in its column.
 
     The first panel has the times of divergence, if any run diverges.
     """
-    x = _Abscissa.of(experiment, scenarios)
-    curves = list(_curves(experiment, scenarios, joined=x.is_joined))
-    places = x.places_of(curves)
     measured = [one for own in scenarios.values() for one in own]
-    diverged_s = [time_s for one in measured for time_s in one.diverged_s]
+    columns = _columns(experiment, scenarios)
+    is_alone = experiment.curves is None and len(columns) == len(scenarios)
+    x = Abscissa.of(experiment, measured, columns=len(columns), is_alone=is_alone)
+    curves = list(_curves(experiment, scenarios, joined=x.is_joined))
+    if x.is_growth:
+        _nest(curves)
 
     shown = _PANELS[experiment.drawn_as]
+    ends_s = [time_s for one in measured for time_s in one.diverged_s]
     heights_in = [_FLAT_PANEL_IN if _is_flat(one, curves) else _PANEL_IN for one in shown]
-    panels = column_panels(
+    panels = _panels(
         figure,
-        [*([_PANEL_IN] if diverged_s else []), *heights_in],
-        legend=[Line2D([], [], **curve.style) for curve in curves],
-        x_label=x.axis.title,
-        room=Room(top_in=_ABOVE_IN),
+        [*([_PANEL_IN] if ends_s else []), *heights_in],
+        columns,
+        legend=_legend(experiment, curves, columns),
+        labels=[x.axis.title, bars_in_words(measured, [one.number for one in shown])],
     )
-    for panel in panels:
-        x.apply(panel, len(curves))
+    contents = [_Content.of([one for one in curves if one.scenario in own], x) for own in columns]
+    for row in panels:
+        for panel, content in zip(row, contents, strict=True):
+            x.apply(panel, len(content.curves))
+    if ends_s:
+        _draw_row_of_ends(panels.pop(0), contents, _NEVER * max(ends_s))
+    for row, number in zip(panels, shown, strict=True):
+        _draw_row(row, contents, number, is_growth=x.is_growth)
 
-    if diverged_s:
-        _draw_divergence(panels.pop(0), curves, places, _NEVER * max(diverged_s))
-    for panel, content in zip(panels, shown, strict=True):
-        head(panel, content.title, legend=False)
-        means = _draw_means(panel, content, curves, places)
-        is_ratio = content.number == COST_RATIO
-        _scale(panel, means or [0.0], is_ratio=is_ratio, is_growth=x.is_growth)
+
+class _Content(NamedTuple):
+    """The curves of a column of panels, with the places of their points."""
+
+    curves: Sequence[_Curve]
+    places: Sequence[Sequence[float]]
+
+    @classmethod
+    def of(cls, curves: Sequence[_Curve], x: Abscissa) -> "_Content":
+        """Return some curves with their places on the axis."""
+        return cls(curves, x.places_of([curve.points for curve in curves]))
+
+
+def _panels(
+    figure: Figure,
+    heights_in: Sequence[float],
+    columns: Sequence[Sequence[str]],
+    *,
+    legend: Sequence[Line2D],
+    labels: Sequence[str],
+) -> list[list[Axes]]:
+    """Return the panels of an empty figure by row and column; columns have their names above them.
+
+    Labels that are not empty stand below all panels.
+    """
+    lines = [label for label in labels if label]
+    are_several = len(columns) > 1
+    room = Room(
+        top_in=_ABOVE_IN + NAME_IN * are_several, bottom_in=_BELOW_IN + _LINE_IN * (len(lines) - 1)
+    )
+    x_label = "\n".join(lines)
+    panels = column_panels(figure, heights_in, legend=legend, x_label=x_label, room=room)
+    rows = [side_by_side(panel, len(columns)) for panel in panels]
+    if are_several:
+        figure.supxlabel(x_label, fontsize=TEXT, x=_MIDDLE, y=0.0, va="bottom")
+        for panel, (name, *_) in zip(rows[0], columns, strict=True):
+            name_above(panel, name)
+    return rows
+
+
+def _draw_row(
+    row: Sequence[Axes], contents: Sequence[_Content], number: FigurePanel, *, is_growth: bool
+) -> None:
+    """Draw a number in the panels of a row, which have the same axis."""
+    head(row[0], number.title, legend=False)
+    drawn: list[_Drawn] = []
+    for panel, content in zip(row, contents, strict=True):
+        drawn += _draw_means(panel, number, content)
+    is_ratio = number.number == COST_RATIO
+    _scale(row[0], drawn or [_Drawn(0.0, 0.0, 0.0)], is_ratio=is_ratio, is_growth=is_growth)
+
+
+def _draw_row_of_ends(row: Sequence[Axes], contents: Sequence[_Content], never_s: float) -> None:
+    """Draw the times at which runs diverge."""
+    head(row[0], "time at which runs diverge (s, hollow), or never", legend=False)
+    for panel, content in zip(row, contents, strict=True):
+        _draw_divergence(panel, content, never_s)
+
+
+def _columns(experiment: Experiment, scenarios: Scenarios) -> list[list[str]]:
+    """Return the scenarios of each column of panels: one, if there are few; or all of them in one column."""
+    if experiment.drawn_as == "curves" and len(scenarios) <= _MOST_COLUMNS:
+        return [[name] for name in scenarios]
+    return [list(scenarios)]
+
+
+def _legend(
+    experiment: Experiment, curves: Sequence[_Curve], columns: Sequence[Sequence[str]]
+) -> list[Line2D]:
+    """Return the legend: all curves, or what the columns have in common."""
+    if len(columns) == 1:
+        return [Line2D([], [], **curve.style) for curve in curves]
+    if experiment.curves is None:
+        return []
+    common = {
+        str(curve.style["label"]).removeprefix(f"{curve.scenario}, "): curve.style
+        for curve in curves
+    }
+    return [
+        Line2D([], [], **{**style, "label": name, "color": REFERENCE})
+        for name, style in common.items()
+    ]
+
+
+def _nest(curves: Sequence[_Curve]) -> None:
+    """Let the markers of each curve be seen around those of the next, where curves stand on the same values."""
+    for under, curve in enumerate(reversed(curves)):
+        curve.style["markersize"] = MARKER + _AROUND_PT * under
 
 
 def _is_flat(content: FigurePanel, curves: Sequence[_Curve]) -> bool:
@@ -220,20 +244,19 @@ def _is_flat(content: FigurePanel, curves: Sequence[_Curve]) -> bool:
     return True
 
 
-def _draw_means(
-    panel: Axes,
-    content: FigurePanel,
-    curves: Sequence[_Curve],
-    places: Sequence[Sequence[float]],
-) -> list[float]:
-    """Draw a number of every curve with its confidence intervals; return all means."""
-    drawn: list[float] = []
-    for curve_places, curve in zip(places, curves, strict=True):
-        means = [one.mean(content.number) for one in curve.points]
-        heights = [math.nan if mean is None else content.factor * mean for mean in means]
-        bars = content.factor * np.array([one.bar(content.number) for one in curve.points]).T
+def _draw_means(panel: Axes, number: FigurePanel, content: _Content) -> list[_Drawn]:
+    """Draw a number of every curve with its error bars; return all means with the ends of their bars."""
+    drawn: list[_Drawn] = []
+    for curve_places, curve in zip(content.places, content.curves, strict=True):
+        means = [one.mean(number.number) for one in curve.points]
+        heights = [math.nan if mean is None else number.factor * mean for mean in means]
+        bars = number.factor * np.array([one.bar(number.number) for one in curve.points]).T
         panel.errorbar(curve_places, heights, bars, capsize=1.5, elinewidth=0.8, **curve.style)
-        drawn += [height for height in heights if not math.isnan(height)]
+        drawn += [
+            _Drawn(height, height - below, height + above)
+            for height, below, above in zip(heights, *bars, strict=True)
+            if not math.isnan(height)
+        ]
     return drawn
 
 
@@ -249,7 +272,8 @@ def _curves(experiment: Experiment, scenarios: Scenarios, *, joined: bool) -> It
         measured = scenarios[scenario]
         if column is None:
             points = _points(experiment, measured, None)
-            yield _Curve(points, {**_style(look, joined=joined), "label": scenario})
+            style = _style(look, joined=joined)
+            yield _Curve(scenario, points, {**style, "label": scenario})
             continue
 
         named = {
@@ -262,7 +286,7 @@ def _curves(experiment: Experiment, scenarios: Scenarios, *, joined: bool) -> It
             colour = own_colour if is_single else look[0]
             label = name if is_single else f"{scenario}, {name}"
             style = _style((colour, marker, line), joined=joined)
-            yield _Curve(points, {**style, "label": label})
+            yield _Curve(scenario, points, {**style, "label": label})
 
 
 def _points(
@@ -294,19 +318,22 @@ def _style(look: tuple[str, str, str], *, joined: bool) -> dict[str, Any]:
     return mark_style(look, look[2] if joined else "")
 
 
-def _scale(axes: Axes, means: Sequence[float], *, is_ratio: bool, is_growth: bool) -> None:
+def _scale(axes: Axes, drawn: Sequence[_Drawn], *, is_ratio: bool, is_growth: bool) -> None:
     """Fit the vertical axis to the means that are drawn, and to their error bars as far as they leave these readable.
 
     It is logarithmic for growth, and if few means are far above the rest; about the data for ratios; else it
     begins at zero.
     """
+    means = [one.mean for one in drawn]
     lowest = min(means)
     highest = max(means)
     if is_ratio:
         axes.margins(y=_ABOUT_RATIOS)
     elif lowest > 0.0 and (is_growth or highest > _FAR_ABOVE * statistics.median(means)):
         axes.set_yscale("log")
-        axes.set_ylim(lowest / _BEYOND_DECADES, _BEYOND_DECADES * highest)
+        lowest = min((one.low for one in drawn if one.low > 0.0), default=lowest)
+        top = min(max(one.high for one in drawn), _MOST_FOR_BARS * highest)
+        axes.set_ylim(lowest / _BEYOND_DECADES, _BEYOND_DECADES * top)
         label_decades(axes.yaxis)
     elif highest > 0.0:
         with_bars = axes.get_ylim()[1]  # of matplotlib, with its own margin
@@ -316,17 +343,12 @@ def _scale(axes: Axes, means: Sequence[float], *, is_ratio: bool, is_growth: boo
         axes.set_ylim(0.0, 1.0)  # all are zero
 
 
-def _draw_divergence(
-    axes: Axes,
-    curves: Sequence[_Curve],
-    places: Sequence[Sequence[float]],
-    never_s: float,
-) -> None:
+def _draw_divergence(axes: Axes, content: _Content, never_s: float) -> None:
     """Draw the mean time at which runs diverged and its range.
 
     Points with completed runs have a mark at the height of "never", too.
     """
-    for curve_places, (points, style) in zip(places, curves, strict=True):
+    for curve_places, (_, points, style) in zip(content.places, content.curves, strict=True):
         dots = style | {"linestyle": "none"}
         for place, one in zip(curve_places, points, strict=True):
             if one.completed:
@@ -336,7 +358,6 @@ def _draw_divergence(
                 axes.plot([place, place], ends_s, color=style["color"], linewidth=0.8)
                 axes.plot([place], [statistics.fmean(one.diverged_s)], **dots | DIVERGED)
 
-    head(axes, "time at which runs diverge (s, hollow), or never", legend=False)
     axes.set_ylim(0.0, _ABOVE_HIGHEST * never_s)
     highest_s = _HIGHEST_TICK * never_s
     ticks_s = [tick for tick in MaxNLocator(4).tick_values(0.0, never_s) if tick < highest_s]

@@ -38,6 +38,9 @@ _STRIP = 0.84  # height of one of several strips in place of a panel, in parts o
 _BELOW_TOP, _TICKS_APART = 0.2, 0.4
 _ROUNDING = 1e-9
 _TITLE_PT = 2.0  # distance of a title from its panel, points
+_NAME_PT = 12.0  # of the name of a column of panels, above the title
+NAME_IN = 0.14  # height of such a name
+_BESIDE_IN = 0.1  # gap between panels beside each other
 
 _LIMIT = "#B2182B"
 # Limits within this share of the shown range are drawn, and this share of it is shown beyond them.
@@ -114,6 +117,33 @@ def strips(panel: Axes, count: int) -> list[Axes]:
     made[-1].set_xlabel(panel.get_xlabel())
     panel.remove()
     return made
+
+
+def side_by_side(panel: Axes, count: int) -> list[Axes]:
+    """Replace a panel by so many beside each other, with the same vertical axis."""
+    if count == 1:
+        return [panel]
+    place = panel.get_position()
+    gap = _BESIDE_IN / COLUMN_IN
+    width = (place.width - gap * (count - 1)) / count
+    made: list[Axes] = []
+    for number in range(count):
+        left = place.x0 + number * (width + gap)
+        first = made[0] if made else None
+        one = panel.figure.add_axes((left, place.y0, width, place.height), sharey=first)
+        one.tick_params(
+            labelbottom=panel.xaxis.get_tick_params()["labelbottom"], labelleft=number == 0
+        )
+        made.append(one)
+    panel.remove()
+    return made
+
+
+def name_above(panel: Axes, name: str) -> None:
+    """Write the name of a column of panels above its first one, over the title."""
+    up = ScaledTranslation(0.0, _NAME_PT / POINTS_PER_IN, panel.figure.dpi_scale_trans)
+    style: Any = {"ha": "center", "va": "bottom", "fontsize": TEXT, "weight": "bold"}
+    panel.text(0.5, 1.0, name, transform=panel.transAxes + up, **style)
 
 
 def label_ends(panel: Axes) -> None:

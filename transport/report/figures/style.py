@@ -147,9 +147,31 @@ def _name_phase(panel: Axes, phase: str, middle_s: float) -> None:
     panel.text(middle_s, 1.0, phase, transform=above, **style)
 
 
+class _PlainTicks(LogLocator):
+    """Ticks of a logarithmic axis: the fewest round numbers of each decade of which enough are shown."""
+
+    _ROUND = (
+        (1.0, 2.0, 5.0),
+        (1.0, 1.5, 2.0, 3.0, 5.0, 7.0),
+        (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0),
+    )
+    _ENOUGH = 4
+
+    def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
+        """Return the ticks between two values, and perhaps beyond."""
+        low, high = sorted((vmin, vmax))
+        ticks: list[float] = []
+        for numbers in self._ROUND:
+            self.set_params(subs=numbers)
+            ticks = list(super().tick_values(low, high))
+            if sum(low <= tick <= high for tick in ticks) >= self._ENOUGH:
+                break
+        return ticks
+
+
 def label_decades(axis: Axis) -> None:
     """Label a logarithmic axis of few decades with plain numbers, also within a decade."""
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_locator(_PlainTicks())
     axis.set_major_formatter(FormatStrFormatter("%g"))
     axis.set_minor_locator(NullLocator())
 
