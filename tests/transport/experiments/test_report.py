@@ -36,6 +36,7 @@ FURTHER = ("air_delivered_share", "airtime_share", "away_rms_m", "known_s")
 RADIO = replace(EXPERIMENTS["radio"], points=tuple(EXPERIMENTS["radio"].build(
     max=8, sizes=[3, 4], rate=[6.0], offsets=["slots", "none"], sharing=["always"], distance=[1.0]
 )))  # fmt: skip
+HOVER = built("hover", "paper", "centralized", "resilient")
 EVERY = (
     LATENCY,
     built("loss"),
@@ -45,7 +46,8 @@ EVERY = (
     built("sharing", "resilient"),
     built("ablation"),
     built("horizon", horizon=[5, 30], terminal=[1.0]),
-    built("hover", "paper", "centralized", "resilient"),
+    HOVER,
+    RADIO,
     built("information", "precise", "resilient"),
     built("matrix", delay=[0.1, 0.2], loss=[0.1, 0.3]),
 )
@@ -117,11 +119,9 @@ def test_anything_can_be_reported(experiment: Experiment, mix: str, tmp_path: Pa
     assert max(len(line.rstrip()) for line in text.splitlines()) <= WIDTH
 
 
-@pytest.mark.parametrize(
-    "experiment", [LATENCY, built("loss"), RADIO], ids=lambda value: value.name
-)
+@pytest.mark.parametrize("experiment", [LATENCY, HOVER], ids=lambda value: value.name)
 def test_markers_stand_on_their_values(experiment: Experiment) -> None:
-    """On an axis of numbers the points of all curves are exactly at the values of their runs."""
+    """The points of a single curve in a panel are exactly at the values of their runs."""
     figure = Figure()
     with mpl.rc_context(RC):
         fill(figure, experiment, made(experiment, MIXES["repeated"]))
