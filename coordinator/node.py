@@ -2,25 +2,26 @@
 
 It opens tick k + 1 when all agents have answered tick k, or at its deadline.
 
-`coordinator.state_machine` has its states and what moves it from one to another, `coordinator.clock` the
-difference between lockstep and real time, `coordinator.roster` how agents leave and join. This file
-says what is sent in each state.
+`coordinator.state_machine` has its states and what moves it from one to another,
+`coordinator.when_ticks_open_and_close` the difference between lockstep and real time, `coordinator.roster`
+how agents leave and join. This file says what is sent in each state.
 """
 
 from collections.abc import Collection, Sequence
 from collections.abc import Set as AbstractSet
 
-from transport.coordinator.clock import Clock
+from transport.coordinator.answers_to_open_tick import OpenTick
 from transport.coordinator.coming_down import ComingDown
 from transport.coordinator.fleet import Fleet
 from transport.coordinator.link_and_target_changes import Changes
-from transport.coordinator.open_tick import OpenTick
 from transport.coordinator.operator_requests import RunStatus, answer_request
 from transport.coordinator.outcome import Verdict
+from transport.coordinator.processes_and_observers import Processes
 from transport.coordinator.radio import TeamAir
 from transport.coordinator.roster import TeamRoster
 from transport.coordinator.state_machine import BEFORE_TICK_0, Cause, Machine, State
 from transport.coordinator.team_view import TeamView
+from transport.coordinator.when_ticks_open_and_close import Clock
 from transport.protocol.scenario.setup.run_rules import RunRules
 from transport.protocol.wire.errors_and_exit_codes import (
     EXIT_COLLIDED,
@@ -114,13 +115,8 @@ class CoordinatorNode:
             )
             vehicles = {vehicle_name(uav + 1) for uav in range(rules.uavs)}
 
-        plant = {PLANT} if rules.has_plant else set()
-        self._vehicles = vehicles
-        # Processes that take part, from their incarnations on, and those that the first tick waits for.
-        self._taking_part = {PLANT, *self._roster.agents, *vehicles}
-        self._not_ready = {*plant, *self._roster.agents, *vehicles, *observers}
-        self._observers = set(observers)  # that have not departed
-        self._departed: set[str] = set()  # observers that have
+        agents = self._roster.agents.keys()
+        self._processes = Processes(agents, vehicles, observers, has_plant=rules.has_plant)
 
     @property
     def state(self) -> State:
@@ -250,19 +246,19 @@ class CoordinatorNode:
             return self._process_ready(event, now_ns)
         if event.name in self._roster.agents:
             return self._agent_returned(event, now_ns)
-        if event.name in self._vehicles and self._fleet is not None:
+        if event.name in self._processes.vehicles and self._fleet is not None:
             return self._vehicle_returned(event, self._fleet, now_ns)
-        if event.name in self._departed and self._fleet is not None:
+        if self._processes.is_departed(event.name) and self._fleet is not None:
             return self._observer_returned(event.name)
         return ()
 
     def _process_ready(self, event: Presence, now_ns: int) -> Sequence[Message]:
         """Note that a process is ready; open the first tick when all are."""
-        if event.name not in self._taking_part | self._not_ready:
+        if not self._processes.is_expected(event.name):
             return ()
-        self._not_ready.discard(event.name)
+        are_all_ready = self._processes.join(event.name)
         self._roster.start(event.name, event.incarnation)
-        if self._not_ready:
+        if not are_all_ready:
             return ()
         if self._fleet is not None:
             self._machine.move(Cause.JOINED)
@@ -291,8 +287,7 @@ class CoordinatorNode:
 
     def _observer_returned(self, name: str) -> Sequence[Message]:
         """Tell an observer that was started again what it has missed: vehicles went on without it."""
-        self._departed.remove(name)
-        self._observers.add(name)
+        self._processes.come_back(name)
         reason = f"{name} has returned at {self._roster.time(self.tick)}"
         return [*self._changes.repeated(), self._roster.message(reason, self.tick)]
 
@@ -302,12 +297,10 @@ class CoordinatorNode:
         if not self._roster.is_newest(event.name, event.incarnation):
             return ()
 
-        if event.name in self._observers:
-            self._observers.remove(event.name)
-            self._departed.add(event.name)
+        self._processes.depart(event.name)
         if event.name == PLANT:
             return self._stop(EXIT_UNREACHABLE, "plant is gone")
-        if event.name in self._vehicles:
+        if event.name in self._processes.vehicles:
             reason = f"{event.name} is gone at {self._roster.time(self.tick)}"
             if self._ends_by_any_loss:
                 return self._stop(EXIT_UNREACHABLE, reason)
@@ -522,7 +515,7 @@ class CoordinatorNode:
             tick=self.tick,
             ticks=self._rules.ticks,
             members=sorted(self._roster.members),
-            observers=sorted(self._observers),
+            observers=sorted(self._processes.observers),
             is_before=self._machine.state in BEFORE_TICK_0 and not self._flies_without,
             takes_changes=self._takes_changes,
             period_ns=self._rules.period_ns,

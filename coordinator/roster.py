@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Collection, Mapping
 from collections.abc import Set as AbstractSet
 
-from transport.protocol.scenario.faults.scripted_faults import failures
+from transport.protocol.scenario.faults.faults_by_tick import failures
 from transport.protocol.scenario.setup.run_rules import RunRules
 from transport.protocol.wire.messages import Message, Roster
 from transport.protocol.wire.names import agent_name, agent_names

@@ -10,7 +10,7 @@ Everything that changes the state of a run is in this file. A run without vehicl
 one tick open at a time. With vehicles it goes from WAITING through PREPARING and STARTING to the
 first tick, since vehicles have clocks of their own and are told ahead when tick 0 is. ENDING is
 left only to STOPPED. What does not move the machine is not an event of it: answers to the open tick are
-counted by `coordinator.open_tick`, and agents come and go on the roster in any state.
+counted by `coordinator.answers_to_open_tick`, and agents come and go on the roster in any state.
 
 What holds in each state:
 
@@ -22,8 +22,8 @@ What holds in each state:
     ENDING     the plant has said that it cannot go on; no tick is held, the roster is as before
     STOPPED    the end has been sent, once; every event is ignored
 
-Two machines are no business of this one: that of the clock (`coordinator.clock`: how long OPEN and
-HELD may last), and that of each agent (`coordinator.roster`: on the roster, off it, joining).
+Two machines are no business of this one: that of the clock (`coordinator.when_ticks_open_and_close`: how long
+OPEN and HELD may last), and that of each agent (`coordinator.roster`: on the roster, off it, joining).
 """
 
 from collections.abc import Mapping

@@ -31,7 +31,7 @@ from transport.mpc.program.quadratic_program import QP, Solution, unsolved
 from transport.mpc.program.rollout import Actuation, Rollout, rollout
 from transport.mpc.program.stage_cost import Cost
 from transport.mpc.reference import Sampled
-from transport.mpc.settings import ControllerSettings
+from transport.mpc.settings_period_horizon_weights import ControllerSettings
 
 # A trajectory beyond these angles of payload or UAVs, rad, is not followed: Euler angles become
 # singular.

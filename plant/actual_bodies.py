@@ -7,7 +7,7 @@ from transport.model.physics.parameters import Payload, System, Uav
 from transport.model.physics.rotations import rotation
 from transport.model.state import OMEGA0, R0, THETA0, V0
 from transport.plant.plant_run import PlantRun
-from transport.protocol.scenario.faults.scripted_faults import Load
+from transport.protocol.scenario.faults.faults_by_tick import Load
 from transport.protocol.scenario.sections.plant_sections import UavFactorsSection
 
 

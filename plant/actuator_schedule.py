@@ -9,7 +9,7 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.mpc.alone.fail_safe import FailSafe
-from transport.mpc.settings import ControllerSettings
+from transport.mpc.settings_period_horizon_weights import ControllerSettings
 from transport.protocol.wire.messages import Plan
 
 # Sources of an input that is not from a plan (`PlantState.plan_ticks`).

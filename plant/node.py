@@ -30,7 +30,7 @@ from transport.plant.team_paths import TeamPaths
 from transport.plant.vehicle_sensors import Sensors
 from transport.plant.wind_and_noise import Environment
 from transport.protocol.admission.participant import Participant
-from transport.protocol.scenario.faults.scripted_faults import OF_PLANT, Fault
+from transport.protocol.scenario.faults.faults_by_tick import OF_PLANT, Fault
 from transport.protocol.wire.messages import (
     ActualInputs,
     Measurement,

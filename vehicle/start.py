@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from transport.mpc.settings import Limits
+from transport.mpc.settings_period_horizon_weights import Limits
 from transport.protocol.network.mavlink import Endpoint, LinkError, MavlinkLink, read_key
 from transport.protocol.scenario.sections.vehicles_section import VehiclesSection
 from transport.protocol.wire.errors_and_exit_codes import EXIT_CHECK_FAILED

@@ -17,7 +17,7 @@ from transport.agent.silence.silence_thresholds import SHARED
 from transport.model.arrays import Array, Rows
 from transport.model.state import input_places
 from transport.mpc.alone.fail_safe import FailSafe
-from transport.mpc.settings import ControllerSettings
+from transport.mpc.settings_period_horizon_weights import ControllerSettings
 from transport.protocol.wire.messages import Plan
 
 # Alignment of a plan with the horizon: shifted by its true age; by one tick whatever its age, as in

@@ -13,7 +13,7 @@ from transport.mpc.controller import Controller
 from transport.mpc.program.feedback_law import FeedbackLaw
 from transport.mpc.program.horizon_and_terminal_cost import CostToGo
 from transport.mpc.program.prediction import Linear
-from transport.mpc.settings import ControllerSettings
+from transport.mpc.settings_period_horizon_weights import ControllerSettings
 from transport.protocol.scenario.setup.team_run import TeamRun
 
 

@@ -16,7 +16,7 @@ from transport.model.linear.linearisation import Model
 from transport.model.path.target_and_stop import PathTarget
 from transport.model.physics.obstacles import Obstacle
 from transport.model.physics.parameters import System
-from transport.mpc.settings import ControllerSettings
+from transport.mpc.settings_period_horizon_weights import ControllerSettings
 from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import MAX_DATA, Plan
 

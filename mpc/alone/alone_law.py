@@ -24,7 +24,7 @@ from transport.mpc.alone.uav_motion import (
     motion_slopes,
     turn_by_inputs,
 )
-from transport.mpc.settings import AloneGains
+from transport.mpc.settings_period_horizon_weights import AloneGains
 
 GAINS = AloneGains()
 

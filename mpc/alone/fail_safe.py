@@ -18,7 +18,7 @@ from transport.mpc.alone.alone_law import GAINS, AloneLaw
 from transport.mpc.alone.attitude_loop import LEVELLING, LEVELLING_RAD_S, attitude_loop
 from transport.mpc.alone.uav_motion import Setpoint, motion_of, setpoint_of
 from transport.mpc.alone.undisturbed_motion import UndisturbedMotion
-from transport.mpc.settings import AloneGains
+from transport.mpc.settings_period_horizon_weights import AloneGains
 
 # Time for which a UAV plays its last plan before it flies alone, s: plans that are
 # lost on their way to the actuators, or late, are bridged.

@@ -17,7 +17,7 @@ from transport.mpc.law.steady_state import SteadyState, target
 from transport.mpc.program.feedback_law import FeedbackError
 from transport.mpc.program.stage_cost import Cost
 from transport.mpc.program.user_expressions import UserCosts
-from transport.mpc.settings import ControllerSettings
+from transport.mpc.settings_period_horizon_weights import ControllerSettings
 
 
 class Crew:

@@ -22,7 +22,7 @@ from transport.mpc.alone.undisturbed_motion import UndisturbedMotion
 from transport.mpc.law.present_law import Regulation
 from transport.mpc.law.reconfiguration import undisturbed
 from transport.mpc.reference import Sampled
-from transport.mpc.settings import ControllerSettings
+from transport.mpc.settings_period_horizon_weights import ControllerSettings
 
 _KEPT = 512  # ticks: more than estimators look back and horizons ahead
 # Time before the first tick that is asked for, at which the motion of the present team starts from

@@ -27,7 +27,7 @@ from transport.mpc.law.tracking_lqr import Recursion
 from transport.mpc.program.feedback_law import FeedbackLaw
 from transport.mpc.program.user_expressions import UserCosts
 from transport.mpc.reference import ReferenceChange, Sampled
-from transport.mpc.settings import ControllerSettings
+from transport.mpc.settings_period_horizon_weights import ControllerSettings
 
 
 class WholeTeam:

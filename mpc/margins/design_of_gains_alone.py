@@ -28,7 +28,7 @@ from transport.mpc.law.tangent import tangent
 from transport.mpc.margins.actual_plant import Mismatch
 from transport.mpc.margins.loop_of_uavs_alone import AloneLoop
 from transport.mpc.margins.sampled_loop import GROWTH
-from transport.mpc.settings import AloneGains, ControllerSettings
+from transport.mpc.settings_period_horizon_weights import AloneGains, ControllerSettings
 
 # Slowest decay of all deviations about hover, 1/s: a little slower than the integral forgets.
 DECAY_PER_S = 0.04

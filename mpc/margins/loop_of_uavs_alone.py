@@ -15,7 +15,7 @@ from transport.mpc.alone.uav_motion import MotionSlopes, hover_motion_slopes
 from transport.mpc.law.tangent import tangent
 from transport.mpc.margins.actual_plant import DelayedStep, Mismatch, delayed_step
 from transport.mpc.margins.sampled_loop import SampledLoop
-from transport.mpc.settings import AloneGains
+from transport.mpc.settings_period_horizon_weights import AloneGains
 
 _LEVEL = np.eye(3)[:2]  # the observer of the rod deviates from hover in x and y only
 

@@ -7,7 +7,7 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.physics.parameters import System
-from transport.mpc.settings import ControllerSettings
+from transport.mpc.settings_period_horizon_weights import ControllerSettings
 
 
 class Decision:

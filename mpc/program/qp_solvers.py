@@ -23,7 +23,7 @@ from transport.mpc.program.quadratic_program import (
     residuals,
     unsolved,
 )
-from transport.mpc.settings import SolverName
+from transport.mpc.settings_period_horizon_weights import SolverName
 
 # A usual QP needs one guess of its active bounds, others two or three; the limit ends a cycle.
 MOST_GUESSES = 8

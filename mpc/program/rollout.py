@@ -13,7 +13,7 @@ from transport.model.linear import motor_lag as motors
 from transport.model.linear.linearisation import Model
 from transport.mpc.program.decision import Decision
 from transport.mpc.program.feedback_law import FeedbackLaw
-from transport.mpc.settings import ControllerSettings
+from transport.mpc.settings_period_horizon_weights import ControllerSettings
 
 
 class Rollout(NamedTuple):

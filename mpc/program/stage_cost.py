@@ -7,7 +7,7 @@ import numpy as np
 from transport.model.arrays import Array
 from transport.model.physics.hover import Hover
 from transport.model.physics.parameters import System
-from transport.mpc.settings import Weights
+from transport.mpc.settings_period_horizon_weights import Weights
 
 
 class Cost:

@@ -25,7 +25,7 @@ from transport.model.kernels.casadi_functions import Compiled
 from transport.model.physics.outputs_and_sensors import uav_positions
 from transport.model.physics.parameters import Kind, System
 from transport.model.physics.symbols import Symbols
-from transport.mpc.settings import ConstraintSection, CostTerm, SettingsError
+from transport.mpc.settings_period_horizon_weights import ConstraintSection, CostTerm, SettingsError
 
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,

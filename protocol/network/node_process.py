@@ -20,7 +20,7 @@ from transport.protocol.network.bus_events import BusOptions, Departed, Interrup
 from transport.protocol.network.endpoints import first_exposed
 from transport.protocol.network.exchange import Exchange, exchange_of
 from transport.protocol.network.parent import PARENT_PIPE, ending_signals
-from transport.protocol.scenario.faults.scripted_faults import Fault, due
+from transport.protocol.scenario.faults.faults_by_tick import Fault, due
 from transport.protocol.scenario.setup.run_rules import RunRules
 from transport.protocol.wire import messages as wire
 from transport.protocol.wire.errors_and_exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE

@@ -10,7 +10,7 @@ from transport.model.physics.parameters import table_1
 from transport.mpc.controller import Controller
 from transport.mpc.program.prediction import Prediction
 from transport.mpc.program.rollout import Actuation, rollout
-from transport.mpc.settings import ControllerSettings
+from transport.mpc.settings_period_horizon_weights import ControllerSettings
 
 ON_THE_TRAJECTORY = 1e-9  # rounding over 40 steps
 

@@ -7,7 +7,7 @@ import pytest
 from tests.support import naive
 from tests.support.systems import Setup, Situation, controller, paper_setup, situation, step
 from transport.model.arrays import Array
-from transport.mpc.settings import (
+from transport.mpc.settings_period_horizon_weights import (
     ConstraintSection,
     ControllerSettings,
     PenalisedInput,

@@ -11,7 +11,11 @@ import pytest
 from tests.support.systems import Situation, controller, paper_setup, situation, step
 from transport.mpc.controller import Controller, StepResult
 from transport.mpc.program.prediction import Prediction
-from transport.mpc.settings import ConstraintSection, ControllerSettings, SolverName
+from transport.mpc.settings_period_horizon_weights import (
+    ConstraintSection,
+    ControllerSettings,
+    SolverName,
+)
 
 HORIZON = 6
 SOLVERS: list[SolverName] = ["daqp", "clarabel"]

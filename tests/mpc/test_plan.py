@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.systems import Situation, controller, paper_setup, ring_setup, situation, step
 from transport.model.arrays import Array
-from transport.mpc.settings import ControllerSettings, SeparationSection
+from transport.mpc.settings_period_horizon_weights import ControllerSettings, SeparationSection
 
 # N and N m. Bounds are clipped exactly; rates are as good as the solver's primal tolerance times
 # the scale.

@@ -11,7 +11,7 @@ from transport.model.physics.parameters import table_1
 from transport.model.section import Section
 from transport.model.state import StateView
 from transport.mpc.program.user_expressions import UserCosts
-from transport.mpc.settings import ControllerSettings, Limits, Weights
+from transport.mpc.settings_period_horizon_weights import ControllerSettings, Limits, Weights
 
 BAD: list[tuple[type[Section], dict[str, Any]]] = [
     (Limits, {"thrust_N": (-1.0, 45.0)}),

@@ -10,7 +10,7 @@ from transport.model.physics.hover import hover
 from transport.model.physics.parameters import Payload, System, Uav
 from transport.model.physics.rotations import euler_rates, rotation
 from transport.mpc.alone.fail_safe import FailSafe
-from transport.mpc.settings import ControllerSettings, Limits
+from transport.mpc.settings_period_horizon_weights import ControllerSettings, Limits
 from transport.plant.actuator_schedule import BEFORE_ANY_PLAN, FAIL_SAFE, ActuatorSchedule
 from transport.protocol.wire.messages import Plan
 

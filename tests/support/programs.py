@@ -8,7 +8,11 @@ import numpy as np
 from tests.support.systems import paper_setup, situations, team
 from transport.model.arrays import Array
 from transport.mpc.program.quadratic_program import QP
-from transport.mpc.settings import ConstraintSection, ControllerSettings, SeparationSection
+from transport.mpc.settings_period_horizon_weights import (
+    ConstraintSection,
+    ControllerSettings,
+    SeparationSection,
+)
 
 
 def random_qp(seed: int) -> QP:

@@ -17,7 +17,7 @@ from transport.model.physics.hover import Hover, hover
 from transport.model.physics.parameters import Payload, System, Uav, table_1
 from transport.model.section import Section
 from transport.mpc.controller import Controller, Horizon, StepResult
-from transport.mpc.settings import ControllerSettings
+from transport.mpc.settings_period_horizon_weights import ControllerSettings
 
 S = TypeVar("S", bound=Section)
 

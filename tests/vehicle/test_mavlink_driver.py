@@ -3,7 +3,7 @@
 import time
 
 from tests.support.bench import free_udp_port
-from transport.mpc.settings import Limits
+from transport.mpc.settings_period_horizon_weights import Limits
 from transport.protocol.network.mavlink import Endpoint, MavlinkLink, messages
 from transport.protocol.scenario.sections.vehicles_section import VehiclesSection
 from transport.vehicle.start import LinkOptions, open_autopilot

@@ -6,7 +6,7 @@ import numpy.typing as npt
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.physics.obstacles import clearances
-from transport.protocol.scenario.faults.scripted_faults import failures
+from transport.protocol.scenario.faults.faults_by_tick import failures
 from transport.protocol.scenario.setup.run_setup import Setup
 
 # Share of its range from which on an input is at its limit.

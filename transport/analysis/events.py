@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from transport.log.run_log import Recorded, RunLog
 from transport.protocol.scenario.links.link_changes import scripted_changes
-from transport.protocol.scenario.sections.clock_section import first_tick
+from transport.protocol.scenario.sections.lockstep_and_realtime_section import first_tick
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import messages
 from transport.protocol.wire.names import agent_name

@@ -12,7 +12,7 @@ from transport.log.run_log import RunLog
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.physics.rotations import rotation
-from transport.protocol.scenario.faults.scripted_faults import failures
+from transport.protocol.scenario.faults.faults_by_tick import failures
 from transport.protocol.scenario.setup.collisions import Contact
 from transport.protocol.scenario.setup.cost_of_run import StageCost
 from transport.protocol.scenario.setup.run_setup import Setup

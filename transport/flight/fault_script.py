@@ -13,7 +13,7 @@ from typing import Any
 
 from transport.flight.local_processes import Child, Harness
 from transport.flight.recorder import Recorder
-from transport.protocol.scenario.faults.scripted_faults import OF_PLANT, Fault
+from transport.protocol.scenario.faults.faults_by_tick import OF_PLANT, Fault
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE
 from transport.protocol.wire.messages import CONTINUED, FaultOrigin, Request

@@ -14,7 +14,7 @@ from transport.agent.node import AgentNode
 from transport.flight.roles import coordinator_of, plant_run
 from transport.flight.signals import check_interrupt
 from transport.plant.node import PlantNode
-from transport.protocol.scenario.faults.scripted_faults import Fault, due
+from transport.protocol.scenario.faults.faults_by_tick import Fault, due
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.key_expressions import Keys, matches
 from transport.protocol.wire.messages import Control, Message, Presence

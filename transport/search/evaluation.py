@@ -15,7 +15,7 @@ from transport.analysis.summary_assembly import summarise
 from transport.flight.memory import simulate
 from transport.log.run_log import Recorded, RunLog
 from transport.model.state import StateView
-from transport.protocol.scenario.faults.scripted_faults import OF_PLANT
+from transport.protocol.scenario.faults.faults_by_tick import OF_PLANT
 from transport.protocol.scenario.scenario_file import validate
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.sections.schema import Scenario

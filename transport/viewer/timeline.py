@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from transport.protocol.scenario.links.link_changes import scripted_changes
-from transport.protocol.scenario.sections.clock_section import first_tick
+from transport.protocol.scenario.sections.lockstep_and_realtime_section import first_tick
 from transport.scene.history import RunHistory, merged
 from transport.viewer.playback import Playback
 from transport.viewer.server import from_browser

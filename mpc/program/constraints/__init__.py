@@ -1,7 +1,7 @@
 """Constraints of a program: one file each, the same rows about any trajectory.
 
 The order of this list is that of the rows and slacks of all programs. A new constraint has a file
-here, an entry in `constraints_of` and its section in `transport.mpc.settings`.
+here, an entry in `constraints_of` and its section in `transport.mpc.settings_period_horizon_weights`.
 """
 
 from transport.mpc.program.constraints.block import Constraint

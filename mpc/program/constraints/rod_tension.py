@@ -13,7 +13,7 @@ from transport.mpc.program.constraints.block import Block
 from transport.mpc.program.decision import Decision
 from transport.mpc.program.trajectory import Trajectory
 from transport.mpc.program.user_expressions import Expressions, Formulas
-from transport.mpc.settings import TensionSection as Settings
+from transport.mpc.settings_period_horizon_weights import TensionSection as Settings
 
 
 class Tension:

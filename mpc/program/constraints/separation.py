@@ -10,7 +10,7 @@ from transport.model.arrays import Array
 from transport.mpc.program.constraints.block import Block
 from transport.mpc.program.decision import Decision
 from transport.mpc.program.trajectory import Trajectory
-from transport.mpc.settings import SeparationSection as Settings
+from transport.mpc.settings_period_horizon_weights import SeparationSection as Settings
 
 
 class Separation:

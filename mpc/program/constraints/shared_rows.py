@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from transport.model import state
 from transport.model.arrays import Array
-from transport.mpc.settings import Weights
+from transport.mpc.settings_period_horizon_weights import Weights
 
 # Tracking error whose cost a violation by one unit may cause at one step, m: as far as UAVs are from
 # each other.

@@ -9,7 +9,7 @@ from transport.model import state
 from transport.mpc.program.constraints.block import Block
 from transport.mpc.program.decision import Decision
 from transport.mpc.program.trajectory import Trajectory
-from transport.mpc.settings import TiltSection as Settings
+from transport.mpc.settings_period_horizon_weights import TiltSection as Settings
 
 
 class Tilt:

@@ -12,8 +12,8 @@ from transport.model.path.flatness import LEAST_TENSION, MOST_TILT, Flight, flig
 from transport.model.physics.hover import Hover, hover_after_failures, with_released
 from transport.model.physics.parameters import System
 from transport.model.state import INPUTS, StateView
-from transport.mpc.settings import ControllerSettings
-from transport.protocol.scenario.faults.scripted_faults import Fault, failures
+from transport.mpc.settings_period_horizon_weights import ControllerSettings
+from transport.protocol.scenario.faults.faults_by_tick import Fault, failures
 
 # Largest slowing that is tried, and relative accuracy of the least one.
 _SLOWEST = 64.0

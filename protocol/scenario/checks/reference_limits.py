@@ -18,7 +18,7 @@ from transport.model.physics.hover import Hover
 from transport.model.physics.obstacles import Obstacle
 from transport.model.physics.parameters import ParameterError, System, resting_height
 from transport.mpc.reference import Reference
-from transport.mpc.settings import ControllerSettings
+from transport.mpc.settings_period_horizon_weights import ControllerSettings
 from transport.protocol.scenario.checks.feasibility import (
     ON_GROUND_M,
     RemainingTeam,
@@ -28,7 +28,7 @@ from transport.protocol.scenario.checks.feasibility import (
     remaining_teams,
 )
 from transport.protocol.scenario.checks.obstacle_margins import first_blocked
-from transport.protocol.scenario.faults.scripted_faults import Fault
+from transport.protocol.scenario.faults.faults_by_tick import Fault
 from transport.protocol.scenario.sections.path_instants import maneuver_instants
 from transport.protocol.scenario.sections.plant_sections import PlantSection
 

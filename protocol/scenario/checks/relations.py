@@ -14,7 +14,7 @@ from transport.protocol.scenario.faults.fault_relations import (
     fault_problems,
     processes_of,
 )
-from transport.protocol.scenario.sections.clock_section import first_tick
+from transport.protocol.scenario.sections.lockstep_and_realtime_section import first_tick
 from transport.protocol.scenario.sections.maneuver_sections import PhaseSection
 from transport.protocol.scenario.sections.plant_sections import MujocoSection
 from transport.protocol.scenario.sections.run_size import ticks_of

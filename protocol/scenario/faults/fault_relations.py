@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterator
 
 from transport.model.physics.parameters import ParameterError, Payload
-from transport.protocol.scenario.faults.scripted_faults import OF_UAVS
+from transport.protocol.scenario.faults.faults_by_tick import OF_UAVS
 from transport.protocol.scenario.sections.fault_sections import FaultSection
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.wire.names import COORDINATOR, PLANT, agent_name, vehicle_name

@@ -9,7 +9,6 @@ from typing import Any
 
 from transport.model.arrays import Array
 from transport.protocol.scenario.links.random_streams import Draw, Streams, draw_key
-from transport.protocol.scenario.sections.clock_section import first_tick
 from transport.protocol.scenario.sections.link_sections import (
     GilbertElliottSection,
     LinkOverrideSection,
@@ -17,6 +16,7 @@ from transport.protocol.scenario.sections.link_sections import (
     LinksSection,
     PartitionSection,
 )
+from transport.protocol.scenario.sections.lockstep_and_realtime_section import first_tick
 from transport.protocol.scenario.sections.scenario_keys import UNITS
 from transport.protocol.wire.messages import Measurement, Plan
 from transport.protocol.wire.names import PLANT

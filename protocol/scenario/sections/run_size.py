@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from transport.model.state import INPUTS
-from transport.protocol.scenario.sections.clock_section import ROUNDING
+from transport.protocol.scenario.sections.lockstep_and_realtime_section import ROUNDING
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.sections.schema import Scenario
 

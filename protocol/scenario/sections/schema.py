@@ -12,10 +12,14 @@ from pydantic import Field
 
 from transport.model.physics.parameters import GRAVITY
 from transport.model.section import Inertia, Key, NotNegative, Pair, Positive, Section, Vector
-from transport.mpc.settings import DEFAULT_HORIZON, DEFAULT_RELAXATION, ControllerSettings
-from transport.protocol.scenario.sections.clock_section import ClockSection
+from transport.mpc.settings_period_horizon_weights import (
+    DEFAULT_HORIZON,
+    DEFAULT_RELAXATION,
+    ControllerSettings,
+)
 from transport.protocol.scenario.sections.fault_sections import FaultsSection
 from transport.protocol.scenario.sections.link_sections import LinksSection
+from transport.protocol.scenario.sections.lockstep_and_realtime_section import ClockSection
 from transport.protocol.scenario.sections.maneuver_sections import ManeuverSection, ObstacleSection
 from transport.protocol.scenario.sections.plant_sections import PlantSection
 from transport.protocol.scenario.sections.radio_section import RadioSection

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.protocol.scenario.faults.scripted_faults import Fault, failures
+from transport.protocol.scenario.faults.faults_by_tick import Fault, failures
 from transport.protocol.wire.messages import PlantState
 
 _ROUNDING_M = 1e-6  # more than that of the lengths by which pairs are left out

@@ -12,7 +12,7 @@ from transport.model.physics.hover import hover_after_failures
 from transport.model.physics.parameters import ParameterError
 from transport.model.state import input_indices
 from transport.mpc.program.stage_cost import Cost
-from transport.protocol.scenario.faults.scripted_faults import Fault, failures
+from transport.protocol.scenario.faults.faults_by_tick import Fault, failures
 from transport.protocol.scenario.setup.run_setup import Setup
 
 

@@ -14,7 +14,7 @@ from transport.model.path.phase import Phase
 from transport.model.physics.obstacles import Obstacle, Solid
 from transport.model.physics.parameters import Kind, ParameterError, Payload, System, Uav
 from transport.mpc.program.feedback_law import FeedbackError
-from transport.mpc.settings import SettingsError
+from transport.mpc.settings_period_horizon_weights import SettingsError
 from transport.protocol.scenario.sections.maneuver_sections import ObstacleSection, PhaseSection
 from transport.protocol.scenario.sections.scenario_errors import RequestError, ScenarioError
 from transport.protocol.scenario.sections.schema import Scenario, UavSection

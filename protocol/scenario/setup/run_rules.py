@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from functools import cached_property
 
-from transport.protocol.scenario.faults.scripted_faults import Fault
+from transport.protocol.scenario.faults.faults_by_tick import Fault
 from transport.protocol.scenario.links.delay_jitter_and_loss import Link
-from transport.protocol.scenario.sections.clock_section import ClockSection
 from transport.protocol.scenario.sections.link_sections import LinksSection
+from transport.protocol.scenario.sections.lockstep_and_realtime_section import ClockSection
 from transport.protocol.wire.node_interface import RunShape
 
 

@@ -29,8 +29,8 @@ from transport.protocol.scenario.checks.reference_limits import (
     too_close_at_hover,
     touching_at_hover,
 )
-from transport.protocol.scenario.faults.faults_of_scenario import scripted
-from transport.protocol.scenario.faults.scripted_faults import Fault, failures
+from transport.protocol.scenario.faults.faults_by_tick import Fault, failures
+from transport.protocol.scenario.faults.faults_from_sections import scripted
 from transport.protocol.scenario.sections.run_size import ticks_of
 from transport.protocol.scenario.sections.scenario_errors import HoverError, ScenarioError
 from transport.protocol.scenario.sections.schema import ControllerSection, Scenario

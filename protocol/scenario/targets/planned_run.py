@@ -9,8 +9,8 @@ from transport.model.physics.hover import Hover
 from transport.model.physics.obstacles import Obstacle
 from transport.model.physics.parameters import System
 from transport.mpc.reference import Reference
-from transport.mpc.settings import ControllerSettings
-from transport.protocol.scenario.faults.scripted_faults import Fault
+from transport.mpc.settings_period_horizon_weights import ControllerSettings
+from transport.protocol.scenario.faults.faults_by_tick import Fault
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.wire import messages
 

@@ -5,7 +5,7 @@ from operator import itemgetter
 from typing import Any
 
 from transport.model.path.target_and_stop import PathTarget
-from transport.protocol.scenario.sections.clock_section import first_tick
+from transport.protocol.scenario.sections.lockstep_and_realtime_section import first_tick
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import RequestError, requested
 from transport.protocol.scenario.targets.planned_run import PlannedRun

@@ -18,7 +18,7 @@ from transport.agent.silence.heard_others import HeardOthers
 from transport.agent.silence.silence_thresholds import Silence
 from transport.model.arrays import Array
 from transport.model.state import input_indices
-from transport.mpc.settings import ControllerSettings, Limits
+from transport.mpc.settings_period_horizon_weights import ControllerSettings, Limits
 from transport.protocol.wire.messages import Plan
 
 Law = Callable[[int, Array], Array | None]

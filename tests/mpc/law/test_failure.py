@@ -20,7 +20,7 @@ from transport.mpc.law.present_law import Regulation
 from transport.mpc.law.tangent import tangent
 from transport.mpc.program.feedback_law import FeedbackError
 from transport.mpc.program.stage_cost import Cost
-from transport.mpc.settings import ControllerSettings, Weights
+from transport.mpc.settings_period_horizon_weights import ControllerSettings, Weights
 
 PERIOD_S = 0.05
 CLOSED = ControllerSettings(prediction="closed_loop", relaxation=1.0, terminal="riccati")

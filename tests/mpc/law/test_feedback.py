@@ -16,7 +16,7 @@ from transport.mpc.law.infinite_horizon_lqr import HoveringTeam, regulator
 from transport.mpc.program.feedback_law import FeedbackError, FeedbackLaw
 from transport.mpc.program.prediction import Prediction, convolve, predict
 from transport.mpc.program.stage_cost import Cost
-from transport.mpc.settings import ControllerSettings, CostTerm, Weights
+from transport.mpc.settings_period_horizon_weights import ControllerSettings, CostTerm, Weights
 
 PERIOD_S = 0.05
 CLOSED = ControllerSettings(prediction="closed_loop", relaxation=1.0)

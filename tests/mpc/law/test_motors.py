@@ -16,7 +16,7 @@ from transport.mpc.controller import Controller, Horizon, StepResult
 from transport.mpc.law.infinite_horizon_lqr import HoveringTeam, regulator
 from transport.mpc.program.prediction import Prediction, convolve
 from transport.mpc.program.stage_cost import Cost
-from transport.mpc.settings import (
+from transport.mpc.settings_period_horizon_weights import (
     ConstraintSection,
     ControllerSettings,
     CostTerm,

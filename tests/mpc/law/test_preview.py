@@ -31,7 +31,7 @@ from transport.mpc.law.present_law import Regulation
 from transport.mpc.law.preview import preview
 from transport.mpc.program.stage_cost import Cost
 from transport.mpc.reference import Sampled
-from transport.mpc.settings import ControllerSettings, CostTerm, Weights
+from transport.mpc.settings_period_horizon_weights import ControllerSettings, CostTerm, Weights
 
 # Relative to the largest value: two solutions of one linear problem whose Hessian has a condition
 # of around 1e5.

@@ -33,7 +33,12 @@ from transport.mpc.controller import Controller, Horizon, StepResult
 from transport.mpc.law.present_law import Regulation
 from transport.mpc.program.stage_cost import Cost
 from transport.mpc.reference import Sampled
-from transport.mpc.settings import ControllerSettings, CostTerm, Limits, Weights
+from transport.mpc.settings_period_horizon_weights import (
+    ControllerSettings,
+    CostTerm,
+    Limits,
+    Weights,
+)
 
 # Relative to the largest deviation of the inputs from hover: two solutions of one linear problem
 # with condition around 1e5, one by the Riccati recursion, one by condensing and a solver.

@@ -15,7 +15,11 @@ from transport.mpc.law.infinite_horizon_lqr import HoveringTeam
 from transport.mpc.law.steady_state import SteadyState, target
 from transport.mpc.law.tangent import tangent
 from transport.mpc.program.stage_cost import Cost
-from transport.mpc.settings import ControllerSettings, PredictionName, Weights
+from transport.mpc.settings_period_horizon_weights import (
+    ControllerSettings,
+    PredictionName,
+    Weights,
+)
 
 # Sums of a few dozen terms through a singular value decomposition of matrices with entries of up to
 # 35.

@@ -25,7 +25,7 @@ from transport.mpc.law.tracking_lqr import GAINS_PER_PERIOD
 from transport.mpc.program.program_along_reference import Course
 from transport.mpc.program.rollout import Actuation, rollout
 from transport.mpc.reference import Sampled
-from transport.mpc.settings import (
+from transport.mpc.settings_period_horizon_weights import (
     ControllerSettings,
     CostTerm,
     Limits,

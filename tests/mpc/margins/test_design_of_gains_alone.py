@@ -17,7 +17,7 @@ from transport.mpc.margins.design_of_gains_alone import (
     TeamAlone,
 )
 from transport.mpc.margins.sampled_loop import GROWTH
-from transport.mpc.settings import AloneGains
+from transport.mpc.settings_period_horizon_weights import AloneGains
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.sections.schema import Scenario

@@ -25,7 +25,12 @@ from transport.mpc.margins.sampled_loop import (
     SampledLoop,
     margins,
 )
-from transport.mpc.settings import ControllerSettings, CostTerm, Limits, Weights
+from transport.mpc.settings_period_horizon_weights import (
+    ControllerSettings,
+    CostTerm,
+    Limits,
+    Weights,
+)
 
 SYSTEM = table_1()
 RATES = System(payload=SYSTEM.payload, uavs=SYSTEM.uavs, rate_gains=[25.0, 25.0, 10.0])

@@ -15,7 +15,7 @@ from transport.model.state import THETA, V0, uav_slice
 from transport.mpc.program.constraints.separation import pair_distances
 from transport.mpc.program.prediction import Prediction, convolve
 from transport.mpc.program.quadratic_program import QP
-from transport.mpc.settings import (
+from transport.mpc.settings_period_horizon_weights import (
     ConstraintSection,
     ControllerSettings,
     SeparationSection,

@@ -18,7 +18,7 @@ from transport.mpc.program.horizon_and_terminal_cost import CostToGo
 from transport.mpc.program.prediction import Prediction, free_response, predict, stacked
 from transport.mpc.program.qp_solvers import solve_clarabel, within_bounds
 from transport.mpc.program.quadratic_program import QP, residuals
-from transport.mpc.settings import (
+from transport.mpc.settings_period_horizon_weights import (
     ConstraintSection,
     ControllerSettings,
     CostTerm,

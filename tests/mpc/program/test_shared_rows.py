@@ -13,7 +13,11 @@ from transport.mpc.program.constraints.user_constraints import OwnInputs
 from transport.mpc.program.decision import Decision
 from transport.mpc.program.prediction import Linear, Prediction
 from transport.mpc.program.trajectory import Announced, TimeInvariant
-from transport.mpc.settings import ConstraintSection, ControllerSettings, Weights
+from transport.mpc.settings_period_horizon_weights import (
+    ConstraintSection,
+    ControllerSettings,
+    Weights,
+)
 
 # Rows of four UAVs: the sum of all thrusts, thrusts of UAVs 1 and 3, the moments of UAV 2 alone.
 ROWS = np.zeros((3, 16), dtype=bool)

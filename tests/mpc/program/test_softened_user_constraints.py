@@ -12,7 +12,7 @@ from tests.support.systems import controller, paper_setup, situation, step
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.summary_assembly import summarise
 from transport.model.arrays import Array
-from transport.mpc.settings import ConstraintSection, ControllerSettings
+from transport.mpc.settings_period_horizon_weights import ConstraintSection, ControllerSettings
 
 OWNED, SEED = (0,), 5
 # Newtons beyond the solver's tolerance.

@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.systems import changed, paper_setup, ring_setup
 from transport.mpc.program.stage_cost import Cost
-from transport.mpc.settings import Weights
+from transport.mpc.settings_period_horizon_weights import Weights
 
 # A handful of products of numbers near 1: rounding only.
 ROUNDING = 1e-13

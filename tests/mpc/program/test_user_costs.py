@@ -9,7 +9,7 @@ from transport.flight.memory import simulate
 from transport.model.arrays import Array
 from transport.mpc.controller import Controller
 from transport.mpc.program.prediction import Prediction
-from transport.mpc.settings import ControllerSettings, CostTerm, Weights
+from transport.mpc.settings_period_horizon_weights import ControllerSettings, CostTerm, Weights
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, PlantState
 

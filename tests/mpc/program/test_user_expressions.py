@@ -16,7 +16,7 @@ from transport.mpc.program.user_expressions import (
     compile_constraints,
     read,
 )
-from transport.mpc.settings import ConstraintSection, SettingsError
+from transport.mpc.settings_period_horizon_weights import ConstraintSection, SettingsError
 
 # Hand computation and compiled expression differ by rounding only; the largest value here is about
 # 500.

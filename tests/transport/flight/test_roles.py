@@ -19,8 +19,8 @@ from transport.model.physics.parameters import Payload, System, Uav
 from transport.mpc.reference import Reference
 from transport.plant.node import PlantNode
 from transport.plant.plant_run import PlantRun
-from transport.protocol.scenario.sections.clock_section import ClockSection
 from transport.protocol.scenario.sections.link_sections import LinksSection
+from transport.protocol.scenario.sections.lockstep_and_realtime_section import ClockSection
 from transport.protocol.scenario.sections.plant_sections import PlantSection
 from transport.protocol.scenario.sections.schema import (
     ControllerSection,

@@ -11,7 +11,7 @@ import transport
 from transport.analysis.series import series_of
 from transport.model.path.curves import Curve
 from transport.model.path.flatness import flight
-from transport.mpc.settings import TensionSection
+from transport.mpc.settings_period_horizon_weights import TensionSection
 from transport.protocol.scenario.checks.feasibility import exceeded, remaining_teams
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import RequestError, ScenarioError

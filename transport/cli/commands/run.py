@@ -16,7 +16,7 @@ from transport.cli.hosts.fork_server_process import serve_processes
 from transport.cli.lazy import load
 from transport.cli.output import Format, fail
 from transport.flight.fork_server import fork_into_server
-from transport.mpc.settings import AloneGains
+from transport.mpc.settings_period_horizon_weights import AloneGains
 from transport.protocol.network.mesh import process_names
 from transport.protocol.scenario.checks.relations import after_the_end
 from transport.protocol.scenario.setup.acting_alone import lacks

@@ -35,7 +35,7 @@ from transport.protocol.network.bus_events import Place, wall_offset_ns
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.mesh import endpoints_of, process_names, security_of
 from transport.protocol.network.node_process import Journal, run_node
-from transport.protocol.scenario.sections.clock_section import LONGEST_WAIT_S
+from transport.protocol.scenario.sections.lockstep_and_realtime_section import LONGEST_WAIT_S
 from transport.protocol.scenario.setup.model_objects import kinds_of
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.key_expressions import ROUTER, Keys

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from transport.log.run_log import RunLog
 from transport.protocol.scenario.links.link_changes import scripted_changes
-from transport.protocol.scenario.sections.clock_section import first_tick
+from transport.protocol.scenario.sections.lockstep_and_realtime_section import first_tick
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import PlantState
 from transport.report.figures.style import SMALL, shade_phases

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.support.runs import measurement, plan, plant_state, roster, setup, tick
-from transport.protocol.scenario.faults.scripted_faults import Fault, due
+from transport.protocol.scenario.faults.faults_by_tick import Fault, due
 from transport.protocol.wire.messages import Message
 
 

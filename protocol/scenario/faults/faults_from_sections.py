@@ -4,9 +4,9 @@ from typing import Literal
 
 import numpy as np
 
-from transport.protocol.scenario.faults.scripted_faults import OF_PLANT, Fault, Load
-from transport.protocol.scenario.sections.clock_section import first_tick
+from transport.protocol.scenario.faults.faults_by_tick import OF_PLANT, Fault, Load
 from transport.protocol.scenario.sections.fault_sections import FaultSection
+from transport.protocol.scenario.sections.lockstep_and_realtime_section import first_tick
 from transport.protocol.scenario.sections.schema import Scenario
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Collection
 from collections.abc import Set as AbstractSet
 
-from transport.protocol.scenario.sections.clock_section import ClockSection
+from transport.protocol.scenario.sections.lockstep_and_realtime_section import ClockSection
 from transport.protocol.wire.messages import Plan
 from transport.protocol.wire.names import agent_names
 
@@ -157,7 +157,9 @@ class Clock:
         """
         return self.is_realtime and now_ns >= self._plant_ns + self._barrier_ns
 
-    def may_close(self, tick: int, missing: AbstractSet[int], now_ns: int, *, last: bool) -> bool:
+    def is_time_to_close(
+        self, tick: int, missing: AbstractSet[int], now_ns: int, *, last: bool
+    ) -> bool:
         """Return whether the open tick may be closed.
 
         In lockstep the last tick closes with its last answer.

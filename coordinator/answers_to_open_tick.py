@@ -3,8 +3,8 @@
 from collections.abc import Collection
 from collections.abc import Set as AbstractSet
 
-from transport.coordinator.clock import Clock
 from transport.coordinator.radio import TeamAir
+from transport.coordinator.when_ticks_open_and_close import Clock
 from transport.protocol.admission.plausibility import check_tick
 from transport.protocol.scenario.setup.run_rules import RunRules
 from transport.protocol.wire.messages import Plan, PlantState
@@ -58,7 +58,7 @@ class OpenTick:
         """Return whether all is here that the tick waits for, and the next one is due."""
         missing = self.missing(members)
         is_last = self.number + 1 == self._ticks
-        is_due = self._clock.may_close(self.number, missing, now_ns, last=is_last)
+        is_due = self._clock.is_time_to_close(self.number, missing, now_ns, last=is_last)
         return is_due and not self.lacks_state
 
     def wake_ns(self, members: AbstractSet[int]) -> int:
