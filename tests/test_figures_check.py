@@ -93,8 +93,16 @@ def test_a_renewed_table_is_right(docs: SimpleNamespace, short: Any) -> None:
     assert docs.figures.problems_of_pages([short]) == []
     for seed in range(3):
         assert docs.figures.problems_of_drawn([short], seed) == []
-    draws = {docs.figures.drawn(short, seed).text for seed in range(9)}
+    draws = {docs.figures.drawn(short, seed)[0].text for seed in range(9)}
     assert len(draws) == 2
+
+
+def test_several_runs_are_drawn_of_the_whole_table(docs: SimpleNamespace) -> None:
+    """Each once, large ones too; no more than there are."""
+    one = docs.figures.TABLES["latency"]()
+    runs = [task.text for task in docs.figures.drawn(one, 1, 6)]
+    assert len(set(runs)) == len(runs) == 6
+    assert len(docs.figures.drawn(one, 1, 1000)) == len(one.cases)
 
 
 def test_a_run_that_this_machine_cannot_repeat_is_not_drawn(
@@ -104,7 +112,7 @@ def test_a_run_that_this_machine_cannot_repeat_is_not_drawn(
     one = docs.figures.TABLES["firmware"]()
 
     def draws() -> set[str]:
-        tasks = [docs.figures.drawn(one, seed) for seed in range(30)]
+        tasks = [docs.figures.drawn(one, seed)[0] for seed in range(30)]
         return {task.case.scenario.plant.inner_loop for task in tasks}
 
     monkeypatch.setattr(docs.figures, "find_spec", lambda _: None)
@@ -136,7 +144,7 @@ def test_a_changed_kept_digit_is_told(docs: SimpleNamespace, short: Any) -> None
     docs.figures.put(short.document, "short", docs.figures.text_of(short, runs))
     assert docs.figures.problems_of_pages([short]) == []
 
-    seeds = {docs.figures.drawn(short, seed).text: seed for seed in range(9)}
+    seeds = {docs.figures.drawn(short, seed)[0].text: seed for seed in range(9)}
     (problem,) = docs.figures.problems_of_drawn([short], seeds.pop(changed.case))
     assert problem.startswith(f"short: {changed.case}, seed 0: cost_mean: kept ")
     (other,) = seeds.values()
