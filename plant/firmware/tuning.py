@@ -1,6 +1,7 @@
 """Settings of Betaflight with which body rates follow with the scenario's time constants."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,6 +29,7 @@ set rates_type = ACTUAL
 set simplified_pids_mode = OFF
 set min_check = {IDLE_THROTTLE_US}
 set motor_idle = {round(IDLE / _IDLE_UNIT)}""".splitlines()
+_ROTORS = 4  # of each UAV
 _AXES = ("roll", "pitch", "yaw")
 # Units of the firmware's gains, per deg/s, deg and deg/s^2 (its flight/pid.h), as shares of full
 # output.
@@ -40,7 +42,7 @@ _D = 0.000529e-3
 _INTEGRAL = 0.04
 _DERIVATIVE_S = 0.004
 _LARGEST_GAIN = 250
-# Least value of 1 - K d_s (`tuning`): below a time constant of 8 ms the gains do not grow further
+# Least value of 1 - K d_s (`AxisGains.of`): below a time constant of 8 ms the gains do not grow further
 # towards the pole at 4 ms.
 _LEAST_SHARE = 0.5
 # Ratio of drag moment to thrust of a rotor, over its arm, where the scenario names no rotors.
@@ -63,7 +65,7 @@ def _assumed_rotors(uav: Uav, uav_most_N: float) -> RotorsSection:
     return RotorsSection(
         arm_m=arm_m,
         drag_to_thrust_m=_DRAG_PER_ARM * arm_m,
-        thrust_N=(0.0, uav_most_N / 4.0),
+        thrust_N=(0.0, uav_most_N / _ROTORS),
     )
 
 
@@ -81,46 +83,71 @@ def largest_rates_rads(setup: PlantRun) -> Array:
     return np.radians([_RATE_UNIT_DEG_S * rate for rate in rate_settings(setup)])
 
 
-def tuning(setup: PlantRun, uav: Uav, section: RotorsSection, hover_thrust_N: float) -> list[str]:
-    """Return rates and gains with which body rates follow with the scenario's time constants.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxisGains:
+    """Gains of one axis, per rad/s of the error, per rad of its integral, and per rad/s^2 of the rate.
+
+    In shares of the full output.
+    """
+
+    p: float
+    i: float
+    d: float
+
+    @staticmethod
+    def of(time_constant_s: float, inertia_kgm2: float, moment_per_output_Nm: float) -> "AxisGains":
+        """Return the gains with which a body rate follows its command with a time constant.
+
+        A unit of the axis' output makes the moment b. With gains p of the error and d = d_s p of the measured rate,
+
+            J omega' = b (p (command - omega) - d omega')
+
+        is omega' = K (command - omega) with K = p b / (J + d b), so p = K J / (b (1 - K d_s)).
+        """
+        K = 1.0 / time_constant_s
+        share = max(1.0 - K * _DERIVATIVE_S, _LEAST_SHARE)
+        p = K * inertia_kgm2 / moment_per_output_Nm / share
+        return AxisGains(p=p, i=_INTEGRAL * K * p, d=_DERIVATIVE_S * p)
+
+    def settings(self, axis: str) -> dict[str, int]:
+        """Return the firmware's settings of an axis, which it takes in units of its own, per degree."""
+        by_name = {f"p_{axis}": (self.p, _P), f"i_{axis}": (self.i, _I), f"d_{axis}": (self.d, _D)}
+        # The firmware takes no larger gains; rates then follow more slowly.
+        return {
+            name: min(round(math.radians(gain) / unit), _LARGEST_GAIN)
+            for name, (gain, unit) in by_name.items()
+        }
+
+
+def moments_per_output_Nm(section: RotorsSection, hover_thrust_N: float) -> Array:
+    """Return the moments about roll, pitch and yaw that a unit of their outputs makes at hover, (3,), N m.
 
     The thrust of a rotor is T = T_max o^2 at an output o, so at hover
 
-        dT/do = 2 T_max o = 2 sqrt(T T_max),
-
-    and a unit of an axis' output makes the moment b = dT/do sum |mixing|. With gains p of the error
-    and d = d_s p of the measured rate,
-
-        J omega' = b (p (command - omega) - d omega')
-
-    is omega' = K (command - omega) with K = p b / (J + d b), so p = K J / (b (1 - K d_s)).
+        dT/do = 2 T_max o = 2 sqrt(T T_max),   b = dT/do sum |mixing|
     """
     rotor_most_N = section.thrust_N[1]
-    thrust_per_output_N = 2.0 * math.sqrt(hover_thrust_N / 4.0 * rotor_most_N)
-    mixing = Rotors(section).mixing
+    rotor_N = hover_thrust_N / _ROTORS
+    thrust_per_output_N = 2.0 * math.sqrt(rotor_N * rotor_most_N)
+    return np.asarray(thrust_per_output_N * np.abs(Rotors(section).mixing[1:]).sum(axis=1))
+
+
+def tuning(setup: PlantRun, uav: Uav, section: RotorsSection, hover_thrust_N: float) -> list[str]:
+    """Return the lines of rates and gains with which body rates follow with the scenario's time constants."""
+    moments_Nm = moments_per_output_Nm(section, hover_thrust_N)
+    time_constants_s = setup.run.settings.rate_time_constant_s
     rates = rate_settings(setup)
 
     lines = []
     for axis, name in enumerate(_AXES):
-        moment_per_output_Nm = thrust_per_output_N * np.abs(mixing[1 + axis]).sum()
-        K = 1.0 / setup.run.settings.rate_time_constant_s[axis]  # 1/s
-        share = max(1.0 - K * _DERIVATIVE_S, _LEAST_SHARE)
-        p = K * uav.inertia[axis, axis] / moment_per_output_Nm / share
-        p_degrees = math.radians(p)
-
-        gains = {
-            f"p_{name}": p_degrees / _P,
-            f"i_{name}": _INTEGRAL * K * p_degrees / _I,
-            f"d_{name}": _DERIVATIVE_S * p_degrees / _D,
-        }
+        gains = AxisGains.of(time_constants_s[axis], uav.inertia[axis, axis], moments_Nm[axis])
         given = {
             f"{name}_rc_rate": rates[axis],
             f"{name}_srate": rates[axis],
-            f"{name}_expo": 0,
-            f"f_{name}": 0,
-            # The firmware takes no larger gains; rates then follow more slowly.
-            **{key: min(round(gain), _LARGEST_GAIN) for key, gain in gains.items()},
-            f"d_max_{name}": 0,
+            f"{name}_expo": 0,  # rates in proportion to the stick
+            f"f_{name}": 0,  # without feedforward
+            **gains.settings(name),
+            f"d_max_{name}": 0,  # the derivative gain does not grow in quick turns
         }
         lines += [f"set {key} = {value}" for key, value in given.items()]
     return lines
