@@ -2,12 +2,9 @@
 
 from benchmarks.radio.cases import PERIOD_NS, Case, end_ns, sends
 from benchmarks.radio.reference import Arrivals
+from transport.protocol.radio.channel_settings_and_state import ChannelParameters, ChannelState
 from transport.protocol.radio.frames import Frame, FrameResult
-from transport.protocol.radio.medium_access_and_retries import (
-    Channel,
-    ChannelParameters,
-    ChannelState,
-)
+from transport.protocol.radio.medium_access_and_retries import Channel
 from transport.protocol.radio.propagation import Propagation, milliwatts, noise_mw, ratio
 from transport.protocol.radio.standards_80211 import STANDARDS
 

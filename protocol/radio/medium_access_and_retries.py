@@ -16,109 +16,34 @@ at once (`_is_next`), with the same result.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
-from typing import NamedTuple
 
+from transport.protocol.radio.channel_settings_and_state import (
+    ACKNOWLEDGE,
+    ATTEMPT,
+    DETECT,
+    END,
+    SEND,
+    TIMEOUT,
+    ChannelCounts,
+    ChannelParameters,
+    ChannelState,
+    Event,
+    Thresholds,
+)
 from transport.protocol.radio.frames import (
     Frame,
     FrameOutcome,
     FrameResult,
     Powers,
     Transmission,
-    at_least,
     enter,
     members,
     sensed_until,
 )
-from transport.protocol.radio.radio_random_numbers import uniform
-from transport.protocol.radio.reception import CERTAIN_MARGIN, Interference, Signal, success
-from transport.protocol.radio.standards_80211 import ACK_BYTES, OVERHEAD_BYTES, Standard
+from transport.protocol.radio.payload_decoding import Decoding
+from transport.protocol.radio.standards_80211 import ACK_BYTES, OVERHEAD_BYTES
 from transport.protocol.radio.station_queue import BROADCAST, NEVER, Pending, Station
-
-# Kinds of events, in their order within an instant.
-_END, _DETECT, _TIMEOUT, _ACKNOWLEDGE, _SEND, _ATTEMPT = range(6)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChannelParameters:
-    """Settings of the channel. Powers in mW, ratios of powers without unit."""
-
-    standard: Standard
-    rate_mbps: float
-    unicast: bool = False
-    queue_length: int = 10  # frames of one station, with the one on the air
-    attempts: int = 7  # most transmissions of a unicast frame
-    noise_mw: float
-    sensitivity_mw: float  # a weaker preamble is not detected
-    carrier_sense_mw: float  # total power from which the medium is busy without a detected preamble
-    # Signal over noise and interference that detection needs, 4 dB.
-    preamble_ratio: float = 2.5118864315095797
-    interrupted_wait_draws: bool = True  # docs/record/radio.md, frames at an idle medium
-    seed: int = 0
-
-    def required_ratio(self, rate_mbps: float) -> float:
-        """Return the ratio of signal over noise and interference that a rate requires."""
-        return float(10.0 ** (self.standard.required_sinr_db[rate_mbps] / 10.0))
-
-    def thresholds(self) -> "Thresholds":
-        """Return the ratios and powers that decide receptions; they are the same in all windows."""
-        acknowledgement_mbps = self.standard.acknowledgement_rate_mbps(self.rate_mbps)
-        ratio = self.required_ratio(self.rate_mbps)
-        acknowledgement_ratio = self.required_ratio(acknowledgement_mbps)
-        highest_ratio = max(ratio, acknowledgement_ratio)
-        return Thresholds(
-            ratio=ratio,
-            acknowledgement_ratio=acknowledgement_ratio,
-            detected_mw=max(self.sensitivity_mw, self.preamble_ratio * self.noise_mw),
-            certain_mw=CERTAIN_MARGIN * highest_ratio * self.noise_mw,
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Thresholds:
-    """Ratios of signal over noise and interference, and powers on an idle channel, mW."""
-
-    ratio: float  # required by data
-    acknowledgement_ratio: float  # required by acknowledgements
-    detected_mw: float  # from which a preamble is detected
-    certain_mw: float  # from which a payload is certainly decoded
-
-
-class Event(NamedTuple):
-    """Something that happens at an instant; those of one instant in the order of these fields."""
-
-    time_ns: int
-    kind: int
-    station: int
-    # Of the frame sent, of the attempt that times out, or the station to acknowledge.
-    number: int = 0
-    frame: Frame | None = None
-
-
-@dataclass(slots=True)
-class ChannelCounts:
-    """What happened in a window of time."""
-
-    transmissions: int = 0  # of data frames
-    repetitions: int = 0  # those after the first of a unicast frame
-    acknowledgements: int = 0
-    busy_ns: int = 0  # time in which at least one station transmits
-
-
-@dataclass(frozen=True, slots=True)
-class ChannelState:
-    """Queues, backoffs and transmissions in progress, carried from one window to the next."""
-
-    stations: tuple[Station, ...]
-    air: tuple[Transmission, ...] = ()
-    events: tuple[Event, ...] = ()
-    time_ns: int = 0
-
-    @classmethod
-    def idle(cls, stations: int, standard: Standard) -> "ChannelState":
-        """Return the state of a channel that has been idle."""
-        return cls(tuple([Station.idle(number, standard) for number in range(stations)]))
 
 
 class _Window:
@@ -134,7 +59,6 @@ class _Window:
         near: bool,
     ) -> None:
         self._parameters = parameters
-        self._thresholds = thresholds
         self._standard = parameters.standard
         self._powers = powers
         self.stations = [station.copy() for station in state.stations]
@@ -149,12 +73,7 @@ class _Window:
         self._seed = parameters.seed
         self._redraw_seed = parameters.seed if parameters.interrupted_wait_draws else None
 
-        # On an idle channel: stations that detect a sender, and that certainly decode its payload.
-        others = [self._everyone & ~(1 << number) for number in range(len(self.stations))]
-        self._detecting = self._certain = others
-        if not near:
-            self._detecting = [at_least(thresholds.detected_mw, row) for row in powers]
-            self._certain = [at_least(thresholds.certain_mw, row) for row in powers]
+        self._decoding = Decoding(parameters, thresholds, powers, len(self.stations), near=near)
         self._is_shared_by_all = near and not parameters.unicast
 
     def run(self, frames: Iterable[Frame], until_ns: int) -> None:
@@ -162,22 +81,22 @@ class _Window:
         self._until_ns = until_ns
         events = self.events
         events.extend(
-            [Event(frame.sent_ns, _SEND, frame.sender, frame.sequence, frame) for frame in frames]
+            [Event(frame.sent_ns, SEND, frame.sender, frame.sequence, frame) for frame in frames]
         )
         heapify(events)
 
         while events and events[0].time_ns < until_ns:
             event = heappop(events)
             now = event.time_ns
-            if event.kind == _ATTEMPT:
+            if event.kind == ATTEMPT:
                 self._attempt(self.stations[event.station], now)
-            elif event.kind == _DETECT:
+            elif event.kind == DETECT:
                 self._detect(self._transmission_of(event.station), now)
-            elif event.kind == _END:
+            elif event.kind == END:
                 self._end(self._transmission_of(event.station), now)
-            elif event.kind == _ACKNOWLEDGE:
+            elif event.kind == ACKNOWLEDGE:
                 self._acknowledge(self.stations[event.station], event.number, now)
-            elif event.kind == _TIMEOUT:
+            elif event.kind == TIMEOUT:
                 self._time_out(self.stations[event.station], event.number, now)
             elif event.frame is not None:
                 self._send(self.stations[event.station], event.frame, now)
@@ -249,7 +168,7 @@ class _Window:
         due = station.due()
         if due < station.attempt_ns:
             station.attempt_ns = due
-            heappush(self.events, Event(due, _ATTEMPT, station.number))
+            heappush(self.events, Event(due, ATTEMPT, station.number))
 
     def _attempt(self, station: Station, now: int) -> None:
         """Transmit if the backoff has ended; try again at its new end if it was frozen."""
@@ -312,8 +231,8 @@ class _Window:
             self._detect(new, detected_ns)
             self._end(new, new.end_ns)
             return
-        heappush(self.events, Event(detected_ns, _DETECT, new.sender))
-        heappush(self.events, Event(new.end_ns, _END, new.sender))
+        heappush(self.events, Event(detected_ns, DETECT, new.sender))
+        heappush(self.events, Event(new.end_ns, END, new.sender))
 
     def _is_next(self, time_ns: int) -> bool:
         """Return whether an instant is in this window, and before all events that are known."""
@@ -329,7 +248,7 @@ class _Window:
             for number in members(candidates):
                 self._detect_among_others(transmission, number, now)
         else:
-            locked = candidates & self._detecting[transmission.sender]
+            locked = candidates & self._decoding.detecting[transmission.sender]
             self._lock(transmission, locked, now)
             for number in members(candidates & ~locked):
                 self._sense_power(number, now)
@@ -352,7 +271,7 @@ class _Window:
         stands_out = power >= self._parameters.preamble_ratio * (
             self._parameters.noise_mw + others_mw
         )
-        if stands_out and self._detecting[transmission.sender] & station:
+        if stands_out and self._decoding.detecting[transmission.sender] & station:
             for rival in rivals:
                 rival.candidates &= ~station
             self._lock(transmission, station, now)
@@ -380,7 +299,7 @@ class _Window:
         if not self.air:
             self.counts.busy_ns += now - self._busy_from
 
-        decoded = self._decoded(transmission)
+        decoded = self._decoding.decoded(transmission)
         for number in members(transmission.locked & ~decoded):
             self.stations[number].error_until = now + self._standard.eifs_extra_ns
         if self.air:
@@ -396,48 +315,6 @@ class _Window:
         else:
             self._end_unicast(sender, decoded, now)
 
-    def _decoded(self, transmission: Transmission) -> int:
-        """Return the stations that decode the payload."""
-        uncertain = transmission.locked
-        if not transmission.overlaps:
-            uncertain &= ~self._certain[transmission.sender]
-        decoded = transmission.locked & ~uncertain
-        for number in members(uncertain):
-            if self._payload_draw(transmission, number) < self._payload_success(
-                transmission, number
-            ):
-                decoded |= 1 << number
-        return decoded
-
-    def _payload_draw(self, transmission: Transmission, number: int) -> float:
-        """Return the random number of a transmission at a receiver; no other one changes it."""
-        return uniform(self._seed, transmission.sender, f"payload at {number}", transmission.number)
-
-    def _payload_success(
-        self, transmission: Transmission, number: int, *, alone: bool = False
-    ) -> float:
-        """Return the probability that a locked station decodes the payload."""
-        ratio = self._required_ratio(transmission)
-        signal = Signal(
-            transmission.start_ns,
-            transmission.end_ns,
-            transmission.frame_bytes,
-            self._powers[transmission.sender][number],
-            ratio * self._parameters.noise_mw,
-            ratio,
-        )
-        interference = [
-            Interference(other.start_ns, other.end_ns, self._powers[other.sender][number])
-            for other in transmission.overlaps
-            if not alone
-        ]
-        return success(signal, interference)
-
-    def _required_ratio(self, transmission: Transmission) -> float:
-        if transmission.acknowledged < 0:
-            return self._thresholds.ratio
-        return self._thresholds.acknowledgement_ratio
-
     def _end_broadcast(
         self, sender: Station, transmission: Transmission, decoded: int, now: int
     ) -> None:
@@ -445,21 +322,10 @@ class _Window:
         for receiver in frame.receivers:
             result = FrameResult.DELIVERED
             if not decoded >> receiver & 1:
-                is_weak = self._is_weak(transmission, receiver)
+                is_weak = self._decoding.is_weak(transmission, receiver)
                 result = FrameResult.WEAK if is_weak else FrameResult.COLLISION
             self.outcomes.append(FrameOutcome(frame, receiver, result, now))
         self._release(sender, now)
-
-    def _is_weak(self, transmission: Transmission, number: int) -> bool:
-        """Return whether a lost transmission would have been lost on an idle channel as well."""
-        station = 1 << number
-        if not self._detecting[transmission.sender] & station:
-            return True
-        if self._certain[transmission.sender] & station:
-            return False
-        return self._payload_draw(transmission, number) >= self._payload_success(
-            transmission, number, alone=True
-        )
 
     def _end_unicast(self, sender: Station, decoded: int, now: int) -> None:
         """Let the receiver acknowledge; all others that decoded the frame keep quiet meanwhile."""
@@ -479,12 +345,12 @@ class _Window:
                 )
                 sender.queue[0] = pending._replace(delivered=True)
             acknowledgement = Event(
-                now + standard.sifs_ns, _ACKNOWLEDGE, pending.receiver, sender.number
+                now + standard.sifs_ns, ACKNOWLEDGE, pending.receiver, sender.number
             )
             heappush(self.events, acknowledgement)
 
         timeout_ns = now + standard.sifs_ns + standard.slot_ns + standard.preamble_ns
-        heappush(self.events, Event(timeout_ns, _TIMEOUT, sender.number, pending.attempts))
+        heappush(self.events, Event(timeout_ns, TIMEOUT, sender.number, pending.attempts))
 
     def _time_out(self, station: Station, attempt: int, now: int) -> None:
         """Conclude that no acknowledgement comes, unless one may be on its way."""
@@ -493,7 +359,7 @@ class _Window:
         pending = station.queue[0]
         receiving = [other.end_ns for other in self.air if other.locked >> station.number & 1]
         if receiving:
-            heappush(self.events, Event(receiving[0], _TIMEOUT, station.number, attempt))
+            heappush(self.events, Event(receiving[0], TIMEOUT, station.number, attempt))
             return
         if attempt < self._parameters.attempts:
             station.window = min(2 * station.window + 1, self._standard.cw_max)

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from transport.model.state import INPUTS, PER_UAV, REPORTED, REPORTS
-from transport.protocol.radio.medium_access_and_retries import ChannelParameters
+from transport.protocol.radio.channel_settings_and_state import ChannelParameters
 from transport.protocol.radio.propagation import Propagation, milliwatts, noise_mw, ratio
 from transport.protocol.radio.send_times import SendTimes
 from transport.protocol.radio.slot_length import fewest_periods, frame_lengths, occupied_ns

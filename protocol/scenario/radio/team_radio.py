@@ -19,8 +19,9 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.radio.background_traffic import Background, BackgroundState
+from transport.protocol.radio.channel_settings_and_state import ChannelState
 from transport.protocol.radio.frames import Frame, FrameOutcome, FrameResult
-from transport.protocol.radio.medium_access_and_retries import Channel, ChannelState
+from transport.protocol.radio.medium_access_and_retries import Channel
 from transport.protocol.radio.propagation import Powers, PowersWhenNeeded, milliwatts
 from transport.protocol.radio.slot_length import frame_lengths
 from transport.protocol.radio.standards_80211 import STANDARDS

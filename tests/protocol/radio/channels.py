@@ -3,13 +3,13 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from transport.protocol.radio.frames import Frame, FrameOutcome
-from transport.protocol.radio.medium_access_and_retries import (
-    Channel,
+from transport.protocol.radio.channel_settings_and_state import (
     ChannelCounts,
     ChannelParameters,
     ChannelState,
 )
+from transport.protocol.radio.frames import Frame, FrameOutcome
+from transport.protocol.radio.medium_access_and_retries import Channel
 from transport.protocol.radio.standards_80211 import OFDM
 
 MS = 1_000_000

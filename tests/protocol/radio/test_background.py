@@ -6,8 +6,9 @@ import pytest
 
 from tests.protocol.radio.channels import MS, NEAR_MW, broadcast, equal_powers, parameters
 from transport.protocol.radio.background_traffic import Background, BackgroundState
+from transport.protocol.radio.channel_settings_and_state import ChannelState
 from transport.protocol.radio.frames import Frame, FrameResult
-from transport.protocol.radio.medium_access_and_retries import Channel, ChannelState
+from transport.protocol.radio.medium_access_and_retries import Channel
 from transport.protocol.radio.standards_80211 import OFDM
 
 PERIOD_NS = 50 * MS

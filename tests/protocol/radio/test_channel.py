@@ -16,8 +16,9 @@ from tests.protocol.radio.channels import (
     parameters,
     run,
 )
+from transport.protocol.radio.channel_settings_and_state import ChannelState
 from transport.protocol.radio.frames import Frame, FrameOutcome, FrameResult
-from transport.protocol.radio.medium_access_and_retries import Channel, ChannelState
+from transport.protocol.radio.medium_access_and_retries import Channel
 from transport.protocol.radio.standards_80211 import OFDM
 
 AIRTIME_NS = OFDM.message_airtime_ns(1500, 6.0)
