@@ -19,7 +19,7 @@ from transport.model.arrays import Array
 from transport.model.state import R0
 from transport.protocol.wire.errors_and_exit_codes import TransportError
 from transport.report.drawn_parts import UP, draw_parts, frame, line
-from transport.report.figures.style import COMPONENTS, RC, REFERENCE, scale_cost, shade_phases
+from transport.report.figures.style import RC, REFERENCE, scale_cost, shade_phases
 from transport.scene.drawing import Drawing
 from transport.scene.scene import Scene, SceneBuilder
 
@@ -172,7 +172,7 @@ def _set_above(axes: Axes) -> None:
     axes.set(aspect="equal", xticks=[], yticks=[])
     axes.spines[["top", "right"]].set_visible(True)
     axes.set_title(
-        "from above, with predicted paths\nlinks grey: fresh, orange: delayed, black: no plan"
+        "from above, with predicted paths\nlinks: grey if fresh, yellow if late, black without plan"
     )
 
 
@@ -185,9 +185,7 @@ def _draw_cost(axes: Axes, series: Series) -> None:
 
 
 def _draw_attitude(axes: Axes, series: Series) -> None:
-    """Draw the attitude of the payload over the whole run."""
-    axes.set(xlabel="time (s)", ylabel="attitude\n(deg)")
-    for k, name in enumerate(("roll", "pitch", "yaw")):
-        colour = COMPONENTS[k]
-        axes.plot(series.times_s, series.attitude_deg[:, k], color=colour)
-        axes.text(0.11 * k, 1.0, name, color=colour, va="bottom", transform=axes.transAxes)
+    """Draw the largest angle of the payload over the whole run, in black: colours are those of UAVs and links."""
+    axes.set(xlabel="time (s)", ylabel="payload's\nangle (deg)")
+    axes.plot(series.times_s, np.abs(series.attitude_deg).max(axis=1), color="#000000")
+    axes.set_ylim(bottom=0.0)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection  # type: ignore[import-untyped]
 
@@ -15,6 +16,9 @@ from transport.scene.parts import Label, LineSegments, Mesh, Part, Pose
 UP = np.array([1.0, 1.0, -1.0])  # z points down in the data and up on paper
 BRIGHTEST = 255.0
 _FLAT_OPACITY = 0.2  # of meshes from above, so that nothing is hidden
+# Names stand above all lines, in a white rim of so many points.
+_ABOVE_LINES = 5
+_RIM_PT = 2.0
 # Margin about the points as a share of the longest axis, and m.
 _MARGIN = 0.05
 _MARGIN_M = 0.1
@@ -121,8 +125,10 @@ def _draw_label(axes: Any, label: Label, pose: Pose) -> Any:
     """Draw a text beside its frame, in inertial directions: a heading does not turn it; return it."""
     x, y, _ = label.position + pose[0]
     colour = np.array(label.colour) / BRIGHTEST
-    style = {"fontsize": 8.0, "color": colour, "weight": "bold"}
-    return axes.text(x, y, label.text, ha="center", va="center", **style)
+    style = {"fontsize": 8.0, "color": colour, "weight": "bold", "zorder": _ABOVE_LINES}
+    text = axes.text(x, y, label.text, ha="center", va="center", **style)
+    text.set_path_effects([withStroke(linewidth=_RIM_PT, foreground="#ffffff")])
+    return text
 
 
 def _draw_flat(axes: Any, collected: _Collected) -> list[Any]:

@@ -235,3 +235,13 @@ def test_controllers_stand_beside_each_other_and_one_without_network_is_a_line()
     assert ([0.92], [0.93]) in lines  # of the height of the panel
     assert 0.1 / panel.get_ylim()[1] < 0.85
     assert ([0.0, 1.0], [0.1, 0.1]) in lines  # over the whole width
+
+
+def test_a_class_named_as_a_scenario_has_its_file_in_the_arena() -> None:
+    """Alone of alone.py is another algorithm than the scenario alone; other classes have their name alone."""
+    figure = Figure()
+    names = ("alone", "alone:Alone", "admm:ADMM")
+    draw_arena(figure, [flown("perfect", name, RUNS, 0.1) for name in names])
+    (panel,) = figure.axes
+    shown = [label.get_text() for label in panel.get_xticklabels()]
+    assert shown == ["alone", "alone:Alone", "ADMM"]

@@ -192,8 +192,8 @@ def _matrix(
 ) -> Axes:
     """Return the panel of an empty figure: a row for each task, a column for each algorithm."""
     tasks = [str(task) for task in values_of(measured, "task")]
-    algorithms = values_of(measured, "algorithm")
-    names = [str(name).rpartition(":")[2] for name in algorithms]
+    algorithms = [str(name) for name in values_of(measured, "algorithm")]
+    names = _short(algorithms)
     slant = math.sin(math.radians(_SLANT_DEG))
     room = Room(
         left_in=max(map(text_width_in, tasks)) + _BESIDE_NAME_IN,
@@ -230,3 +230,12 @@ def _places(
         column = algorithms.index(labels["algorithm"]) + right
         row = tasks.index(labels["task"]) + below
         yield one, (column, row)
+
+
+def _short(algorithms: Sequence[str]) -> list[str]:
+    """Return the names of algorithms: that of a class without its file, unless a scenario is named alike."""
+    scenarios = {name.casefold() for name in algorithms if ":" not in name}
+    return [
+        name if (short := name.rpartition(":")[2]).casefold() in scenarios else short
+        for name in algorithms
+    ]
