@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from measured_pages import AGILE, RESULTS
+from measured_results import AGILE, RESULTS
 from simulations import interval, values
 from tables import completed_of, table
 

@@ -135,6 +135,14 @@ def unless_diverged(*cells: Cell) -> Cell:
 COST = cell("cost_mean")
 ATTITUDE = cell("attitude_max_deg", "{:.1f} deg", of=np.max)
 
+# Settings of several tables: impaired networks, errors of the model, the other engine.
+LATE = ("links.delay_s=0.2", "links.loss=0.3")
+IMPAIRED = ("links.delay_s=0.1", "links.loss=0.3")
+ESTIMATE = "controller.disturbance.estimate=true"
+HEAVIER = "plant.payload_mass_factor"
+UNKNOWN_DRAG = "controller.knows_drag=false"
+MUJOCO, CABLES = "plant.engine=mujoco", "plant.mujoco.suspension=cables"
+
 
 def events(*given: tuple[float, str, str]) -> tuple[str, ...]:
     """Return the settings of faults, each with its time, action and target, after which the run goes on."""
@@ -171,15 +179,13 @@ def cases_of_run(index: int, run: Run) -> list[Case]:
 
 
 def _text(shown: Table, found: Mapping[Run, Flown]) -> str:
+    """Return a table in Markdown from the results of its runs."""
     lines = []
     for key, runs in shown.rows.items():
-        results = [run and found[run] for run in runs]
-        lines.append(
-            [
-                *([key] if isinstance(key, str) else key),
-                *(cell(*results) for cell in shown.columns.values()),
-            ]
-        )
+        first = [key] if isinstance(key, str) else [*key]
+        results = [None if run is None else found[run] for run in runs]
+        others = [text_of(*results) for text_of in shown.columns.values()]
+        lines.append([*first, *others])
     return table([*shown.first, *shown.columns], lines)
 
 

@@ -327,3 +327,26 @@ def test_counts_have_the_exact_interval(
 ) -> None:
     """The ends are the shares at which so many, or so few, completed runs have the probability 2.5 %."""
     assert import_module("tables").completed_of(completed, runs) == text
+
+
+@pytest.mark.parametrize(
+    ("costs", "text"),
+    [
+        ((1.0, 1.05, 0.95), "**1.050, 0.950**"),
+        ((2.0, 2.004, 1.9), "1.002, 0.950"),  # not worse: within half a percent
+        ((1.0, 1.2, 0.95), "1.200, 0.950"),  # worse by more than a tenth
+        ((1.0, 1.05, 1.01), "1.050, 1.010"),  # not better at the same computation
+        ((1.0, None, 0.95), "diverges, 0.950"),
+    ],
+)
+def test_a_point_of_the_claims_is_bold_where_both_hold(
+    docs: SimpleNamespace, costs: tuple[float | None, ...], text: str
+) -> None:
+    """Slightly worse at the same rate, and slightly better at the same computation; the second horizon's runs."""
+    runs = [(3.0, 3.0, 3.0), costs]
+    results = [
+        [Result(key="", outcome="diverged" if cost is None else "completed", reason="", numbers={"cost_mean": cost})]
+        for of_horizon in runs
+        for cost in of_horizon
+    ]  # fmt: skip
+    assert import_module("measured_results").ratios(1, *results) == text

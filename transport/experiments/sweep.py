@@ -77,6 +77,10 @@ class Results:
         """Return the result of a simulated case."""
         return self._by_key[key]
 
+    def __contains__(self, key: str) -> bool:
+        """Return whether a case has a result, perhaps an error."""
+        return key in self._by_key
+
     def done(self, key: str) -> bool:
         """Return whether a case has a result other than an error."""
         return key in self._by_key and self._by_key[key].outcome != ERROR
