@@ -2,7 +2,7 @@
 
     SILENT    the autopilot has not been heard                --its sign of life--> CHECKING
     CHECKING  its parameters, estimate, place, battery        --all fit, armed--> READY
-    READY     the autopilot hovers by itself, or stands       --tick 0--> FLYING
+    READY     it hovers by itself, or could from its stand     --tick 0--> FLYING
     FLYING    measures at each tick, and obeys its agent      --end of the run, or off its rod--> RELEASED
     RELEASED  the autopilot holds its place or lands, by itself
 
@@ -45,6 +45,7 @@ from transport.vehicle.setpoints import BEFORE_ANY_PLAN, NONE, OWN_LAW, Plans
 
 # Weight of the newest thrust in the mean thrust of a hover: the mean is over about a second of turns.
 _FRESH = 0.02
+_CARRIES = 0.95  # share of the thrust of hover from which on the UAV may leave its stand
 _TURN_NS = 20_000_000  # time between two turns before tick 0, ns of wall time
 _TELL_NS = 200_000_000  # time between two statuses there and after the flight, ns of wall time
 _NO_PLACE = np.zeros(3)
@@ -106,6 +107,7 @@ class VehicleNode(Participant):
         fail_safe = setup.whole_team().law.fail_safe
         self._plans_in_force = Plans(fail_safe.played(setup.settings.horizon, self._period_s))
         self._hover: Array = setup.hover.u[state.input_slice(uav - 1)]
+        self._largest_N = self._vehicles.thrust_N or setup.settings.limits.thrust_N[1]
         self._setup = setup
         super().__init__(setup.rules, vehicle_name(uav), incarnation, after=1)
 
@@ -224,14 +226,14 @@ class VehicleNode(Participant):
         self._problem = self._lacks(told)
         self.phase = VehiclePhase.SILENT if told is None else VehiclePhase.CHECKING
         if told is not None and not self._problem:
-            is_up = told.armed and told.takes_setpoints
-            self.phase = VehiclePhase.READY if is_up else VehiclePhase.CHECKING
-            if not is_up:
+            if not (told.armed and told.takes_setpoints):
                 self._problem = (
                     f"not armed in the mode of setpoints: {told.mode} {told.says}".strip()
                 )
-            if self._stands and is_up:
+            elif self._stands:
                 self._autopilot.command(float(self._hover[0]), np.zeros(3), 0.0)
+                self._problem = self._rising(told)
+            self.phase = VehiclePhase.CHECKING if self._problem else VehiclePhase.READY
 
         self._wakes_ns = now_ns + _TURN_NS
         if self._ticking is not None:
@@ -265,8 +267,7 @@ class VehicleNode(Participant):
             return ""
         if told.thrust < 0.0:
             return "the autopilot does not tell its thrust (ATTITUDE_TARGET)"
-        largest_N = self._vehicles.thrust_N or self._setup.settings.limits.thrust_N[1]
-        thrust_N = told.thrust * largest_N
+        thrust_N = told.thrust * self._largest_N
         before_N = thrust_N if self._hover_N is None else self._hover_N
         self._hover_N = before_N + _FRESH * (thrust_N - before_N)
 
@@ -277,6 +278,14 @@ class VehicleNode(Participant):
         why = "as it carries itself and its part of the load"
         got = f"got {self._hover_N:.1f} N; see masses, vehicles.thrust_N and the curve of throttle"
         return f"thrust of its hover: {expected}, {why}, {got}"
+
+    def _rising(self, told: AutopilotState) -> str:
+        """Return that the thrust on the stand does not carry the UAV yet, empty if it does or is not told."""
+        carried_N = told.thrust * self._largest_N
+        weight_N = float(self._hover[0])
+        if told.thrust < 0.0 or carried_N >= _CARRIES * weight_N:
+            return ""
+        return f"its motors are on their way: {carried_N:.1f} N of {weight_N:.1f} N"
 
     def _fly(self, told: AutopilotState | None, ticking: Ticking, now_ns: int) -> Sequence[Message]:
         """Measure at a tick that has come, and send a setpoint that is due."""

@@ -1,4 +1,4 @@
-"""A stand-in autopilot on a bench: its process, with physics that hold it at a place, level."""
+"""An autopilot on a bench: its process, with physics that hold it at a place, level."""
 
 import socket
 import struct

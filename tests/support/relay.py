@@ -3,6 +3,7 @@
 import select
 import socket
 import threading
+import time
 from types import TracebackType
 from typing import Any
 
@@ -18,10 +19,14 @@ class Relay:
 
     Attributes:
         silent: UAVs, 1-based, whose links carry nothing now.
+        setpoints: For each UAV, of each setpoint that was passed on: the time of its arrival, s of a steady
+            clock, and that of the knowledge it is by, s of the run.
     """
 
     def __init__(self, uavs: int, inner: int, outer: int) -> None:
         self.silent: set[int] = set()
+        self.setpoints: dict[int, list[tuple[float, float]]] = {i + 1: [] for i in range(uavs)}
+        self._reads = messages().MAVLink(None)
         self._inner = [socket.socket(type=socket.SOCK_DGRAM) for _ in range(uavs)]
         self._outer = [socket.socket(type=socket.SOCK_DGRAM) for _ in range(uavs)]
         self._autopilots: dict[int, Any] = {}  # address by UAV
@@ -71,4 +76,12 @@ class Relay:
                 if is_inner:
                     self._outer[i].sendto(data, (_LOCAL, self._first + i))
                 elif i + 1 in self._autopilots:
+                    self._note(i + 1, data)
                     self._inner[i].sendto(data, self._autopilots[i + 1])
+
+    def _note(self, uav: int, data: bytes) -> None:
+        """Keep a setpoint of the run that is passed on to the autopilot of a UAV."""
+        if int.from_bytes(data[7:10], "little") != messages().MAVLINK_MSG_ID_SET_ATTITUDE_TARGET:
+            return
+        known_s = self._reads.decode(bytearray(data)).time_boot_ms / 1e3
+        self.setpoints[uav].append((time.monotonic(), known_s))

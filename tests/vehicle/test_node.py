@@ -370,9 +370,15 @@ def test_on_a_stand_it_arms_and_lifts() -> None:
     run.autopilot.commands.clear()
     run.until(-1.3)
     assert run.autopilot.commands == []
-    run.autopilot.told = replace(run.autopilot.told, armed=True)
+    # ArduCopter takes two seconds from arming to thrust.
+    run.autopilot.told = replace(run.autopilot.told, armed=True, thrust=0.0)
     run.until(-1.0)
     assert {c[1] for c in run.autopilot.commands} == {run.setup.hover.u[4]}
+    assert run.statuses()[-1].phase == "checking"
+    assert "0.0 N of 27.0 N" in run.statuses()[-1].problem
+    run.autopilot.told = replace(run.autopilot.told, thrust=0.79)
+    run.until(-0.5)
+    assert run.statuses()[-1].phase == "ready"
 
 
 def test_without_a_stand_it_leaves_the_hover_to_the_autopilot() -> None:
