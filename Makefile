@@ -9,6 +9,8 @@ MARK ?= not slow
 WORKERS := --numprocesses 3 --dist loadfile --no-loadscope-reorder
 # Empty means unset: each process of a run would otherwise compile all sources again.
 export PYTHONDONTWRITEBYTECODE :=
+# uv compiles all files of packages when it installs them, on all processors.
+export UV_COMPILE_BYTECODE ?= 1
 
 .PHONY: run test test-slow test-pages test-firmware test-all campaigns bench figures figures-check arena archive docs reference lint format lock audit licences clean help
 
@@ -117,7 +119,7 @@ define install
 	@echo "installing payload-transport$(1) into $(VENV)"
 	@PATH="$$PATH:$(CURDIR)/$(BIN)"; \
 	if ! { command -v uv >/dev/null 2>&1 \
-		&& uv pip install --quiet --compile-bytecode --python $(BIN)/python --editable '.$(1)'; }; then \
+		&& uv pip install --quiet --python $(BIN)/python --editable '.$(1)'; }; then \
 		$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip >/dev/null; \
 		$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.$(1)'; \
 	fi

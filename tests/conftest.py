@@ -42,8 +42,8 @@ FIRST = (
     "test_mujoco",
     "test_worst",
 )
-# Tests of a minute in real time, mostly waiting: a worker takes them apart from the others of their file.
-APART = ("test_each_failure_is_handled", "test_ten_seconds_without_a_coordinator")
+# A test of a minute in real time, mostly waiting: a worker takes it apart from the others of its file.
+APART = ("test_each_failure_is_handled",)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
