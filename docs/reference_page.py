@@ -8,6 +8,7 @@ comment.
 
 import json
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, get_args, get_origin
 
@@ -43,55 +44,63 @@ _LEFT_OUT = re.compile(
     r"|\*\*(?:Arguments|Options)\*\*:\n+|^\* `--help`: .*\n|^Example: .*\n(?:\S.*\n)*",
     re.MULTILINE,
 )
+_SEVERAL = 3  # commands with the same option, from which on it is listed once
 _MOST = 10  # commands that are named one by one
+_BLANKS = re.compile(r"\n{3,}")
+_TAG = re.compile(r"(?<! )<(?=[a-z])")  # that a page in Markdown would take for one of HTML
 _READY = re.compile(r", or name: [\w, ]+\.")  # names of ready scenarios, which docs/scenario.md has
 _OPTION = re.compile(r"^\* `--.*$", re.MULTILINE)
 _LIST = re.compile(r"(<!-- keys of (\S+) -->\n).*?(\n<!-- end of keys -->)", re.DOTALL)
 _NOUNS = {int: "integer", float: "number", str: "text", bool: "true, false"}
+_LARGE = 10_000
 _SIGNS = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
 
 
 def commands_page() -> str:
     """Return the page of commands: options that several share, then each command."""
+    described = _descriptions()
+    shared = dict(sorted(_shared(described).items()))
+    lists = [f"{line} ({', '.join(names)})" if names else line for line, names in shared.items()]
+    parts = [_COMMANDS_HEAD, "## Shared options\n\n" + "\n".join(lists)]
+    for name, description in described.items():
+        parts.append(f"## `{name}`\n\n{_with_shared(description, shared)}")
+    return "\n\n".join(parts).rstrip() + "\n"
+
+
+def _descriptions() -> dict[str, str]:
+    """Return the help of each command in Markdown, by its name, without what the page says elsewhere."""
     root = typer.main.get_command(app)
     _load(root)
     text = get_docs_for_click(obj=root, ctx=typer.Context(root), name="transport")
-    text = _READY.sub(" or name.", re.sub(r"(?<! )<(?=[a-z])", "&lt;", text.replace("\b\n", "")))
-    parts = re.split(r"^#+ `(transport[^`]*)`\n", text, flags=re.MULTILINE)
-    described = {
-        name: re.sub(r"\n{3,}", "\n\n", _LEFT_OUT.sub("", part)).strip()
-        for name, part in zip(parts[1::2], parts[2::2], strict=True)
-    }
-    shared = dict(sorted(_shared(described).items()))
-    sections = [f"## `{name}`\n\n{_with_shared(part, shared)}" for name, part in described.items()]
-    lists = "\n".join(
-        f"{line} ({', '.join(names)})" if names else line for line, names in shared.items()
-    )
-    return (
-        "\n\n".join(
-            [
-                _COMMANDS_HEAD,
-                f"## Shared options\n\n{lists}",
-                *sections,
-                "",
-            ]
-        ).rstrip()
-        + "\n"
-    )
+    text = text.replace("\b\n", "")  # marks of paragraphs that are not wrapped
+    text = _TAG.sub("&lt;", text)
+    text = _READY.sub(" or name.", text)
+
+    _, *headed = re.split(r"^#+ `(transport[^`]*)`\n", text, flags=re.MULTILINE)
+    named = zip(headed[::2], headed[1::2], strict=True)
+    return {name: _BLANKS.sub("\n\n", _LEFT_OUT.sub("", part)).strip() for name, part in named}
 
 
 def _shared(described: Mapping[str, str]) -> dict[str, list[str]]:
-    """Return the options in several commands; with the names of these where others have another meaning."""
-    of_option: dict[str, list[str]] = {}
+    """Return the lines of options that several commands have, with the names of these commands.
+
+    There are no names where the option has the same meaning in all commands.
+    """
+    commands_of: dict[str, list[str]] = {}
     for name, part in described.items():
         for line in _OPTION.findall(part):
-            of_option.setdefault(line, []).append(name.removeprefix("transport "))
-    shared = {line: names for line, names in of_option.items() if len(names) > 2}
-    flags = [line.split()[1] for line in of_option]
+            commands_of.setdefault(line, []).append(name.removeprefix("transport "))
+    meanings_of = Counter(_flag(line) for line in commands_of)
     return {
-        line: [] if flags.count(line.split()[1]) == 1 else _of_group(names)
-        for line, names in shared.items()
+        line: _of_group(names) if meanings_of[_flag(line)] > 1 else []
+        for line, names in commands_of.items()
+        if len(names) >= _SEVERAL
     }
+
+
+def _flag(line: str) -> str:
+    """Return the name of an option in its line, such as --set."""
+    return line.split()[1].strip("`:")
 
 
 def _of_group(names: Sequence[str]) -> list[str]:
@@ -101,15 +110,14 @@ def _of_group(names: Sequence[str]) -> list[str]:
 
 
 def _with_shared(part: str, shared: Mapping[str, object]) -> str:
-    """Return the description of a command with its shared options by name."""
+    """Return the description of a command with its shared options by name alone."""
     own = [line for line in _OPTION.findall(part) if line in shared]
-    for line in own:
-        part = (
-            part.replace(f"{line}\n", "", 1) if f"{line}\n" in part else part.replace(line, "", 1)
-        )
-    names = ", ".join(f"`{line.split()[1].strip('`:')}`" for line in own)
-    listed = part.strip() + (f"\n\n[Shared](#shared-options): {names}." if names else "")
-    return re.sub(r"\n{3,}", "\n\n", listed)
+    lines = [line for line in part.splitlines() if line not in own]
+    listed = "\n".join(lines).strip()
+    if own:
+        names = ", ".join(f"`{_flag(line)}`" for line in own)
+        listed += f"\n\n[Shared](#shared-options): {names}."
+    return _BLANKS.sub("\n\n", listed)
 
 
 def _load(group: object) -> None:
@@ -152,53 +160,48 @@ def keys_page() -> str:
     return text
 
 
-def type_of(annotation: Any, metadata: tuple[Any, ...] | list[Any] = ()) -> str:
+def type_of(annotation: Any, metadata: Sequence[Any] = ()) -> str:
     """Return a type and its range as text, such as "3 numbers > 0" or "daqp, clarabel"."""
     arguments = get_args(annotation)
-    if type(None) in arguments:
-        return type_of(
-            next(argument for argument in arguments if argument is not type(None)), metadata
-        )
-    if hasattr(annotation, "__metadata__"):
+    if type(None) in arguments:  # a value that may be left out
+        (given,) = (argument for argument in arguments if argument is not type(None))
+        return type_of(given, metadata)
+    if hasattr(annotation, "__metadata__"):  # Annotated
         return type_of(annotation.__origin__, (*annotation.__metadata__, *metadata))
     if get_origin(annotation) is Literal:
         return ", ".join(map(str, arguments))
     if get_origin(annotation) in (list, tuple):
-        noun, limits = type_of(arguments[0]).partition(" ")[::2]
+        noun, _, limits = type_of(arguments[0]).partition(" ")
         return f"{_count(metadata)} {noun}s {limits}".strip()
     return f"{_NOUNS[annotation]}{_range(metadata)}".strip()
 
 
-def _count(metadata: tuple[Any, ...] | list[Any]) -> str:
+def _count(metadata: Sequence[Any]) -> str:
     """Return how many entries a list has: a number where it is fixed, else "list of"."""
-    if any(
-        getattr(getattr(entry, "func", None), "__name__", "") == "_three_numbers"
-        for entry in metadata
-    ):
+    validators = [getattr(entry, "func", None) for entry in metadata]
+    if any(getattr(function, "__name__", "") == "_three_numbers" for function in validators):
         return "3"
-    sizes = {
-        getattr(entry, end, None) for entry in metadata for end in ("min_length", "max_length")
-    } - {None}
+    ends = [getattr(entry, end, None) for entry in metadata for end in ("min_length", "max_length")]
+    sizes = {size for size in ends if size is not None}
     return str(sizes.pop()) if len(sizes) == 1 else "list of"
 
 
-def _range(metadata: tuple[Any, ...] | list[Any]) -> str:
+def _range(metadata: Sequence[Any]) -> str:
     """Return the limits of a number as text, such as " > 0, < 90" or ", 0 to 1"; "" for none."""
-    found = {
-        name: value
-        for name in _SIGNS
-        for e in metadata
-        if (value := getattr(e, name, None)) is not None
-    }
-    limits = {
-        name: f"{end:,}".replace(",", " ") if end >= 10_000 else f"{end:g}"
-        for name, end in found.items()
-    }
+    limits = {}
+    for sign in _SIGNS:
+        ends = [getattr(entry, sign, None) for entry in metadata]
+        given = [end for end in ends if end is not None]
+        if given:
+            limits[sign] = _number(given[-1])
     if limits.keys() == {"ge", "le"}:
         return f", {limits['ge']} to {limits['le']}"
-    return " " + ", ".join(
-        f"{sign} {limits[name]}" for name, sign in _SIGNS.items() if name in limits
-    )
+    return " " + ", ".join(f"{_SIGNS[sign]} {limit}" for sign, limit in limits.items())
+
+
+def _number(value: float) -> str:
+    """Return a limit as text, with blanks between thousands of a large one."""
+    return f"{value:,}".replace(",", " ") if value >= _LARGE else f"{value:g}"
 
 
 def _default(field: FieldInfo) -> str:

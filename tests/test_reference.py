@@ -4,10 +4,12 @@ import re
 import tomllib
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import pytest
+from annotated_types import Interval, Len
 
+from transport.model.section import Vector
 from transport.protocol.scenario.sections.link_sections import LinkSection
 from transport.protocol.scenario.sections.scenario_keys import fields, section_in, unit_of
 from transport.protocol.scenario.sections.schema import Scenario
@@ -64,3 +66,24 @@ def test_every_key_is_on_the_page() -> None:
             known = tuple(field.default) if isinstance(field.default, list) else field.default
             assert (tuple(value) if isinstance(value, list) else value) == known, key
     assert not rows
+
+
+@pytest.mark.parametrize(
+    ("annotation", "text"),
+    [
+        (bool, "true, false"),
+        (float | None, "number"),
+        (Annotated[float, Interval(gt=0.0, lt=90.0)], "number > 0, < 90"),
+        (Annotated[int, Interval(ge=1, le=65_535)], "integer, 1 to 65 535"),
+        (Literal["daqp", "clarabel"], "daqp, clarabel"),
+        (Vector, "3 numbers"),
+        (list[Annotated[float, Interval(ge=0.0)]], "list of numbers >= 0"),
+        (Annotated[tuple[int, ...], Len(2, 2)], "2 integers"),
+    ],
+)
+def test_types_and_ranges_as_text(
+    monkeypatch: pytest.MonkeyPatch, annotation: Any, text: str
+) -> None:
+    """A value that may be left out has the text of its type; lists have their number of entries."""
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    assert import_module("reference_page").type_of(annotation) == text
