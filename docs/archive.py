@@ -11,10 +11,10 @@ from pathlib import Path
 
 import kept
 import tomli_w
+from derived_tables import DERIVED, README
 from figures import TABLES
 from kept import run_id
 from measured import Measured
-from results_page import DERIVED, README
 from tables import ROOT
 
 # Files of an archive have one time: equal runs give equal archives.

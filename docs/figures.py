@@ -18,10 +18,11 @@ from typing import NamedTuple
 import joblib
 import kept
 import scipy.linalg  # noqa: F401 - only libraries that are loaded can be limited
+from derived_tables import DERIVED
 from kept import Runs, run_id
 from measured import Derived, Measured
 from measured_pages import PAGES
-from results_page import DERIVED, EXPERIMENTS, figures_of_runs
+from results_page import EXPERIMENTS, figures_of_runs
 from results_page import measured as experiment
 from rich.console import Console
 from simulations import Table

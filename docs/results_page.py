@@ -1,4 +1,4 @@
-"""Experiments of docs/record/results.md and the tables and figures of README made from them."""
+"""Experiments of docs/record/results.md with their runs, texts and figures; and the figures of single runs."""
 
 import shutil
 import subprocess
@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from measured import Derived, Measured
-from readme_tables import ALONE, TEAM, drag, known, worth
-from tables import ROOT, table
+from measured import Measured
+from readme_tables import ALONE, TEAM, worth
+from tables import ROOT
 
 from transport.cli.commands.experiment import EXPERIMENTS as DECLARED
 from transport.cli.commands.experiment import ExperimentOptions
@@ -25,7 +25,7 @@ from transport.experiments.result_tables import table_of
 from transport.experiments.sweep import Swept, markdown
 
 IMAGES = ROOT / "docs" / "images"
-PAGE, README = ROOT / "docs" / "record" / "results.md", ROOT / "README.md"
+PAGE = ROOT / "docs" / "record" / "results.md"
 
 # Network of the README's animation.
 NETWORK = ("--set", "links.delay_s=0.2", "--set", "links.loss=0.3")
@@ -105,7 +105,7 @@ def measured(name: str) -> Measured:
 
     def text(results: Sequence[Result]) -> str:
         if asked.shown is not None:
-            return f"{asked.shown(_rows(name, results))}\n"
+            return f"{asked.shown(rows_of(name, results))}\n"
         found = swept(experiment, cases, results).measured
         return markdown(conclusions(found), table_of("", found))
 
@@ -177,119 +177,21 @@ def _compared() -> Measured:
     )
 
 
-def _rows(name: str, results: Sequence[Result]) -> list[dict[str, str]]:
+def rows_of(name: str, results: Sequence[Result]) -> list[dict[str, str]]:
     """Return the rows of points.csv of an experiment as texts."""
     rows = swept(*EXPERIMENTS[name].plan(name), results).rows("points")
     return [_as_text(row) for row in rows]
 
 
+def ranges_of_comparison(results: Sequence[Result]) -> list[dict[str, str]]:
+    """Return the rows of ranges.csv of the comparison of the paper as texts."""
+    planned = _comparison()
+    result = comparison_report.compared(planned, *_halves(planned, results))
+    return [_as_text(row) for row in result.range_rows]
+
+
 def _as_text(row: Mapping[str, Any]) -> dict[str, str]:
     return {name: "" if value is None else str(value) for name, value in row.items()}
-
-
-def between(values: Sequence[float]) -> str:
-    """Return the range of values, two digits each; a single value if both ends round to the same."""
-    return " to ".join(dict.fromkeys(f"{end:.2f}" for end in (min(values), max(values))))
-
-
-# Rows of the table on the network at a glance: text, experiment, and labels of the points.
-GLANCE: Sequence[tuple[str, str, Row]] = (
-    ("`transport experiment latency`: 100 ms delay", "latency", {"delay_s": "0.1"}),
-    ("400 ms delay", "latency", {"delay_s": "0.4"}),
-    (
-        "`transport experiment loss`: 10 % packet loss",
-        "loss",
-        {"loss": "0.1", "model": "bernoulli"},
-    ),
-    ("60 % burst loss", "loss", {"loss": "0.6", "model": "bursts"}),
-    (
-        "`transport experiment kill`: an agent killed and restarted after 2 s",
-        "kill",
-        {"restart_s": "10.0"},
-    ),
-    ("never restarted", "kill", {"restart_s": "never"}),
-    ("`transport experiment deaths`: killed for good at 20 random times", "deaths", {}),
-)
-
-
-def at_a_glance(results: Mapping[str, Sequence[Result]]) -> str:
-    """Return the table at a glance: effect of the network on the two algorithms."""
-    tables = {name: _rows(name, own) for name, own in results.items()}
-    rows = [
-        [text, *(_effect(tables[name], {"scenario": scenario, **labels}) for scenario in SCENARIOS)]
-        for text, name, labels in GLANCE
-    ]
-    return table(["", "`paper`: the paper's algorithm with our weights", "`resilient`"], rows)
-
-
-SCENARIOS = ("paper", "resilient")
-
-
-def _effect(rows: Sequence[Row], labels: Row) -> str:
-    """Return how the runs with some labels end, in words; ranges are over the points of the experiment."""
-    own = [row for row in rows if row.items() >= labels.items() and row.get("agent") != "none"]
-    if not own:
-        return ""
-    runs = sum(int(row["flights"]) for row in own)
-    completed = sum(int(row["completed"]) for row in own)
-    if not completed:
-        first_s = min(float(row["first_lost_s"]) for row in own)
-        return f"{completed} of {runs} complete, the first diverges at {first_s:.1f} s"
-
-    done = [row for row in own if row["cost_ratio"]]
-    if not done:
-        return f"{completed} of {runs} complete"
-    ratios = [float(row["cost_ratio"]) for row in done]
-    attitude_deg = max(float(row["attitude_max_deg"]) for row in done)
-    swings_m = [float(row["swing_m"]) for row in done]
-    effect = (
-        f"cost x{between(ratios)}, attitude {attitude_deg:.1f} deg, swing {between(swings_m)} m"
-    )
-    return f"{completed} of {runs} complete: {effect}"
-
-
-def claim(results: Mapping[str, Sequence[Result]]) -> str:
-    """Return the table of the paper's algorithm against the centralized controller.
-
-    One row a comparison.
-    """
-    planned = _comparison()
-    result = comparison_report.compared(planned, *_halves(planned, results[PAPER]))
-    rows = [_as_text(row) for row in result.range_rows]
-    rows = [row for row in rows if row["controller"] == "paper's algorithm"]
-    weathers = list(dict.fromkeys(row["weather"] for row in rows))
-    cells = {(row["at"], row["weather"]): row["cost"] or row["T_s"] for row in rows}
-    periods: dict[str, str] = {}
-    for row in rows:  # of the first weather
-        periods.setdefault(row["at"], f" (T_s {row['T_s']})" * bool(row["cost"]))
-    lines = [
-        [f"at {at}{where}", *(cells[at, weather] for weather in weathers)]
-        for at, where in periods.items()
-    ]
-    return table(["the paper's algorithm with our weights", *weathers], lines)
-
-
-DERIVED = (
-    Derived(
-        name="drag",
-        document=README,
-        sources=("fast",),
-        text=lambda results: drag(results["fast"]),
-    ),
-    Derived(
-        name="known",
-        document=README,
-        sources=("information",),
-        text=lambda results: known(_rows("information", results["information"])),
-    ),
-    Derived(
-        name="network",
-        document=PAGE,
-        sources=("latency", "loss", "kill", "deaths"),
-        text=at_a_glance,
-    ),
-    Derived(name="claim", document=PAGE, sources=(PAPER,), text=claim),
-)
 
 
 def _transport(*arguments: str) -> None:

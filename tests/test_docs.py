@@ -253,7 +253,7 @@ def test_measured_parts_have_a_place() -> None:
         parts[ROOT / "docs" / page] += ["origin", *(table.name for table in tables)]
     for name in results_page.EXPERIMENTS:
         parts[results_page.page_of(name)].append(name)
-    for derived in results_page.DERIVED:
+    for derived in import_module("derived_tables").DERIVED:
         parts[derived.document].append(derived.name)
     for page, program, names in OTHER_PARTS:
         is_bench = program == "benchmarks/__main__.py"

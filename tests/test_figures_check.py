@@ -350,3 +350,27 @@ def test_a_point_of_the_claims_is_bold_where_both_hold(
         for cost in of_horizon
     ]  # fmt: skip
     assert import_module("measured_results").ratios(1, *results) == text
+
+
+def test_effects_at_a_glance_are_ranges_of_the_points(docs: SimpleNamespace) -> None:
+    """Counts and ranges are over all points with the labels; the baseline, which no agent leaves, is none of them."""
+    effect_of = import_module("derived_tables").effect_of
+
+    def point(agent: str, completed: int, cost: str, attitude: str, first_s: str) -> dict[str, str]:
+        return {
+            **{"scenario": "paper", "agent": agent, "flights": "2", "completed": str(completed)},
+            **{"cost_ratio": cost, "attitude_max_deg": attitude, "swing_m": "0.25"},
+            "first_lost_s": first_s,
+        }
+
+    rows = [
+        point("none", 2, "1.0", "0.5", ""),
+        point("1", 2, "1.5", "3.0", ""),
+        point("2", 1, "2.25", "8.04", "7.0"),
+        point("3", 0, "", "", "4.25"),
+    ]
+    expected = "3 of 6 complete: cost x1.50 to 2.25, attitude 8.0 deg, swing 0.25 m"
+    assert effect_of(rows, {"scenario": "paper"}) == expected
+    lost = effect_of(rows[3:], {"scenario": "paper"})
+    assert lost == "0 of 2 complete, the first diverges at 4.2 s"
+    assert effect_of(rows, {"scenario": "resilient"}) == ""
