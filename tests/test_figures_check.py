@@ -358,8 +358,13 @@ def test_effects_at_a_glance_are_ranges_of_the_points(docs: SimpleNamespace) -> 
 
     def point(agent: str, completed: int, cost: str, attitude: str, first_s: str) -> dict[str, str]:
         return {
-            **{"scenario": "paper", "agent": agent, "flights": "2", "completed": str(completed)},
-            **{"cost_ratio": cost, "attitude_max_deg": attitude, "swing_m": "0.25"},
+            "scenario": "paper",
+            "agent": agent,
+            "flights": "2",
+            "completed": str(completed),
+            "cost_ratio": cost,
+            "attitude_max_deg": attitude,
+            "swing_m": "0.25",
             "first_lost_s": first_s,
         }
 
