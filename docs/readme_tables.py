@@ -53,7 +53,6 @@ _TOLD: Mapping[str, str] = {
     "200 ms, 30 % loss": "200 ms, 30 % loss, n = 10",
     "90 % loss": "90 % loss, n = 10",
     "5 s, own sensors": "5 s, own sensors, n = 10",
-    "5 s, own sensors, gusts": "5 s, own sensors, gusts, n = 10",
 }
 _WORDS: Mapping[str, str] = {
     "eager": "followed at once (`eager`)",
