@@ -190,7 +190,7 @@ class MavlinkAutopilot:
                     m.MAV_TYPE_ONBOARD_CONTROLLER, m.MAV_AUTOPILOT_INVALID, 0, 0, 0, 3
                 )
             )
-        if now_ns >= self._ask_ns and "HEARTBEAT" in self._newest:
+        if now_ns >= self._ask_ns and self._newest:
             self._ask_ns = now_ns + _ASK_NS
             self._ask(now_ns)
 
@@ -205,6 +205,8 @@ class MavlinkAutopilot:
             "SYS_STATUS": 2.0,
             "ATTITUDE_TARGET": 10.0,
         }
+        if "HEARTBEAT" not in self._newest:  # a second is long for a process that returns in flight
+            self._do(m.MAV_CMD_REQUEST_MESSAGE, m.MAVLINK_MSG_ID_HEARTBEAT)
         for kind, hz in wanted.items():
             if now_ns > self._newest.get(kind, (None, 0))[1] + _SILENT_NS:
                 number = getattr(m, f"MAVLINK_MSG_ID_{kind}")

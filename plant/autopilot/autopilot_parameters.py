@@ -11,7 +11,7 @@ _INTEGRAL = (0.5, 0.5, 0.1)
 _AXES = ("RLL", "PIT", "YAW")
 # Values that are no property of the vehicle: what this project depends on, no radio control, no
 # ground station, sensors without the offsets of a calibration that simulated ones do not need, no
-# log of its own.
+# log of its own, and a height that it holds softly by itself: stiffly held, that of one UAV tilts the load.
 _ALWAYS = {
     "FRAME_CLASS": 1.0,
     "FRAME_TYPE": 1.0,
@@ -35,6 +35,9 @@ _ALWAYS = {
     "SERIAL1_PROTOCOL": 2.0,
     "SERIAL2_PROTOCOL": -1.0,
     "GUID_OPTIONS": 8.0,
+    "PSC_POSZ_P": 0.3,
+    "PSC_VELZ_P": 1.5,
+    "PSC_ACCZ_I": 0.25,
     "FS_GCS_ENABLE": 0.0,
     "FS_THR_ENABLE": 0.0,
     "FS_EKF_ACTION": 1.0,

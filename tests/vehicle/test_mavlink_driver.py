@@ -1,4 +1,4 @@
-"""Driver of an autopilot that speaks MAVLink: what it says about one that it does not hear."""
+"""Driver of an autopilot that speaks MAVLink: one that it does not hear, and one of which it has heard little."""
 
 import time
 
@@ -25,4 +25,29 @@ def test_an_autopilot_with_another_system_id_is_named() -> None:
         assert driver.state() is None
     finally:
         other.close()
+        driver.close()
+
+
+def test_a_process_that_returns_in_flight_asks_for_the_heartbeat() -> None:
+    """Any message is enough to ask for the mode and whether it is armed, which are told once a second."""
+    port = free_udp_port()
+    links = LinkOptions(link=f"udp:127.0.0.1:{port}")
+    driver = open_autopilot(VehiclesSection(), Limits(thrust_N=(0.0, 30.0)), 1, links)
+    autopilot = MavlinkLink(Endpoint(True, "127.0.0.1", port), (1, 1), 0)
+    m = messages()
+    asked: set[int] = set()
+    try:
+        end_s = time.monotonic() + 20.0
+        while m.MAVLINK_MSG_ID_HEARTBEAT not in asked and time.monotonic() < end_s:
+            autopilot.send(m.MAVLink_attitude_message(0, *[0.0] * 6))
+            driver.attend(time.monotonic_ns())
+            asked |= {
+                round(message.param1)
+                for message in autopilot.receive(0.05)
+                if message.get_type() == "COMMAND_LONG"
+                and message.command == m.MAV_CMD_REQUEST_MESSAGE
+            }
+        assert m.MAVLINK_MSG_ID_HEARTBEAT in asked
+    finally:
+        autopilot.close()
         driver.close()
