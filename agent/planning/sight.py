@@ -28,7 +28,7 @@ from transport.protocol.scenario.sections.path_instants import (
     maneuver_instants,
 )
 from transport.protocol.scenario.setup.team_run import TeamRun
-from transport.protocol.scenario.targets.target_checks_and_timing import straight, way_through
+from transport.protocol.scenario.targets.target_timing import straight, way_through
 from transport.protocol.wire.messages import ENDLESS_M, MAX_POINTS, Measurement, Target
 from transport.protocol.wire.names import agent_name
 

@@ -9,11 +9,8 @@ from transport.protocol.scenario.sections.lockstep_and_realtime_section import f
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import RequestError, requested
 from transport.protocol.scenario.targets.planned_run import PlannedRun
-from transport.protocol.scenario.targets.target_checks_and_timing import (
-    spline,
-    straight,
-    target_fields,
-)
+from transport.protocol.scenario.targets.target_checks import target_fields
+from transport.protocol.scenario.targets.target_timing import spline, straight
 from transport.protocol.wire import messages
 from transport.protocol.wire.names import COORDINATOR
 from transport.protocol.wire.node_interface import Outbox

@@ -13,7 +13,7 @@ from transport.mpc.controller import Controller
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import requested
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.scenario.targets.target_checks_and_timing import target_fields
+from transport.protocol.scenario.targets.target_checks import target_fields
 from transport.protocol.wire.messages import Target
 from transport.protocol.wire.node_interface import Outbox
 

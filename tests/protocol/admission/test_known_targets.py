@@ -12,7 +12,7 @@ from transport.protocol.admission.targets_in_plans import place_of
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import requested
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.scenario.targets.target_checks_and_timing import target_fields
+from transport.protocol.scenario.targets.target_checks import target_fields
 from transport.protocol.wire.codec import decode
 from transport.protocol.wire.messages import Target
 from transport.protocol.wire.node_interface import Outbox

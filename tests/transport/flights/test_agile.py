@@ -15,7 +15,7 @@ from transport.mpc.settings_period_horizon_weights import TensionSection
 from transport.protocol.scenario.checks.feasibility import exceeded, remaining_teams
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import RequestError, ScenarioError
-from transport.protocol.scenario.targets.target_checks_and_timing import target_fields
+from transport.protocol.scenario.targets.target_checks import target_fields
 from transport.report.limits_in_words import explained, explained_in_words
 
 QUICK = [

@@ -14,7 +14,7 @@ from transport.protocol.scenario.sections.scenario_errors import (
     requested,
 )
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.scenario.targets.target_checks_and_timing import target_fields
+from transport.protocol.scenario.targets.target_checks import target_fields
 
 GROUND = ("plant.engine=mujoco", "plant.ground_m=0.0")
 LOW = ("maneuver.start_m=[0.0,0.0,-1.0]",)

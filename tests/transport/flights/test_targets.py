@@ -25,7 +25,7 @@ from transport.protocol.scenario.sections.scenario_errors import (
     requested,
 )
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.scenario.targets.target_checks_and_timing import target_fields
+from transport.protocol.scenario.targets.target_checks import target_fields
 from transport.protocol.wire.messages import Measurement, Message, Request, Roster, Target
 from transport.protocol.wire.node_interface import Outbox
 

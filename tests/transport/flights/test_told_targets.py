@@ -28,7 +28,7 @@ from transport.protocol.scenario.sections.scenario_errors import (
     requested,
 )
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.scenario.targets.target_checks_and_timing import target_fields
+from transport.protocol.scenario.targets.target_checks import target_fields
 from transport.protocol.scenario.teams.team_of_any_size import Team, given_values, resized
 from transport.protocol.wire.codec import decode, encode
 from transport.protocol.wire.errors_and_exit_codes import MessageError

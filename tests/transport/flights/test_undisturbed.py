@@ -11,7 +11,7 @@ from transport.model.path.target_and_stop import PathTarget
 from transport.mpc.alone.undisturbed_motion import UndisturbedMotion
 from transport.mpc.law.present_law import Regulation
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.scenario.targets.target_checks_and_timing import straight
+from transport.protocol.scenario.targets.target_timing import straight
 from transport.protocol.wire.messages import Message, PlantState
 
 # Limits of thrust and corrections of the programs shift the team from its law by centimetres.

@@ -20,7 +20,8 @@ from transport.protocol.scenario.sections.scenario_errors import (
     requested,
 )
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.scenario.targets.target_checks_and_timing import straight, target_fields
+from transport.protocol.scenario.targets.target_checks import target_fields
+from transport.protocol.scenario.targets.target_timing import straight
 from transport.protocol.wire.messages import MAX_TARGETS, Request
 
 # Memory that the refusal of a target may take. Two million sampling instants of the path took 500 MB.

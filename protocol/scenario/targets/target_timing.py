@@ -1,22 +1,19 @@
-"""Timing of a target given during a run: approach and way that the team can fly, or a refusal."""
+"""Timing of a target given during a run: the fastest approach and way that the team can fly."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from transport.model.arrays import Array
 from transport.model.path.curves import ORDERS, Curve
-from transport.model.path.target_and_stop import LOAD_S, PathTarget
-from transport.model.physics.parameters import ParameterError, resting_height
+from transport.model.path.target_and_stop import PathTarget
+from transport.model.physics.parameters import ParameterError
 from transport.protocol.scenario.checks.feasibility import (
-    ON_GROUND_M,
     RemainingTeam,
     exceeded,
     least_slowing,
     remaining_teams,
 )
-from transport.protocol.scenario.checks.obstacle_margins import first_blocked
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.path_instants import (
     WayPointError,
@@ -24,7 +21,6 @@ from transport.protocol.scenario.sections.path_instants import (
     curve_instants,
     maneuver_instants,
 )
-from transport.protocol.scenario.sections.run_size import maneuver_ticks
 from transport.protocol.scenario.sections.scenario_errors import RequestError
 from transport.protocol.scenario.targets.planned_run import PlannedRun
 
@@ -40,8 +36,6 @@ _LONGEST_RAMP_S = 64.0 * _SHORTEST_RAMP_S
 # That of the curve through further points: as quick as the quickest approach, until the curve is
 # slowed as a whole.
 _WAY_RAMP_S = _SHORTEST_RAMP_S
-
-_ROUNDING_M = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,112 +54,6 @@ class Window:
                 f"expected a target before the end of the {self.ends} at t = {self.last_s:.2f} s"
             )
             raise RequestError(f"{expected}, got {ends_s:.2f} s")
-
-
-def target_fields(setup: PlannedRun, section: TargetSection, tick: int) -> dict[str, Any]:
-    """Return the fields of the message for a target from a tick on.
-
-    The least duration is compared with the rest of the run before anything is sampled, and the work
-    depends on the numbers of way points and phases alone, whatever the distances, speeds and times.
-
-    Raises: RequestError: it cannot be flown.
-    """
-    period_s = setup.settings.sampling_period_s
-    window = Window(since_s=tick * period_s, last_s=(setup.ticks - 1) * period_s)
-    if not section.land and not setup.scenario.has_plant:
-        last_s = (maneuver_ticks(setup.scenario) - 1) * period_s
-        window = replace(window, last_s=last_s, ends="maneuver")
-    if section.land:
-        section = _with_landing(setup, section, window.since_s)
-    points_I = np.array(section.points_m)
-    handover_s = LOAD_S if section.land else 0.0
-
-    # What needs no sampling of the path.
-    _check_above_ground(setup, points_I, window.since_s)
-    _check_in_flight(setup, window.since_s)
-    least_s = _least_approach_s(setup, section, window) + _least_way_s(section)
-    window.check(least_s + handover_s)
-
-    # The fastest motion that keeps the limits of the team, within the time left.
-    approach = _approach(setup, section, window)
-    way = _way(setup, section, window) if len(points_I) > 1 else None
-    way_s = 0.0 if way is None else way.duration_s
-    window.check(approach.duration_s + way_s + handover_s)
-
-    # Between its points a curve may be deeper than they are.
-    if way is not None:
-        way_I = points_I[0] + way.path(curve_instants(way), 1)[0]
-        _check_above_ground(setup, way_I, window.since_s)
-
-    target = PathTarget(since_s=window.since_s, point_I=points_I[0], approach=approach, way=way)
-    _check_formation(setup, target, window)
-    _check_obstacles(setup, target)
-    fields = _message_fields(tick, points_I, approach, way)
-    return {**fields, "lands": section.land, "to": _told(setup, section)}
-
-
-def _told(setup: PlannedRun, section: TargetSection) -> tuple[int, ...]:
-    """Return the agents that are told a target, ascending; none for all."""
-    agents = range(1, len(setup.scenario.owned) + 1)
-    strangers = [agent for agent in section.to if agent not in agents]
-    if strangers:
-        raise RequestError(f"to: expected agents 1 to {agents[-1]}, got {strangers[0]}")
-    if section.to and setup.scenario.has_vehicles:
-        raise RequestError("to: expected none with [vehicles]: their UAVs are told with all agents")
-    told = sorted(set(section.to))
-    return () if len(told) == len(agents) else tuple(told)
-
-
-def _with_landing(setup: PlannedRun, section: TargetSection, since_s: float) -> TargetSection:
-    """Return a target with the points of its landing: above the place, if one is given, and there.
-
-    Raises: RequestError: the payload is not above it.
-    """
-    here_I = setup.maneuver.path(np.array([since_s]))[0][0]
-    points = [*section.points_m]
-    x, y, z = points[-1] if points else here_I.tolist()
-    if section.land_at_m is not None:
-        x, y = section.land_at_m
-        points.append((x, y, z))
-
-    ground_m = setup.scenario.plant.ground_m
-    resting_m = resting_height(setup.system, 0.0 if ground_m is None else ground_m)
-    if z > resting_m - ON_GROUND_M:
-        expected = f"expected a payload above z = {resting_m:g} m, where it would rest"
-        raise RequestError(f"land: {expected}, got {z:g} m")
-    return section.model_copy(update={"points_m": [*points, (x, y, resting_m)]})
-
-
-def _check_formation(setup: PlannedRun, target: PathTarget, window: Window) -> None:
-    """Check a way during which the formation changes, as it goes on after a target."""
-    if target.way is None or setup.scenario.maneuver.reference == "hover":
-        return
-    led = setup.maneuver.with_target(target)
-    duration_s = target.approach.duration_s + target.way.duration_s
-    path = led.jets(_between(maneuver_instants(led), window.since_s, duration_s))
-    if path.shape[-1] == 3:
-        return  # without a formation: the way itself has been checked
-    problem = _exceeded(path, _teams_flying(setup, window), setup)
-    if problem is not None:
-        raise RequestError(f"points_m: {problem}")
-
-
-def _message_fields(
-    tick: int, points_I: Array, approach: Curve, way: Curve | None
-) -> dict[str, Any]:
-    """Return the fields of `messages.Target` but its number and header."""
-    times_s = np.zeros(len(points_I))
-    if way is not None and way.times_s is not None:
-        times_s[1:] = way.times_s
-    return {
-        "tick": tick,
-        "points": points_I,
-        "times": times_s,
-        "approach_s": approach.duration_s,
-        "approach_ramp_s": approach.ramp_s,
-        "way_s": 0.0 if way is None else way.duration_s,
-        "way_ramp_s": 0.0 if way is None else way.ramp_s,
-    }
 
 
 def spline(
@@ -215,13 +103,13 @@ def _way_mps(section: TargetSection) -> float:
     return usual_mps if section.speed_mps is None else section.speed_mps
 
 
-def _least_approach_s(setup: PlannedRun, section: TargetSection, window: Window) -> float:
+def least_approach_s(setup: PlannedRun, section: TargetSection, window: Window) -> float:
     """Return the duration of the approach with the shortest ramps that are tried, s."""
     distance_m = _approach_m(setup, np.array(section.points_m[0]), window)
     return _ramped_s(distance_m, _approach_mps(section), _SHORTEST_RAMP_S)
 
 
-def _least_way_s(section: TargetSection) -> float:
+def least_way_s(section: TargetSection) -> float:
     """Return the least duration of the way through further points, s.
 
     A spline is no shorter than the distances between its points.
@@ -246,11 +134,11 @@ def _approach_m(setup: PlannedRun, point_I: Array, window: Window) -> float:
     return max(float(np.linalg.norm(point_I - one_I)) for one_I in r_I)
 
 
-def _approach(setup: PlannedRun, section: TargetSection, window: Window) -> Curve:
+def fastest_approach(setup: PlannedRun, section: TargetSection, window: Window) -> Curve:
     """Return the approach of a target: the fastest of those tried that keeps the limits."""
     point_I = np.array(section.points_m[0])
     distance_m = _approach_m(setup, point_I, window)
-    teams = _teams_flying(setup, window)
+    teams = teams_flying(setup, window)
 
     ramp_s = _SHORTEST_RAMP_S
     problem: str | None = None
@@ -261,7 +149,7 @@ def _approach(setup: PlannedRun, section: TargetSection, window: Window) -> Curv
             window.check(approach.duration_s)
 
         path = _approach_path(setup, approach, point_I, window)
-        problem = _exceeded(path, teams, setup)
+        problem = first_exceeded(path, teams, setup)
         if problem is None:
             return approach
         ramp_s *= _LONGER
@@ -278,15 +166,15 @@ def _approach_path(setup: PlannedRun, approach: Curve, point_I: Array, window: W
 
     target = PathTarget(since_s=window.since_s, point_I=point_I, approach=approach)
     led = setup.maneuver.with_target(target)
-    return led.jets(_between(maneuver_instants(led), window.since_s, approach.duration_s))
+    return led.jets(between(maneuver_instants(led), window.since_s, approach.duration_s))
 
 
-def _way(setup: PlannedRun, section: TargetSection, window: Window) -> Curve:
+def fastest_way(setup: PlannedRun, section: TargetSection, window: Window) -> Curve:
     """Return the curve through further way points, as fast as given, or as feasible."""
     way = _way_as_given(section)
     path = way.path(curve_instants(way))
-    teams = _teams_flying(setup, window)
-    problem = _exceeded(path, teams, setup)
+    teams = teams_flying(setup, window)
+    problem = first_exceeded(path, teams, setup)
     if problem is None:
         return way
 
@@ -301,7 +189,7 @@ def _way(setup: PlannedRun, section: TargetSection, window: Window) -> Curve:
     return replace(way, duration_s=factor * way.duration_s, ramp_s=factor * way.ramp_s)
 
 
-def _teams_flying(setup: PlannedRun, window: Window) -> list[RemainingTeam]:
+def teams_flying(setup: PlannedRun, window: Window) -> list[RemainingTeam]:
     """Return the team that flies when a target is given, and those after later releases.
 
     Whether a release falls within the motion depends on its duration, which is still sought, so the
@@ -318,7 +206,7 @@ def _teams_flying(setup: PlannedRun, window: Window) -> list[RemainingTeam]:
     return teams[first:]
 
 
-def _exceeded(path: Array, teams: list[RemainingTeam], setup: PlannedRun) -> str | None:
+def first_exceeded(path: Array, teams: list[RemainingTeam], setup: PlannedRun) -> str | None:
     """Return the first limit that one of the teams exceeds along a path, in words."""
     problems = (exceeded(path, team, setup.settings) for team in teams)
     return next((problem for problem in problems if problem is not None), None)
@@ -341,55 +229,7 @@ def _way_as_given(section: TargetSection) -> Curve:
         raise RequestError(str(error)) from error
 
 
-def _check_above_ground(setup: PlannedRun, points_I: Array, since_s: float) -> None:
-    """Check that points are above the lowest place of the payload."""
-    lowest_m = _lowest_m(setup, since_s)
-    deepest_m = points_I[:, 2].max()
-    if deepest_m > lowest_m + _ROUNDING_M:
-        expected = f"expected z (down) of at most {lowest_m:g} m"
-        raise RequestError(f"points_m: {expected}, got {deepest_m:g}")
-
-
-def _check_in_flight(setup: PlannedRun, since_s: float) -> None:
-    """Check that the payload is not on the ground, and neither takes off nor lands."""
-    if setup.scenario.plant.ground_m is None:
-        return
-    here_I = setup.maneuver.path(np.array([since_s]))[0][0]
-    phase = setup.maneuver.phase_at(since_s)
-    is_vertical = phase.kind in ("take_off", "land")
-    if is_vertical or here_I[2] > _lowest_m(setup, since_s) - ON_GROUND_M:
-        raise RequestError(
-            f"expected a payload in flight, got phase {phase.name!r} at t = {since_s:.2f} s"
-        )
-
-
-def _lowest_m(setup: PlannedRun, since_s: float) -> float:
-    """Return the largest z (down) of the payload, m.
-
-    At rest on the ground; without one z = 0, or as low as the path was at its start or is now.
-    """
-    ground_m = setup.scenario.plant.ground_m
-    if ground_m is not None:
-        return resting_height(setup.system, ground_m)
-    start_I, here_I = setup.maneuver.path(np.array([0.0, since_s]))[0]
-    return max(0.0, float(start_I[2]), float(here_I[2]))
-
-
-def _check_obstacles(setup: PlannedRun, target: PathTarget) -> None:
-    """Check that the way to a target and through its points keeps the margins of obstacles."""
-    if not setup.known_obstacles:
-        return
-
-    led = setup.with_target(target)
-    instants_s = _between(
-        maneuver_instants(led.maneuver), target.since_s, target.ends_s - target.since_s
-    )
-    blocked = first_blocked(setup.system, setup.known_obstacles, led.reference.states, instants_s)
-    if blocked is not None:
-        raise RequestError(f"points_m: {blocked[1]}")
-
-
-def _between(instants_s: Array, since_s: float, duration_s: float) -> Array:
+def between(instants_s: Array, since_s: float, duration_s: float) -> Array:
     """Return the instants within a duration from a time on, with its ends, s, rising."""
     until_s = since_s + duration_s
     inside = (instants_s > since_s) & (instants_s < until_s)
