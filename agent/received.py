@@ -2,8 +2,9 @@
 
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence, Set
-from dataclasses import dataclass
 from operator import attrgetter
+
+import msgspec
 
 from transport.protocol.wire.messages import Measurement, Plan
 
@@ -11,8 +12,7 @@ from transport.protocol.wire.messages import Measurement, Plan
 KEPT_PLANS = 256
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Received:
+class Received(msgspec.Struct, frozen=True, kw_only=True):
     """Messages and roster of a tick, as the links of the agent have delivered them."""
 
     measurement: Measurement  # the tick's own

@@ -4,8 +4,9 @@ One is the paper's distributed controller, all the centralized one.
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from transport.model import state
@@ -49,8 +50,7 @@ class Horizon:
     end: CostToGo | None = None  # the cost after the horizon, with terminal "riccati"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StepResult:
+class StepResult(msgspec.Struct, frozen=True, kw_only=True):
     """Plan of one step."""
 
     # Inputs of the owned UAVs to announce and apply, (N_p, 4 owned); after a failed solve the
@@ -285,7 +285,7 @@ class Controller:
         softened = solve(softening.softened(qp), self.settings.solver, any_rows=any_rows)
         if softened.status != "solved":
             return solution
-        return replace(softened, violations=softening.violations(softened.z))
+        return msgspec.structs.replace(softened, violations=softening.violations(softened.z))
 
     def conclude(
         self,

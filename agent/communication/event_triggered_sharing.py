@@ -1,8 +1,8 @@
 """Event-triggered sharing of plans: only those that the others could not have predicted."""
 
 import math
-from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from transport.agent.silence.silence_thresholds import LESS_THAN_OTHERS
@@ -16,8 +16,7 @@ _ROUNDING = 1e-9
 _ALONE_CHANGE = LESS_THAN_OTHERS
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Corrections:
+class Corrections(msgspec.Struct, frozen=True, kw_only=True):
     """Corrections of a plan to the shared control law."""
 
     tick: int  # of the plan

@@ -1,8 +1,8 @@
 """State and inputs of the team as one agent estimates them, through rosters and failures."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from transport.agent.communication.announced_inputs import AnnouncedInputs
@@ -27,8 +27,7 @@ from transport.protocol.scenario.setup.team_run import TeamRun
 _NO_UAVS: frozenset[int] = frozenset()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Expected:
+class Expected(msgspec.Struct, frozen=True, kw_only=True):
     """Prediction of the last step, which foresees the inputs of an agent that leaves, (32b)."""
 
     start: int  # its first tick

@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from transport.agent.communication.event_triggered_sharing import Corrections, Sharing
@@ -217,7 +218,7 @@ class Planner:
         U = self._handover.inputs(k, step.start_tick, step.problem.linear, result.U)
         if U is result.U:
             return result
-        return replace(result, U=U, c=result.c[: len(U)])
+        return msgspec.structs.replace(result, U=U, c=result.c[: len(U)])
 
     def adopt(self, step: MpcStep, proposals: Sequence[Plan]) -> None:
         """Take the others' proposals and the own one into the next iteration of the negotiation.
@@ -228,7 +229,11 @@ class Planner:
         """
         problem = step.problem
         U = problem.U.copy()
-        law = None if problem.law is None else replace(problem.law, c=problem.law.c.copy())
+        law = (
+            None
+            if problem.law is None
+            else msgspec.structs.replace(problem.law, c=problem.law.c.copy())
+        )
 
         sequences = [(plan.agent, plan.inputs, plan.corrections) for plan in proposals]
         if step.result is not None:
@@ -239,7 +244,7 @@ class Planner:
                 U[:, columns] = inputs
             if law is not None and len(corrections) == len(law.c):
                 law.c[:, columns] = corrections
-        step.problem = replace(problem, U=U, law=law)
+        step.problem = msgspec.structs.replace(problem, U=U, law=law)
 
     def end(self, tick: int, out: Outbox) -> list[Message]:  # noqa: ARG002
         """Return nothing: this controller has nothing to end with the run."""
@@ -289,7 +294,9 @@ class Planner:
         problem = step.problem
         self._times.resume()
         no_qp = unsolved(n=0, rows=0, solver=_ALONE)
-        on_purpose = replace(no_qp, status="solved")  # no QP was due: summaries count no failure
+        on_purpose = msgspec.structs.replace(
+            no_qp, status="solved"
+        )  # no QP was due: summaries count no failure
         result = self._controller.give_up(problem.U, problem.law, on_purpose)
         self._team.expected = None
         self._times.lap("solve")

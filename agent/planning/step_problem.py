@@ -1,6 +1,6 @@
 """The problem of an agent at a tick: begin of the horizon, announced inputs, law, cost behind, linear model."""
 
-from dataclasses import dataclass
+import msgspec
 
 from transport.agent.estimation.predicted_motion import STEPS
 from transport.agent.estimation.team_estimate import TeamEstimate
@@ -17,8 +17,7 @@ from transport.mpc.settings_period_horizon_weights import ControllerSettings
 from transport.protocol.scenario.setup.team_run import TeamRun
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HorizonStart:
+class HorizonStart(msgspec.Struct, frozen=True, kw_only=True):
     """Begin of the horizon."""
 
     tick: int  # first tick that the plan is for
@@ -26,8 +25,7 @@ class HorizonStart:
     u0: Array  # inputs in force just before, (m,)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StepProblem:
+class StepProblem(msgspec.Struct, frozen=True, kw_only=True):
     """Problem of an agent at a tick: the same in all iterations but for the announced plans."""
 
     y_ref: Array  # reference outputs at steps 0..N_p, (N_p + 1, p)
@@ -77,8 +75,10 @@ def step_problem(
     first = start.tick
 
     # u(j) = u_hov + K (x(j) - x_ref(j)) + c_ff(j) + c(j): (35), along a flat reference (71).
-    c = announced.corrections(first, steps, before=k)
-    law = controller.law(start.x0, setup.X_ref[first : first + steps], c, forces, first)
+    law = None
+    if setup.settings.prediction == "closed_loop":
+        c = announced.corrections(first, steps, before=k)
+        law = controller.law(start.x0, setup.X_ref[first : first + steps], c, forces, first)
 
     # U(j) = U_a(min(s + j - s_a, N_p - 1)), each agent's newest plan shifted by its age: (32).
     # With the law the own ones alone count, after a step without solution.

@@ -1,9 +1,9 @@
 """The compiled step of the model, called by the kernels without Python between the steps."""
 
 import ctypes
-from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from transport.model.arrays import Array, ShapeError
@@ -21,8 +21,7 @@ _VARYING = 3  # axes of gains that vary
 _SLACK = 8  # entries more than CasADi asks for in each room
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Feedback:
+class Feedback(msgspec.Struct, frozen=True, kw_only=True):
     """u = at_x + K (x(k) - x(0)) within bounds."""
 
     at_x: Array  # inputs of each step at the first state, (steps, m)

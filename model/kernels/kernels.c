@@ -208,16 +208,52 @@ ptrdiff_t zero_order_hold_work(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations
            2 * n * (n + accelerations) + n + 1 + compress_work(n, n) + 3 * BLOCK;
 }
 
+/* Length of the series (17): theta as result, numbers of halvings and of terms in `length`, which is not written if theta
+   is larger than theta_possible or nan. sums: room for 1' |X|^k, next_power's work behind it. */
+static double series_length(const sparse *X, const sparse *P, const sparse *V, double period, double theta_max,
+                            double theta_possible, double remainder, ptrdiff_t *length, double *sums, double *work)
+{
+    /* theta = max(b_2^(1/2), b_3^(1/3)), b_k = | |X|^k |_1, and beta >= 0, the smallest with theta / 2^beta <=
+       theta_max: (17). */
+    double largest[POWERS + 2];
+    for (ptrdiff_t j = 0; j < X->rows; j++) sums[j] = 1.0;
+    for (int k = 1; k <= 3; k++) largest[k] = next_power(X, P, V, period, sums, work);
+    const double second = sqrt(largest[2]), third = cbrt(largest[3]);
+    const double theta = second != second || third != third ? NAN : second > third ? second : third;
+    if (!(theta <= theta_possible)) return theta;
+    int halvings = 0;
+    if (theta > 0.0) {
+        const double needed = ceil(log2(theta / theta_max));
+        halvings = needed > 0.0 ? (int)needed : 0;
+    }
+    /* The smallest K whose remainder is small: |X^(k + 2i)| <= |X^k| |X^2|^i, so the rest is at most a geometric series
+       that begins with the terms K and K + 1, (b_K / (K + 1)! + b_(K + 1) / (K + 2)!) / (1 - b_2 / ((K + 2) (K + 3))):
+       (17). With halvings b_k is 2^(-beta k) times that of the whole period. */
+    int terms = 1;
+    for (double factorial = 2.0; terms < POWERS; factorial *= ++terms + 1) {
+        const int k = terms;
+        if (k + 1 > 3) largest[k + 1] = next_power(X, P, V, period, sums, work);
+        const double term_k = ldexp(largest[k], -k * halvings) / factorial;
+        const double term_next = ldexp(largest[k + 1], -(k + 1) * halvings) / (factorial * (k + 2));
+        const double ratio = ldexp(largest[2], -2 * halvings) / ((k + 2.0) * (k + 3.0));
+        if (ratio < 1.0 && (term_k + term_next) / (1.0 - ratio) <= remainder) break;
+    }
+    length[0] = halvings, length[1] = terms;
+    return theta;
+}
+
 /* Exact zero-order hold about an expansion in factors: [A - I, B, f_d] = Phi [A_c, B_c, f], Phi = integral of
    exp(A_c s) over the period = T sum X^k / (k + 1)!, X = A_c T. See model/linear/discretisation.py.
 
    A_c = X + P V_x, B_c = U + P V_u; begin, index, value: the rows of X, U, P, V_x, V_u, one after the other; P has
    `accelerations` columns. Phi itself is not formed: the series is applied to the columns of [A_c, B_c, f].
-   With `known` A and B are not written and may be null: they are those of another f, and only f_d is wanted.
-   Returns theta; nothing is computed if it is larger than theta_possible or nan. */
+   length: halvings and terms of the series, (2,): result. With `known` it and A and B are those of another f and the
+   same A_c, B_c; A and B may be null then, and only f_d is computed.
+   Returns theta, 0 with `known`; nothing is computed if it is larger than theta_possible or nan. */
 double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const ptrdiff_t *begin,
                        const ptrdiff_t *index, const double *value, const double *f, double period, double theta_max,
-                       double theta_possible, double remainder, int known, double *A, double *B, double *f_d, double *work)
+                       double theta_possible, double remainder, int known, ptrdiff_t *length, double *A, double *B,
+                       double *f_d, double *work)
 {
     const ptrdiff_t columns = n + m + 1, width = padded(columns), r = accelerations;
     const sparse X = part(0, n, begin, index, value), U = part(n, n, begin, index, value);
@@ -227,33 +263,14 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
     double *next = term + (n + r) * PANEL, *merged = next + (n + r) * PANEL;
     double *lists = merged + 2 * n * (n + r) + n + 1;
 
-    /* theta = max(b_2^(1/2), b_3^(1/3)), b_k = | |X|^k |_1, and beta >= 0, the smallest with theta / 2^beta <=
-       theta_max: (17). */
-    double largest[POWERS + 2], *sums = term;
-    for (ptrdiff_t j = 0; j < n; j++) sums[j] = 1.0;
-    for (int k = 1; k <= 3; k++) largest[k] = next_power(&X, &P, &V_x, period, sums, next);
-    const double second = sqrt(largest[2]), third = cbrt(largest[3]);
-    const double theta = second != second || third != third ? NAN : second > third ? second : third;
-    if (!(theta <= theta_possible)) return theta;
-    int halvings = 0;
-    if (theta > 0.0) {
-        const double needed = ceil(log2(theta / theta_max));
-        halvings = needed > 0.0 ? (int)needed : 0;
+    double theta = 0.0;
+    if (!known) {
+        theta = series_length(&X, &P, &V_x, period, theta_max, theta_possible, remainder, length, term, next);
+        if (!(theta <= theta_possible)) return theta;
     }
+    const ptrdiff_t halvings = length[0], terms = length[1];
     /* T = T_s / 2^beta. */
-    const double T = ldexp(period, -halvings);
-    /* The smallest K whose remainder is small: |X^(k + 2i)| <= |X^k| |X^2|^i, so the rest is at most a geometric series
-       that begins with the terms K and K + 1, (b_K / (K + 1)! + b_(K + 1) / (K + 2)!) / (1 - b_2 / ((K + 2) (K + 3))):
-       (17). With halvings b_k is 2^(-beta k) times that of the whole period. */
-    int terms = 1;
-    for (double factorial = 2.0; terms < POWERS; factorial *= ++terms + 1) {
-        const int k = terms;
-        if (k + 1 > 3) largest[k + 1] = next_power(&X, &P, &V_x, period, sums, next);
-        const double term_k = ldexp(largest[k], -k * halvings) / factorial;
-        const double term_next = ldexp(largest[k + 1], -(k + 1) * halvings) / (factorial * (k + 2));
-        const double ratio = ldexp(largest[2], -2 * halvings) / ((k + 2.0) * (k + 3.0));
-        if (ratio < 1.0 && (term_k + term_next) / (1.0 - ratio) <= remainder) break;
-    }
+    const double T = ldexp(period, -(int)halvings);
 
     /* Columns before this one hold no values: with A and B known the panel of f_d alone is computed. */
     const ptrdiff_t first_column = known && !halvings ? (n + m) / PANEL * PANEL : 0;
@@ -289,20 +306,22 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
     for (ptrdiff_t at = first_column; at < width; at += PANEL) {
         const ptrdiff_t some = width - at < PANEL ? width - at : PANEL;
         for (ptrdiff_t i = 0; i < n; i++) memcpy(term + i * some, sum + i * width + at, (size_t)some * sizeof *term);
-        for (int k = 1; k < terms; k++) {
+        for (ptrdiff_t k = 1; k < terms; k++) {
             /* Term k = (X + P V_x) T / (k + 1) times term k - 1, with [X P] and, below the term, V_x times it. */
-            const double scale = T / (k + 1);
+            const double scale = T / (double)(k + 1);
             multiply(&V_x, term, some, term + n * some);
             ptrdiff_t v = 0;
             for (; v + WIDEST * LANES <= some; v += WIDEST * LANES)
                 next_term(WIDEST, &XP, term + v, some, scale, next + v, sum + at + v, width);
+            for (; v + 2 * BLOCK <= some; v += 2 * BLOCK)
+                next_term(2 * BLOCK / LANES, &XP, term + v, some, scale, next + v, sum + at + v, width);
             for (; v < some; v += BLOCK)
                 next_term(BLOCK / LANES, &XP, term + v, some, scale, next + v, sum + at + v, width);
             double *swap = term;
             term = next, next = swap;
         }
     }
-    for (int halving = 0; halving < halvings; halving++) {
+    for (ptrdiff_t halving = 0; halving < halvings; halving++) {
         /* Phi(2T) = Phi(T) + e^(A_c T) Phi(T), so
            [A - I, B, f_d] <- 2 [A - I, B, f_d] + (A - I) [A - I, B, f_d]: (17). */
         const sparse S = compress(n, n, width, sum, lists);
@@ -321,10 +340,21 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
     return theta;
 }
 
+/* Number of columns that `combine_row` sums in one way, around column `at` of `columns`. */
+static ptrdiff_t group_of(ptrdiff_t at, ptrdiff_t columns)
+{
+    ptrdiff_t group = 64;
+    for (ptrdiff_t begin = 0;; begin += group) {
+        while (begin + group > columns) group /= 2;
+        if (at < begin + group) return group;
+    }
+}
+
 ptrdiff_t predict_work(ptrdiff_t n, ptrdiff_t m, ptrdiff_t own)
 {
     const ptrdiff_t w = padded(own + 1);
-    return (2 * n + m) * w + compress_work(n, n) + compress_work(n, m) + compress_work(m, n) + n * m + 3 * BLOCK;
+    return (2 * n + m) * w + (n + m) * group_of(own, w) + compress_work(n, n) + compress_work(n, m) +
+           compress_work(m, n) + n * m + 3 * BLOCK;
 }
 
 /* Effect of each decision and free response over the horizon, with the others' inputs fed back,
@@ -339,8 +369,9 @@ void predict(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, ptrdiff_t count, const p
              const double *B, const double *f_d, const double *K, const double *drive, double *impulse, double *dX,
              double *feedback, double *dU, double *work)
 {
-    const ptrdiff_t w = padded(count + 1), D = steps * count;
-    double *now = work, *next = now + n * w, *inputs = next + n * w, *lists = inputs + m * w;
+    const ptrdiff_t w = padded(count + 1), D = steps * count, some = group_of(count, w);
+    double *now = work, *next = now + n * w, *inputs = next + n * w, *driven = inputs + m * w;
+    double *drives = driven + n * some, *lists = drives + m * some;
     double *B_others = lists + compress_work(n, n) + compress_work(n, m) + compress_work(m, n);
     const sparse A_ = compress(n, n, n, A, lists);
     /* now = [S(0) = B_own, x^free(0) = 0]; B_others = B without the owned columns. */
@@ -354,28 +385,33 @@ void predict(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, ptrdiff_t count, const p
     const sparse B_ = compress(n, m, m, B_others, lists + compress_work(n, n));
     sparse K_;
     if (K) K_ = compress(m, n, n, K, lists + compress_work(n, n) + compress_work(n, m));
-    memset(inputs, 0, (size_t)(m * w) * sizeof *inputs);
     /* [S(k+1), x^free(k+1)] = (A + B_others K) [S(k), x^free(k)] + [0, B_others drive(k) + f_d]. */
     for (ptrdiff_t k = 0;; k++) {
         for (ptrdiff_t i = 0; i < n; i++) dX[k * n + i] = now[i * w + count];
         if (k == steps) return;
         for (ptrdiff_t i = 0; i < n; i++)
             memcpy(impulse + i * D + k * count, now + i * w, (size_t)count * sizeof *impulse);
-        /* Answers of the law to decision and state, K S(k) and K x^free(k): (35). */
+        multiply(&A_, now, w, next);
         if (K) {
+            /* Answers of the law to decision and state, K S(k) and K x^free(k): (35). */
             multiply(&K_, now, w, inputs);
             for (ptrdiff_t i = 0; i < m; i++) {
                 memcpy(feedback + i * D + k * count, inputs + i * w, (size_t)count * sizeof *feedback);
                 dU[k * m + i] = inputs[i * w + count];
+                inputs[i * w + count] += drive[k * m + i];
             }
+            for (ptrdiff_t i = 0; i < n; i++) multiply_row(&B_, i, inputs, w, w, next + i * w);
+        } else {
+            /* B_others drive(k), of as many steps at once as are summed alike. */
+            if (k % some == 0) {
+                for (ptrdiff_t i = 0; i < m; i++)
+                    for (ptrdiff_t j = 0; j < some; j++)
+                        drives[i * some + j] = k + j < steps ? drive[(k + j) * m + i] : 0.0;
+                multiply(&B_, drives, some, driven);
+            }
+            for (ptrdiff_t i = 0; i < n; i++) next[i * w + count] += driven[i * some + k % some];
         }
-        for (ptrdiff_t i = 0; i < m; i++)
-            inputs[i * w + count] = drive[k * m + i] + (K ? inputs[i * w + count] : 0.0);
-        multiply(&A_, now, w, next);
-        for (ptrdiff_t i = 0; i < n; i++) {
-            multiply_row(&B_, i, inputs, w, w, next + i * w);
-            next[i * w + count] += f_d[i];
-        }
+        for (ptrdiff_t i = 0; i < n; i++) next[i * w + count] += f_d[i];
         double *swap = now;
         now = next, next = swap;
     }

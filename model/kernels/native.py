@@ -30,7 +30,7 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "zero_order_hold_work": (_number, [_number] * 3),
     "zero_order_hold": (
         _double,
-        [_number] * 3 + [_address] * 4 + [_double] * 4 + [ctypes.c_int] + [_address] * 4,
+        [_number] * 3 + [_address] * 4 + [_double] * 4 + [ctypes.c_int] + [_address] * 5,
     ),
     "predict_work": (_number, [_number] * 3),
     "respond": (None, [_address]),

@@ -3,8 +3,9 @@
 A Taylor series applied to [A_c B_c f], with A_c in factors.
 """
 
-from dataclasses import dataclass
+from functools import lru_cache
 
+import msgspec
 import numpy as np
 
 from transport.model.arrays import Array, ShapeError
@@ -19,13 +20,14 @@ _THETA_POSSIBLE = 300.0  # products of exp(theta) stay far below the float64 ran
 _REMAINDER = 2.0**-53  # relative to T: below the rounding of the sum itself
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Discrete:
+class Discrete(msgspec.Struct, frozen=True, kw_only=True):
     """dx(k+1) = f_d + A dx(k) + B du(k) over one sampling period."""
 
     A: Array  # state matrix, (n, n)
     B: Array  # input matrix, (n, m)
     f_d: Array  # drift per step, (n,)
+    # Numbers of halvings and of terms of the series, (2,): those of A_c; None where there is no series.
+    length: native.Places | None = None
 
 
 def zero_order_hold(
@@ -37,7 +39,8 @@ def zero_order_hold(
 ) -> Discrete:
     """Discretise exactly over a period, s.
 
-    A and B of a known hold are kept, and only the drift of another f is computed.
+    A and B of a known hold are kept, and the length of its series; only the drift of another f is
+    computed.
     Raises: ShapeError: A_c is not finite, or too large for exp(A_c T_s).
     Source: docs/equations.md (16), (17).
     """
@@ -48,10 +51,12 @@ def zero_order_hold(
     n, m = jacobians.pattern.shapes[1]
     _, accelerations = jacobians.pattern.shapes[2]
     sizes = n, m, accelerations
-    is_known = known is not None
-    # Known ones are not written: the address of an empty array is null.
-    A = np.empty((0, 0) if is_known else (n, n))
-    B = np.empty((0, 0) if is_known else (n, m))
+    if known is None or known.length is None:
+        is_known = False
+        A, B, length = np.empty((n, n)), np.empty((n, m)), np.empty(2, dtype=np.intp)
+    else:
+        is_known = True
+        A, B, length = known.A, known.B, known.length
     f_d = np.empty(n)
 
     theta = native.KERNELS.zero_order_hold(
@@ -64,15 +69,20 @@ def zero_order_hold(
         _THETA_POSSIBLE,
         remainder,
         is_known,
-        native.address(A),
-        native.address(B),
+        native.address(length),
+        0 if is_known else native.address(A),  # known ones are not written
+        0 if is_known else native.address(B),
         native.address(f_d),
-        native.work("hold", native.KERNELS.zero_order_hold_work(*sizes)),
+        _work_space(*sizes),
     )
     _check_growth(theta, period_s)
-    if known is None:
-        return Discrete(A=A, B=B, f_d=f_d)
-    return Discrete(A=known.A, B=known.B, f_d=f_d)
+    return Discrete(A=A, B=B, f_d=f_d, length=length)
+
+
+@lru_cache
+def _work_space(n: int, m: int, accelerations: int) -> int:
+    """Return the address of the kernel's work space."""
+    return native.work("hold", native.KERNELS.zero_order_hold_work(n, m, accelerations))
 
 
 def by_exponential(linear: Linearisation, period_s: float) -> Discrete:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import msgspec
 import numpy as np
 
 from transport.model.arrays import Array
@@ -27,8 +28,7 @@ class Gains:
     B: Array  # input matrix, (n, m)
 
 
-@dataclass(frozen=True, kw_only=True)
-class FeedbackLaw:
+class FeedbackLaw(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     """The shared control law over one horizon; n counts the actual inputs of known motors."""
 
     K: Array  # feedback gain, (m, n), or along a reference of each step, (N_p, m, n)

@@ -3,8 +3,7 @@
 By products of matrices; the compiled kernels (`compiled_program.py`) compute the same with fewer operations.
 """
 
-from dataclasses import dataclass
-
+import msgspec
 import numpy as np
 
 from transport.model.arrays import Array
@@ -13,8 +12,7 @@ from transport.mpc.program.decision import Decision
 from transport.mpc.program.prediction import Linear, Prediction, stacked
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CostToGo:
+class CostToGo(msgspec.Struct, frozen=True, kw_only=True):
     """The cost after the horizon: |root (error + dx)|^2 + 2 slope' dx + constant, (36d)."""
 
     root: Array  # square root of the Riccati solution, (rank, n)
@@ -22,8 +20,7 @@ class CostToGo:
     slope: Array  # effect of reference and forces, (n,)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Objective:
+class Objective(msgspec.Struct, frozen=True, kw_only=True):
     """The cost of one step: outputs, the user's terms and the inputs of other agents' UAVs.
 
     sum_k |y(k) - y_ref(k)|^2_Q + |u(k) - u_target|^2_R, and the cost after the horizon:

@@ -5,6 +5,7 @@ A free response and an impulse response.
 
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from transport.model.arrays import Array
@@ -16,8 +17,7 @@ from transport.mpc.program.feedback_law import FeedbackLaw
 from transport.mpc.program.rollout import Rollout
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Linear:
+class Linear(msgspec.Struct, frozen=True, kw_only=True):
     """Linearisation of one step and its steady-state input."""
 
     x0: Array  # state of the linearisation, (n,)

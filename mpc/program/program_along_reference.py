@@ -5,8 +5,9 @@ corrections; a QP is solved only where its trajectory violates a constraint.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from transport.model.arrays import Array
@@ -80,7 +81,7 @@ class CourseProgram:
             M = np.array([at.M for at in gains])
             coupled = np.einsum("kij,kj->ki", M[:, own[:, None], others], c[:, others])
             c[:, own] = -np.linalg.solve(M[:, own[:, None], own], coupled[:, :, None])[:, :, 0]
-        law = replace(law, c=c)
+        law = msgspec.structs.replace(law, c=c)
 
         Z, U = rollout(model, self._free, linear.x0, law, linear.forces)
         trajectory = TimeVarying(
@@ -138,7 +139,7 @@ class CourseProgram:
 
         c = announced.c.copy()
         c[:, own] = w * (optimal + self._decision.inputs(z)) + (1.0 - w) * previous
-        law = replace(course.law, c=c)
+        law = msgspec.structs.replace(course.law, c=c)
         limited = OwnRates(decision=self._decision, before=course.linear.u0[own])
         forces = course.linear.forces
         U = rollout(model, self._actuation, course.Z[0], law, forces, limited).U

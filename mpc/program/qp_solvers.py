@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import clarabel
 import daqp
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -71,7 +72,7 @@ def solve(
             row_upper=factors * qp.row_upper,
         )
         solution = solve(scaled, solver, most_iterations)
-        return replace(solution, row_multipliers=factors * solution.row_multipliers)
+        return msgspec.structs.replace(solution, row_multipliers=factors * solution.row_multipliers)
 
     if solver == "daqp":
         by_bounds = within_bounds(qp)
@@ -88,7 +89,7 @@ def solve(
     # One of them may find no solution where the other only makes no progress.
     is_infeasible = second.status != "solved" and first.status == "infeasible"
     status = "infeasible" if is_infeasible else second.status
-    return replace(second, status=status, fallback=True)
+    return msgspec.structs.replace(second, status=status, fallback=True)
 
 
 def _row_factors(A: Array) -> Array | None:

@@ -5,10 +5,11 @@ minimise 1/2 z' H z + g' z   subject to   lower <= z <= upper,   row_lower <= A 
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Literal
 
+import msgspec
 import numpy as np
 
 from transport.model.arrays import Array
@@ -57,8 +58,7 @@ class QP:
         return float(z @ (0.5 * (self.H @ z) + self.g))
 
 
-@dataclass(frozen=True, slots=True)
-class Residuals:
+class Residuals(msgspec.Struct, frozen=True):
     """The violations of the optimality conditions, relative to the data."""
 
     stationarity: float  # |H z + g + multipliers| relative to 1 + |g|
@@ -77,8 +77,7 @@ NO_RESIDUALS = Residuals(np.inf, np.inf, np.inf)
 RESIDUALS = 3  # numbers
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Solution:
+class Solution(msgspec.Struct, frozen=True, kw_only=True):
     """The result of a solver, also of one that failed."""
 
     status: Status  # "solved" only if the residuals pass, or if nothing of it is used
@@ -90,7 +89,7 @@ class Solution:
     solver: str
     fallback: bool = False  # the chosen solver failed, and this one solved or tried
     # Planned violations of hard constraints that no plan meets, by expression, in its unit.
-    violations: Mapping[str, float] = field(default_factory=dict)
+    violations: Mapping[str, float] = msgspec.field(default_factory=dict)
 
 
 def residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -72,16 +73,14 @@ class Trajectory(Protocol):
         """Return functions of state and inputs, expanded in [x, u], (n + m,)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Announced:
+class Announced(msgspec.Struct, frozen=True, kw_only=True):
     """Inputs by the law with the corrections that all agents have announced, and those corrections."""
 
     U: Array  # (N_p, m)
     c: Array  # (N_p, m)
 
 
-@dataclass(frozen=True, kw_only=True)
-class TimeInvariant:
+class TimeInvariant(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     """Trajectory about the present state x0 and input u0: docs/equations.md (22)-(24), (35).
 
     All expansions are those at x0, u0; the effect of a decision is an impulse response.

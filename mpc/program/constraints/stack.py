@@ -1,9 +1,9 @@
 """The constraints of one program, one below the other, with the slacks behind the decision."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
+import msgspec
 import numpy as np
 
 from transport.model.arrays import Array
@@ -14,8 +14,7 @@ from transport.mpc.program.decision import Decision
 from transport.mpc.program.trajectory import Trajectory
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rows:
+class Rows(msgspec.Struct, frozen=True, kw_only=True):
     """Rows lower <= A [z, s] <= upper of a program."""
 
     A: Array  # (rows, size + slacks)
