@@ -51,8 +51,9 @@ static void hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t r, double period)
         }
     double *A = filled(n * n, 0.0), *B = filled(n * m, 0.0), *f_d = filled(n, 0.0);
     double *work = filled(zero_order_hold_work(n, m, r), 0.0);
+    ptrdiff_t length[2];
     const double theta = zero_order_hold(n, m, r, begin, index, numbers(at, 0.5, 0.2), numbers(n, 1.0, 0.0), period,
-                                         2.0, 1e3, 1e-17, 0, A, B, f_d, work);
+                                         2.0, 1e3, 1e-17, 0, length, A, B, f_d, work);
     show(1, &theta), show(n * n, A), show(n * m, B), show(n, f_d);
 }
 
