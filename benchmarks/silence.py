@@ -13,7 +13,7 @@ of the table in docs/record/guarantees.md as soon as its runs are done; the tabl
 import argparse
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import combinations
@@ -22,8 +22,17 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks.runs import origin
+from benchmarks.silence_cases import (
+    BACK_S,
+    FOR_GOOD,
+    LATE,
+    Case,
+    begins,
+    cases,
+    longer_hover,
+    network,
+)
 from docs.tables import ROOT, place, put_rows
-from transport.experiments.weather_experiment import FORCES, SENSORS
 from transport.flight.memory import simulate
 from transport.flight.progress import compile_models
 from transport.model.arrays import Array
@@ -32,34 +41,8 @@ from transport.protocol.scenario.scenario_file import find_scenario, read_scenar
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, Note, PlantState
 
-# The sensors of a small autopilot, forces estimated; plans 100 ms late.
-VEHICLE = (*SENSORS, FORCES)
-LATE = ("links.delay_s=0.1",)
 ALONE = ("agents.controller=alone",)
-_FROM_S = (4.0, 10.0)  # range of the instant at which the silence begins
-_BACK_S = 3.0  # after the silence, until the payload error is compared
-_END_S = 5.0  # of the maneuver after that
-FOR_GOOD = math.inf
-
-
-def gusts(speed_mps: float) -> tuple[str, ...]:
-    """Return the settings of gusts of a standard deviation, m/s."""
-    return (f"plant.wind.gust_mps=[{speed_mps!r}, {speed_mps!r}, {speed_mps!r}]",)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Case:
-    """A team whose network is silent, in whole or in part."""
-
-    name: str
-    scenario: str
-    settings: tuple[str, ...] = ()
-    silent_s: float = 0.0  # duration; 0 for none
-    # Groups that do not hear the others; None: each agent alone.
-    parts: tuple[tuple[str, ...], ...] | None = None
-    links: tuple[str, ...] = ()  # further settings of the network
-    from_start: bool = False  # no message from the first tick on
-    compared: bool = True  # with the run without silence, and with "alone"
+_BEYOND_S = 1e6  # end of an interval to the end of a run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +60,7 @@ class Flown:
     def squares(self, begin_s: float, end_s: float) -> Array:
         """Return the squared payload errors over an interval, by tick, m^2."""
         first = round(begin_s / self.period_s)
-        last = round(min(end_s, 1e6) / self.period_s)
+        last = round(min(end_s, _BEYOND_S) / self.period_s)
         return np.asarray(self.error_m[first:last] ** 2)
 
 
@@ -112,86 +95,6 @@ class Result:
     during: Errors = field(default_factory=Errors)
     after: Errors = field(default_factory=Errors)  # from 3 s after the silence on
     resets: int = 0
-
-
-def cases() -> Iterator[Case]:
-    """Yield the cases."""
-    for speed in (0.0, 1.0, 2.0):
-        for silent_s in (1.0, 3.0, 10.0, 30.0, FOR_GOOD):
-            name = f"precise, gusts {speed:g} m/s, {_words(silent_s)}"
-            yield Case(
-                name=name, scenario="precise", settings=(*VEHICLE, *gusts(speed)), silent_s=silent_s
-            )
-    for silent_s in (10.0, FOR_GOOD):
-        yield Case(name=f"windy, {_words(silent_s)}", scenario="windy", silent_s=silent_s)
-    yield Case(
-        name="resilient, gusts 1 m/s, no plan", scenario="resilient", settings=gusts(1.0), links=("links.loss=1.0",),
-        from_start=True, silent_s=FOR_GOOD,
-    )  # fmt: skip
-    yield Case(name="eight, still, 5 s", scenario="eight", silent_s=5.0)
-    in_gusts = ("controller.disturbance.estimate=true", *gusts(1.0))
-    yield Case(name="eight, gusts 1 m/s, 5 s", scenario="eight", settings=in_gusts, silent_s=5.0)
-    for word, part in (("mute", "from"), ("deaf", "to")):
-        override = f"links.override=[{{{part}='agent2', loss=1.0, delay_s=0.1}}]"
-        yield Case(
-            name=f"precise, gusts 1 m/s, one {word}", scenario="precise", settings=(*VEHICLE, *gusts(1.0)),
-            links=(override,), from_start=True, silent_s=FOR_GOOD, compared=False,
-        )  # fmt: skip
-    pairs = (("agent1", "agent2"),)
-    yield Case(
-        name="precise, gusts 1 m/s, pairs 10 s", scenario="precise", settings=(*VEHICLE, *gusts(1.0)), silent_s=10.0,
-        parts=pairs, compared=False,
-    )  # fmt: skip
-    for delay_s, loss in ((0.4, 0.6), (0.4, 0.9), (0.8, 0.0)):
-        network_words = f"{1e3 * delay_s:.0f} ms and {100.0 * loss:.0f} % loss"
-        yield Case(
-            name=f"precise, gusts 1 m/s, {network_words}",
-            scenario="precise",
-            settings=(*VEHICLE, *gusts(1.0)),
-            links=(f"links.delay_s={delay_s}", f"links.loss={loss}"),
-            from_start=True,
-            silent_s=FOR_GOOD,
-            compared=False,
-        )
-
-
-def _words(silent_s: float) -> str:
-    return "for good" if math.isinf(silent_s) else f"{silent_s:g} s"
-
-
-def begins(case: Case, seed: int) -> float:
-    """Return the instant at which the silence of a run begins, s: drawn from its seed."""
-    if case.from_start:
-        return 0.0
-    return float(np.random.default_rng([seed, 44]).uniform(*_FROM_S))
-
-
-def network(case: Case, seed: int, agents: int) -> tuple[str, ...]:
-    """Return the settings of the network of a run."""
-    if case.from_start or case.silent_s == 0.0:
-        return (*LATE, *case.links)
-    start_s = begins(case, seed)
-    end_s = start_s + case.silent_s if math.isfinite(case.silent_s) else 1e5
-    parts = case.parts or tuple((f"agent{agent}",) for agent in range(1, agents))
-    cuts = [f"{{between={list(part)!r}, start_s={start_s!r}, end_s={end_s!r}}}" for part in parts]
-    return (*LATE, *case.links, f"links.partition=[{', '.join(cuts)}]")
-
-
-def _phases(case: Case) -> tuple[str, ...]:
-    """Return a longer last hover where the silence takes longer than the maneuver."""
-    scenario = read_scenario(find_scenario(case.scenario), [])
-    phases = [phase.model_dump(exclude_none=True) for phase in scenario.maneuver.phase]
-    needed_s = _FROM_S[1] + case.silent_s + _BACK_S + _END_S
-    total_s = sum(phase["duration_s"] for phase in phases)
-    if case.scenario == "eight" or math.isinf(case.silent_s) or needed_s <= total_s:
-        return ()
-    added_s = needed_s - total_s
-    moves = [
-        f"{{name='{p['name']}', duration_s={p['duration_s']}, displacement_m={list(p['displacement_m'])}}}"
-        for p in phases
-    ]
-    hover = f"{{name='after', duration_s={added_s}, displacement_m=[0, 0, 0]}}"
-    return (f"maneuver.phase=[{', '.join([*moves, hover])}]",)
 
 
 @lru_cache(maxsize=256)
@@ -241,7 +144,7 @@ class Trio:
 def trio(case: Case, seed: int) -> Trio:
     """Return the runs of a case with a seed."""
     agents = len(read_scenario(find_scenario(case.scenario), []).owned)
-    same = (*case.settings, *_phases(case), f"seed={seed}")
+    same = (*case.settings, *longer_hover(case), f"seed={seed}")
     return Trio(
         flown=fly(case.scenario, (*same, *network(case, seed, agents))),
         alone=fly(case.scenario, (*same, *ALONE)) if case.compared else None,
@@ -278,7 +181,7 @@ def _count(case: Case, seed: int, runs: Trio, result: Result) -> None:
     end_s = begin_s + case.silent_s
     intervals = [(result.during, begin_s, end_s)]
     if math.isfinite(case.silent_s) and not case.from_start:
-        intervals.append((result.after, end_s + _BACK_S, FOR_GOOD))
+        intervals.append((result.after, end_s + BACK_S, FOR_GOOD))
     for errors, first_s, last_s in intervals:
         errors.flown.append(flown.squares(first_s, last_s))
         if runs.alone is not None and runs.undisturbed is not None:

@@ -32,8 +32,14 @@ from transport.protocol.wire.messages import Measurement, Message, PlantState
 SCENARIO = "precise"
 MARGIN_M, LOAD_MARGIN_M = 0.4, 0.1
 _SIGHT_M = 3.0
-_WAY_M = 14.0
+_WAY_M, _WAY_MPS = 14.0, 1.5
+_REST_S = 18.0  # after the path
 _SILENT_S = 3.0
+# Ranges of a wall: place along the path and beside it, width and turn from across the path; its other sizes.
+_ALONG_M, _BESIDE_M, _WIDTH_M, _TURN_DEG = (6.0, 9.0), (-1.0, 1.0), (1.0, 4.0), (-60.0, 60.0)
+_THICK_M, _HIGH_M = 0.2, 8.0
+_MIDDLE_Z_M = -10.0
+_WALLS = 68  # stream of the draws of walls
 _ARRIVED_M = 0.3  # from the end of the path
 _REST_MPS = 0.05
 
@@ -83,21 +89,28 @@ class Flown:
 
 def scene(seed: int) -> tuple[str, ...]:
     """Return the settings of a path with a wall across it, drawn from a seed."""
-    rng = np.random.default_rng([seed, 68])
+    # In this order: it decides which wall a seed has.
+    rng = np.random.default_rng([seed, _WALLS])
     direction = rng.uniform(0.0, 2.0 * math.pi)
-    along_m, beside_m = rng.uniform(6.0, 9.0), rng.uniform(-1.0, 1.0)
-    width_m, heading_deg = rng.uniform(1.0, 4.0), rng.uniform(-60.0, 60.0)
+    along_m = rng.uniform(*_ALONG_M)
+    beside_m = rng.uniform(*_BESIDE_M)
+    width_m = rng.uniform(*_WIDTH_M)
+    turn_deg = rng.uniform(*_TURN_DEG)
 
+    # From along and beside the path into the inertial frame.
     c, s = math.cos(direction), math.sin(direction)
-    x, y = c * along_m - s * beside_m, s * along_m + c * beside_m
+    x = c * along_m - s * beside_m
+    y = s * along_m + c * beside_m
+    heading_deg = turn_deg + math.degrees(direction)
     phases = (
         "{name='hover',duration_s=1.0,displacement_m=[0,0,0]}",
-        f"{{name='go',kind='spline',points_m=[[{_WAY_M * c:.3f},{_WAY_M * s:.3f},0]],speed_mps=1.5,ramp_s=3.0}}",
-        "{name='after',duration_s=18.0,displacement_m=[0,0,0]}",
+        f"{{name='go',kind='spline',points_m=[[{_WAY_M * c:.3f},{_WAY_M * s:.3f},0]],"
+        f"speed_mps={_WAY_MPS},ramp_s=3.0}}",
+        f"{{name='after',duration_s={_REST_S},displacement_m=[0,0,0]}}",
     )
     wall = (
-        f"{{kind='box',at_m=[{x:.3f},{y:.3f},-10],size_m=[0.2,{width_m:.3f},8],"
-        f"heading_deg={heading_deg + math.degrees(direction):.2f},margin_m={MARGIN_M},"
+        f"{{kind='box',at_m=[{x:.3f},{y:.3f},{_MIDDLE_Z_M}],size_m=[{_THICK_M},{width_m:.3f},{_HIGH_M}],"
+        f"heading_deg={heading_deg:.2f},margin_m={MARGIN_M},"
         f"load_margin_m={LOAD_MARGIN_M},seen_within_m={_SIGHT_M}}}"
     )
     return (f"maneuver.phase=[{','.join(phases)}]", f"obstacle=[{wall}]", f"seed={seed}")

@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import silence
-from benchmarks.silence import Case, Flown
+from benchmarks import silence, silence_cases
+from benchmarks.silence import Flown
+from benchmarks.silence_cases import Case
 from docs.tables import table
 from transport.model.arrays import Array
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 
 PERIOD_S = 0.05
 CASE = Case(name="a case", scenario="precise", silent_s=3.0)
@@ -51,7 +53,7 @@ def test_each_row_is_renewed_as_its_case_is_done(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *, is_selected: bool
 ) -> None:
     """Of two rows the one that is done changes, the other stays, and the page says whence each is."""
-    renewed, stays = list(silence.cases())[-2:]
+    renewed, stays = list(silence_cases.cases())[-2:]
     monkeypatch.setattr(silence, "cases", lambda: iter((renewed, stays)))
     (tmp_path / "docs" / "record").mkdir(parents=True)
     page = tmp_path / "docs" / "record" / "guarantees.md"
@@ -76,3 +78,23 @@ def test_each_row_is_renewed_as_its_case_is_done(
     lines = page.read_text().splitlines()
     assert lines[4].startswith(f"| {stays.name} | 1 of 1 |")
     assert lines[6] == "*Today.*"
+
+
+@pytest.mark.parametrize("seed", [0, 7])
+def test_a_silence_begins_between_4_and_10_s(seed: int) -> None:
+    """All agents but one are cut off alone from an instant of the seed on, for the time of the case."""
+    begin_s = silence_cases.begins(CASE, seed)
+    assert 4.0 <= begin_s <= 10.0
+    (*_, partition) = silence_cases.network(CASE, seed, 3)
+    times = f"start_s={begin_s!r}, end_s={begin_s + 3.0!r}"
+    cuts = f"{{between=['agent1'], {times}}}, {{between=['agent2'], {times}}}"
+    assert partition == f"links.partition=[{cuts}]"
+
+
+def test_a_maneuver_lasts_until_the_comparison_ends() -> None:
+    """A silence of 30 s from 10 s on, 3 s after it, and 5 s to compare: 48 s in all; a short one changes nothing."""
+    long = Case(name="", scenario="precise", silent_s=30.0)
+    (setting,) = silence_cases.longer_hover(long)
+    scenario = read_scenario(find_scenario("precise"), [setting])
+    assert sum(phase.duration_s or 0.0 for phase in scenario.maneuver.phase) == pytest.approx(48.0)
+    assert silence_cases.longer_hover(Case(name="", scenario="precise", silent_s=1.0)) == ()
