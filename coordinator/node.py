@@ -93,30 +93,31 @@ class CoordinatorNode:
         self._verdict = Verdict(
             team.contacts, team.failed_share, ends_by_contact=team.ends_by_contact
         )
-        self._air: TeamAir | None = None
-        if team.radio is not None:
-            exchanges = rules.shape.negotiation_iterations
-            self._air = TeamAir(
-                team.radio, self._out, initial_state=team.initial_state, exchanges=exchanges
-            )
+        self._air = self._air_of(team)
         self._open = OpenTick(rules, self._clock, self._air)
         self._fleet: Fleet | None = None
         self._coming_down: ComingDown | None = None
-        vehicles: set[str] = set()
-        if team.vehicles is not None and team.places_I is not None:
-            told = self._changes.told
-            self._fleet = Fleet(team.vehicles, team.places_I, self._out, wall_offset_ns, told)
-            self._coming_down = ComingDown(
-                self._changes,
-                self._roster,
-                team.vehicles.battery_land,
-                rules.period_s,
-                team.lands_at,
-            )
-            vehicles = {vehicle_name(uav + 1) for uav in range(rules.uavs)}
-
+        vehicles = self._set_vehicles(team, wall_offset_ns)
         agents = self._roster.agents.keys()
         self._processes = Processes(agents, vehicles, observers, has_plant=rules.has_plant)
+
+    def _air_of(self, team: TeamView) -> TeamAir | None:
+        """Return the radio of the team; None where messages take simulated links."""
+        if team.radio is None:
+            return None
+        exchanges = self._rules.shape.negotiation_iterations
+        return TeamAir(team.radio, self._out, initial_state=team.initial_state, exchanges=exchanges)
+
+    def _set_vehicles(self, team: TeamView, wall_offset_ns: int) -> set[str]:
+        """Set what a run needs whose UAVs have processes of their own; return their names."""
+        vehicles = team.vehicles
+        if vehicles is None or team.places_I is None:
+            return set()
+        self._fleet = Fleet(vehicles, team.places_I, self._out, wall_offset_ns, self._changes.told)
+        self._coming_down = ComingDown(
+            self._changes, self._roster, vehicles.battery_land, self._rules.period_s, team.lands_at
+        )
+        return {vehicle_name(uav + 1) for uav in range(self._rules.uavs)}
 
     @property
     def state(self) -> State:

@@ -14,6 +14,7 @@ from transport.model.physics.rotations import euler_angles, rotation
 from transport.model.state import StateView
 from transport.protocol.scenario.sections.plant_sections import PlantSection
 
+_ROUNDING = 1e-9  # of a whole number of steps
 # Radius of the sphere with which a UAV touches the ground, m.
 _UAV_RADIUS_M = 0.1
 # Contact pairs: the ground meets payload and UAVs; these do not meet each other.
@@ -107,7 +108,7 @@ class MujocoEngine:
         """Integrate an interval under held inputs, (4 N,), and forces, (3 + 3 N,)."""
         model = self._model
         data = self._data
-        steps = math.ceil(duration_s / self._section.mujoco.step_s - 1e-9)
+        steps = math.ceil(duration_s / self._section.mujoco.step_s - _ROUNDING)
         model.opt.timestep = duration_s / steps
         data.ctrl[:] = u
         held_I = np.zeros(3 + 3 * self._system.N) if forces is None else forces

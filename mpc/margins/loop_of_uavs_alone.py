@@ -17,6 +17,9 @@ from transport.mpc.margins.actual_plant import DelayedStep, Mismatch, delayed_st
 from transport.mpc.margins.sampled_loop import SampledLoop
 from transport.mpc.settings_period_horizon_weights import AloneGains
 
+_QUANTITIES = len(
+    state.SENSORS
+)  # that a UAV measures: position, velocity, attitude, body rates, force
 _LEVEL = np.eye(3)[:2]  # the observer of the rod deviates from hover in x and y only
 
 
@@ -47,7 +50,7 @@ class AloneLoop(SampledLoop):
         self.period_s = period_s
         self._system = system
         self._ahead = int(next_tick)  # sampling periods from the measurement until inputs act
-        self._ages = (0,) * 5 if ages is None else tuple(ages)
+        self._ages = (0,) * _QUANTITIES if ages is None else tuple(ages)
         self._moving_s = period_s * (self._ahead + self._ages[0])
         self._observes = ages is not None and gains.swing > 0.0
         at_rest = hover(system)
@@ -58,7 +61,7 @@ class AloneLoop(SampledLoop):
 
         # By deviations as old as each of the five quantities, by the integrals, by the observers' velocity
         # of the rods, and by the inputs in force until the new ones act.
-        self._by_motion = np.zeros((5, system.m, self._T.shape[1]))
+        self._by_motion = np.zeros((_QUANTITIES, system.m, self._T.shape[1]))
         self._by_integral = np.zeros((system.m, 3 * system.N))
         self._by_observed = np.zeros((system.m, 2 * system.N))
         self._by_before = np.zeros((system.m, system.m))

@@ -196,41 +196,19 @@ def solve_clarabel(qp: QP) -> Solution:
     """
     from scipy import sparse  # 0.3 s at start, and only this solver needs it
 
-    n = len(qp.g)
     sides = _Sides.of(qp)
-    identity = np.eye(n)
-    # G z + s = h, s = 0 for the equalities, then s >= 0.
-    G = np.concatenate(
-        [
-            qp.A[sides.equal],
-            identity[sides.upper],
-            -identity[sides.lower],
-            qp.A[sides.row_upper],
-            -qp.A[sides.row_lower],
-        ]
-    )
-    parts = [
-        qp.row_upper[sides.equal],
-        qp.upper[sides.upper],
-        -qp.lower[sides.lower],
-        qp.row_upper[sides.row_upper],
-        -qp.row_lower[sides.row_lower],
-    ]
-    h = np.concatenate(parts)
-    equalities = len(parts[0])
-    cones = [clarabel.ZeroConeT(equalities), clarabel.NonnegativeConeT(len(h) - equalities)]
+    blocks = sides.blocks(qp)
+    G = np.concatenate([rows for rows, _ in blocks])
+    h = np.concatenate([bounds for _, bounds in blocks])
+    lengths = [len(bounds) for _, bounds in blocks]
+    # Equalities come first: G z + s = h with s = 0 there, and s >= 0 in all others.
+    cones = [clarabel.ZeroConeT(lengths[0]), clarabel.NonnegativeConeT(sum(lengths[1:]))]
     H = sparse.triu(sparse.csc_matrix(qp.H), format="csc")
+    solver = clarabel.DefaultSolver(H, qp.g, sparse.csc_matrix(G), h, cones, _clarabel_settings())
+    answer = solver.solve()
 
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.direct_solve_method = "qdldl"
-    settings.tol_gap_abs = _INTERIOR_TOLERANCE
-    settings.tol_gap_rel = _INTERIOR_TOLERANCE
-    settings.tol_feas = _INTERIOR_TOLERANCE
-    answer = clarabel.DefaultSolver(H, qp.g, sparse.csc_matrix(G), h, cones, settings).solve()
-
-    ends = np.cumsum([len(part) for part in parts[:-1]])
-    bounds, rows = sides.multipliers(np.split(np.asarray(answer.z), ends))
+    duals = np.split(np.asarray(answer.z), np.cumsum(lengths[:-1]))
+    bounds, rows = sides.multipliers(duals)
     return _checked(
         qp,
         _Answer(
@@ -244,9 +222,23 @@ def solve_clarabel(qp: QP) -> Solution:
     )
 
 
+def _clarabel_settings() -> clarabel.DefaultSettings:
+    """Return the settings of Clarabel: quiet, by one thread, to its tolerance."""
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.direct_solve_method = "qdldl"
+    settings.tol_gap_abs = _INTERIOR_TOLERANCE
+    settings.tol_gap_rel = _INTERIOR_TOLERANCE
+    settings.tol_feas = _INTERIOR_TOLERANCE
+    return settings
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Sides:
-    """Places of the bounds and rows of a QP that have an equality, an upper or a lower side."""
+    """Places of the bounds and rows of a QP that have an equality, an upper or a lower side.
+
+    Blocks of rows and their multipliers come in the order of the fields.
+    """
 
     equal: npt.NDArray[np.bool_]  # (r,)
     upper: npt.NDArray[np.bool_]  # (n,)
@@ -266,8 +258,19 @@ class _Sides:
             row_lower=np.isfinite(qp.row_lower) & ~equal,
         )
 
+    def blocks(self, qp: QP) -> list[tuple[Array, Array]]:
+        """Return rows G and sides h of each block: G z = h in the first one, G z <= h in the others."""
+        identity = np.eye(len(qp.g))
+        return [
+            (qp.A[self.equal], qp.row_upper[self.equal]),
+            (identity[self.upper], qp.upper[self.upper]),
+            (-identity[self.lower], -qp.lower[self.lower]),
+            (qp.A[self.row_upper], qp.row_upper[self.row_upper]),
+            (-qp.A[self.row_lower], -qp.row_lower[self.row_lower]),
+        ]
+
     def multipliers(self, duals: list[Array]) -> tuple[Array, Array]:
-        """Return multipliers of bounds and rows, positive at upper sides, from all sides'."""
+        """Return multipliers of bounds and rows, positive at upper sides, from those of the blocks."""
         of_equal, of_upper, of_lower, of_row_upper, of_row_lower = duals
         bounds = np.zeros(len(self.upper))
         bounds[self.upper] += of_upper

@@ -18,6 +18,11 @@ from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE, Tran
 from transport.protocol.wire.key_expressions import ACTING, OPERATOR, ROUTER, WATCHER, Keys
 
 _RETRY_S = 0.05  # pause between attempts of a client to reach its router
+_ATTEMPT_MS = 500  # length of an attempt of a client
+_FOR_EVER = -1  # of a peer
+# Pauses between attempts to connect to an address, growing by a factor: peers of a run start together.
+_RETRIES = {"period_init_ms": 5, "period_max_ms": 200, "period_increase_factor": 1.5}
+_LOOK_S = 0.02  # pause between looks for the token of a process
 CLOSE_S = 2.0  # how long closing may take: it blocks while a peer does not read (zenoh issue 2675)
 
 
@@ -98,9 +103,9 @@ def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys
         "connect": {
             "endpoints": list(endpoints.connect),
             # `open_session` repeats a client's attempts, so that Ctrl-C can end them.
-            "timeout_ms": 500 if endpoints.mode == "client" else -1,
+            "timeout_ms": _ATTEMPT_MS if endpoints.mode == "client" else _FOR_EVER,
             "exit_on_failure": endpoints.mode == "client",
-            "retry": {"period_init_ms": 5, "period_max_ms": 200, "period_increase_factor": 1.5},
+            "retry": _RETRIES,
         },
         "transport": {
             "link": {
@@ -165,7 +170,7 @@ def ask(
                 if time.monotonic() > deadline:
                     places = ", ".join(reach.connect)
                     raise BusError(f"no sign of it within {timeout_s:g} s at {places}")
-                time.sleep(0.02)
+                time.sleep(_LOOK_S)
             answer = fetch_answer(session, keys.request(name, what), given, timeout_s)
     except BusError as error:
         raise BusError(

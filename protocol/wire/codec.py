@@ -75,14 +75,8 @@ def encoded_length(plan: Plan) -> int:
     length = len(_VERSION) + len(_WITHOUT_ARRAYS.encode(plan)) - _NOTHING * len(arrays)
     length += sum([_array_length(8 * array.size) for array in arrays])
     missing = len(plan.__struct_fields__) - _fields_sent(plan)
-    if missing > 0:
-        length -= _NO_LAG
-    if missing > 1:
-        length -= _NO_TARGETS
-    if missing > 2:
-        length -= _NOT_STALE
-    if missing > 3:
-        length -= _array_length(0) + _FIELDS_HEADER
+    for name in Plan.optional[len(Plan.optional) - missing :]:
+        length -= _AT_DEFAULT[name]
     return length
 
 
@@ -196,12 +190,16 @@ _ENCODER = msgspec.msgpack.Encoder(enc_hook=_pack)
 _WITHOUT_ARRAYS = msgspec.msgpack.Encoder(enc_hook=_pack_without_arrays)
 _NOTHING = 1  # bytes of None
 _LARGEST_FLOAT = "e+308"  # in the text of a bound of `Finite`
-_NO_LAG = 1  # bytes of the number 0
-_NO_TARGETS = 1  # bytes of an empty list
-_NOT_STALE = 1  # bytes of the number 0
 # Bytes by which the header of the list of a plan's fields is longer for its last ones: with own data
 # the list has 16 entries, its kind among them, and headers are of 1 byte up to 15 entries, then of 3.
 _FIELDS_HEADER = 2
+# Bytes by which a plan is shorter where one of its optional fields, with those after it, does not travel.
+_AT_DEFAULT = {
+    "data": _array_length(0) + _FIELDS_HEADER,
+    "stale": 1,  # the number 0
+    "targets": 1,  # an empty list
+    "lag": 1,  # the number 0
+}
 _DECODER: Any = msgspec.msgpack.Decoder(reduce(or_, CLASSES.values()), ext_hook=_unpack_array)
 _HEADER_DECODER = msgspec.msgpack.Decoder(Header)
 _KIND_DECODER = msgspec.msgpack.Decoder(_Kind)

@@ -51,6 +51,7 @@ from transport.protocol.scenario.setup.team_run import TeamRun
 # singular. A variance that no measurement of a UAV's own sensors leaves, SI.
 _STEEPEST = 1.4
 _LARGEST_VARIANCE = 1e4
+_CERTAIN = 1e-3  # standard deviation of an entry that a failure sets, SI
 # Squared innovation per measurement, in units of its covariance, beyond which measurements deny an
 # estimate. Gusts and masses that the model does not know stay below 15.
 _LARGEST_NIS = 100.0
@@ -394,7 +395,7 @@ class TeamFilter:
         )
 
     def certain(
-        self, belief: Belief, entries: npt.NDArray[np.intp], deviation: float = 1e-3
+        self, belief: Belief, entries: npt.NDArray[np.intp], deviation: float = _CERTAIN
     ) -> Belief:
         """Return the belief with some entries of the state certain, as a failure sets them."""
         covariance = belief.covariance

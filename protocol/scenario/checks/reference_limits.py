@@ -17,6 +17,7 @@ from transport.model.path.maneuver import Maneuver
 from transport.model.physics.hover import Hover
 from transport.model.physics.obstacles import Obstacle
 from transport.model.physics.parameters import ParameterError, System, resting_height
+from transport.model.state import INPUTS
 from transport.mpc.reference import Reference
 from transport.mpc.settings_period_horizon_weights import ControllerSettings
 from transport.protocol.scenario.checks.feasibility import (
@@ -38,7 +39,7 @@ Problems = Iterator[tuple[str, str]]  # field of a scenario; expected and got
 def off_ground(system: System, maneuver: Maneuver, ground_m: float | None) -> Problems:
     """Yield take-offs and landings that are not from or on the ground, and phases below it."""
     if ground_m is None:
-        return  # without take-offs and landings: protocol.scenario.relations
+        return  # without take-offs and landings: maneuver_and_obstacle_relations
     resting_m = resting_height(system, ground_m)
     ground = f"z = {resting_m:g} m, where the payload stands on the ground"
     height_m = float(maneuver.start_I[2])
@@ -60,13 +61,14 @@ def off_ground(system: System, maneuver: Maneuver, ground_m: float | None) -> Pr
 def off_hover(hover: Hover, settings: ControllerSettings, plant: PlantSection) -> Problems:
     """Yield limits on thrust and tension that hover exceeds, by the masses of the bodies."""
     rotors = plant.motors.rotors
-    for uav, thrust_N in enumerate(hover.u[::4], start=1):
+    for uav, thrust_N in enumerate(hover.u[::INPUTS], start=1):
         limits = settings.limits.thrust_N
         if not limits[0] <= thrust_N <= limits[1]:
             problem = f"the hover thrust {thrust_N:.2f} N of UAV{uav}"
             yield "controller.limits.thrust_N", _not_within(problem, limits)
-        if rotors and not rotors.thrust_N[0] <= 0.25 * thrust_N <= rotors.thrust_N[1]:
-            problem = f"a quarter of the hover thrust {0.25 * thrust_N:.2f} N of UAV{uav}"
+        quarter_N = thrust_N / 4.0  # of each of the four rotors
+        if rotors and not rotors.thrust_N[0] <= quarter_N <= rotors.thrust_N[1]:
+            problem = f"a quarter of the hover thrust {quarter_N:.2f} N of UAV{uav}"
             yield "plant.motors.rotors.thrust_N", _not_within(problem, rotors.thrust_N)
 
     tension = settings.tension

@@ -31,7 +31,8 @@ class DrawnRanges:
     uavs: tuple[int, int] = (3, 8)
     uav_mass_kg: Bounds = (0.8, 2.0)
     uav_gyration_m: Bounds = (0.08, 0.18)  # radius of gyration about roll and pitch
-    uav_yaw_inertia: Bounds = (1.5, 2.0)  # over that about roll
+    uav_pitch_inertia: Bounds = (0.95, 1.05)  # over that about roll
+    uav_yaw_inertia: Bounds = (1.5, 2.0)  # likewise
     rod_length_m: Bounds = (2.0, 3.7)
     spacing_m: Bounds = (0.5, 1.0)  # of neighbours in the ring from which attachments are moved
     angle: Bounds = (-0.4, 0.4)  # of an attachment, as a share of the angle between neighbours
@@ -39,6 +40,7 @@ class DrawnRanges:
     height_m: Bounds = (0.0, 0.3)  # of attachments above the centre of mass
     load: Bounds = (0.3, 0.9)  # mass of the payload over that of all UAVs
     load_inertia: Bounds = (0.08, 0.5)  # over mass times square of the ring's radius
+    load_inertia_of_axis: Bounds = (0.8, 1.2)  # about each axis, over that
     share_of_drag: float = 0.5  # teams that have drag, and know it
     uav_drag: Bounds = (0.2, 0.5)  # in the plane of the rotors, over the mass, 1/s
     load_drag_kgps: Bounds = (0.0, 0.5)
@@ -56,10 +58,21 @@ class DrawnRanges:
     jitter_s: Bounds = (0.0, 0.05)
     loss: Bounds = (0.0, 0.4)
     gust_mps: Bounds = (0.0, 1.0)
-    leg_m: Bounds = (1.0, 3.0)  # length of the maneuver's one leg, of 5 s
+    leg_m: Bounds = (1.0, 3.0)  # length of the maneuver's one leg
+    elevation_rad: Bounds = (-0.5, 0.5)  # of its direction, which may be any around
 
 
 DRAWN = DrawnRanges()
+
+# Streams of random numbers of a seed: bodies, flight and all that follows; drag, which came later.
+_ALL_BUT_DRAG = 65
+_DRAG = 66
+# Durations of the maneuver, s: hover, the leg, and the rest in which it has to settle.
+_HOVER_S, _LEG_S, _REST_S = 3.0, 5.0, 7.0
+# Largest moment about yaw over that by the angular acceleration about roll: rotors' drag is weak.
+_YAW_MOMENT = 0.25
+# Limits of changes, in largest thrusts and moments per second.
+_THRUSTS_PER_S, _MOMENTS_PER_S = 4.0, 10.0
 
 # Attempts to draw attachments between which the payload hangs.
 _ATTEMPTS = 1000
@@ -150,14 +163,14 @@ def _drawn_vehicles(seed: int, uavs: int | None, gravity_mps2: float) -> _DrawnV
 
     Raises: ScenarioError: no draw has a hover.
     """
-    rng = np.random.default_rng([seed, 65])
+    rng = np.random.default_rng([seed, _ALL_BUT_DRAG])
     fewest, most = DRAWN.uavs
     drawn_number = int(rng.integers(fewest, most, endpoint=True))
     N = drawn_number if uavs is None else uavs
     system, at_rest = building(f"drawn team {seed}", "system", lambda: _team(rng, N, gravity_mps2))
     phases = _phases(rng)
     controller = _controller(rng, system, at_rest)
-    _add_drag(np.random.default_rng([seed, 66]), system)
+    _add_drag(np.random.default_rng([seed, _DRAG]), system)
     return _DrawnVehicles(rng=rng, system=system, phases=phases, controller=controller)
 
 
@@ -191,7 +204,8 @@ def _section(rng: np.random.Generator, N: int, gravity_mps2: float) -> dict[str,
     uavs = [_uav(rng, i, N, radius_m) for i in range(N)]
     load_kg = round(sum(uav["mass_kg"] for uav in uavs) * rng.uniform(*ranges.load), 4)
     inertia_kgm2 = load_kg * radius_m**2 * rng.uniform(*ranges.load_inertia)
-    around = [round(inertia_kgm2 * rng.uniform(0.8, 1.2), 5) for _ in range(3)]
+    of_axis = ranges.load_inertia_of_axis
+    around = [round(inertia_kgm2 * rng.uniform(*of_axis), 5) for _ in range(3)]
     payload: dict[str, Any] = {"mass_kg": load_kg, "inertia_kgm2": around}
     return {"gravity_mps2": gravity_mps2, "payload": payload, "uav": uavs}
 
@@ -201,7 +215,7 @@ def _uav(rng: np.random.Generator, i: int, N: int, radius_m: float) -> dict[str,
     ranges = DRAWN
     mass_kg = _uniform(rng, ranges.uav_mass_kg)
     roll_kgm2 = mass_kg * rng.uniform(*ranges.uav_gyration_m) ** 2
-    pitch_kgm2 = roll_kgm2 * rng.uniform(0.95, 1.05)
+    pitch_kgm2 = roll_kgm2 * rng.uniform(*ranges.uav_pitch_inertia)
     yaw_kgm2 = roll_kgm2 * rng.uniform(*ranges.uav_yaw_inertia)
 
     angle_rad = 2.0 * math.pi / N * (i + rng.uniform(*ranges.angle))
@@ -258,7 +272,7 @@ def _apart_m(points_m: Sequence[Sequence[float]]) -> float:
 def _phases(rng: np.random.Generator) -> list[dict[str, Any]]:
     """Return a hover, a leg in a drawn direction, and a hover."""
     azimuth = rng.uniform(0.0, 2.0 * math.pi)
-    elevation = rng.uniform(-0.5, 0.5)
+    elevation = rng.uniform(*DRAWN.elevation_rad)
     length_m = rng.uniform(*DRAWN.leg_m)
     level_m = length_m * math.cos(elevation)
     leg_m = [
@@ -268,9 +282,9 @@ def _phases(rng: np.random.Generator) -> list[dict[str, Any]]:
     ]
     rounded = [round(metres, 3) for metres in leg_m]
     return [
-        {"name": "hover", "duration_s": 3.0, "displacement_m": [0.0, 0.0, 0.0]},
-        {"name": "leg", "duration_s": 5.0, "displacement_m": rounded},
-        {"name": "rest", "duration_s": 7.0, "displacement_m": [0.0, 0.0, 0.0]},
+        {"name": "hover", "duration_s": _HOVER_S, "displacement_m": [0.0, 0.0, 0.0]},
+        {"name": "leg", "duration_s": _LEG_S, "displacement_m": rounded},
+        {"name": "rest", "duration_s": _REST_S, "displacement_m": [0.0, 0.0, 0.0]},
     ]
 
 
@@ -284,7 +298,7 @@ def _controller(
     largest_N = round(float(at_rest.u.max()) * rng.uniform(*ranges.thrust), 2)
     by_inertia = rng.uniform(*ranges.angular_acceleration_rads2)
     inertia = np.array([uav["inertia_kgm2"] for uav in section["uav"]])
-    moments_Nm = by_inertia * inertia.max(axis=0) * [1.0, 1.0, 0.25]
+    moments_Nm = by_inertia * inertia.max(axis=0) * [1.0, 1.0, _YAW_MOMENT]
 
     # Rods of different lengths have UAVs apart in height as well.
     rods_m = [[0.0, 0.0, uav["rod_length_m"]] for uav in section["uav"]]
@@ -300,9 +314,11 @@ def _controller(
         "rate_time_constant_s": [time_constant_s] * 3,
         "limits": {
             "thrust_N": [0.0, largest_N],
-            "thrust_rate_N_s": round(4.0 * largest_N, 1),
+            "thrust_rate_N_s": round(_THRUSTS_PER_S * largest_N, 1),
             "moments_Nm": [round(float(moment), 4) for moment in moments_Nm],
-            "moment_rates_Nm_s": [round(10.0 * float(moment), 3) for moment in moments_Nm],
+            "moment_rates_Nm_s": [
+                round(_MOMENTS_PER_S * float(moment), 3) for moment in moments_Nm
+            ],
         },
         "separation": {"minimum_m": round(_SEPARATION * apart_m, 3)},
         "disturbance": {"estimate": True},
