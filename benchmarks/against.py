@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from benchmarks.runs import digits, origin
@@ -203,23 +203,32 @@ def main() -> int:
     rows = []
     with tempfile.TemporaryDirectory(prefix="against-") as parent:
         for processor, environment in environments(Path(parent)).items():
-            if options.processor not in (None, processor):
-                continue
-            caches = {version: Path(parent) / f"{version}-{processor}" for version in trees}
-            versions = {
-                version: (tree, {**environment, "PAYLOAD_TRANSPORT_CACHE": str(caches[version])})
-                for version, tree in trees.items()
-            }
-            for part in options.only or PARTS:
-                for quantity, values in in_turns(PARTS[part], versions, options.turns).items():
-                    before = statistics.median(values["before"])
-                    now = statistics.median(values["now"])
-                    ratio = digits(now / before) if before else ""
-                    rows.append([processor, quantity, digits(before), digits(now), ratio])
-                    sys.stderr.write(f"{' | '.join(rows[-1])}\n")
+            if options.processor in (None, processor):
+                versions = versions_of(trees, environment, Path(parent) / processor)
+                for part in options.only or PARTS:
+                    for quantity, values in in_turns(PARTS[part], versions, options.turns).items():
+                        rows.append([processor, *cells(quantity, values)])
+                        sys.stderr.write(f"{' | '.join(rows[-1])}\n")
     headings = ["processor", f"median of {options.turns} turns", "before", "now", "now / before"]
     sys.stdout.write(f"{table(headings, rows)}\n\n*{origin()}.*\n")
     return 0
+
+
+def versions_of(
+    trees: Mapping[str, Path], environment: Mapping[str, str], caches: Path
+) -> dict[str, tuple[Path, Mapping[str, str]]]:
+    """Return folder and environment of each version by name: each has a cache of compiled models of its own."""
+    return {
+        version: (tree, {**environment, "PAYLOAD_TRANSPORT_CACHE": str(caches / version)})
+        for version, tree in trees.items()
+    }
+
+
+def cells(quantity: str, values: Mapping[str, Sequence[float]]) -> list[str]:
+    """Return the cells of a quantity: the median of each version, and their ratio, empty where it has none."""
+    before = statistics.median(values["before"])
+    now = statistics.median(values["now"])
+    return [quantity, digits(before), digits(now), digits(now / before) if before else ""]
 
 
 if __name__ == "__main__":

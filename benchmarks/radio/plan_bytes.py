@@ -35,7 +35,8 @@ DEATH = (
 )
 NETWORKS = ((), ("links.delay_s=0.1", "links.loss=0.3"), DEATH)
 _MM_PER_M = 1e3
-Form = Callable[[Plan], Plan]
+Form = Callable[[Plan], Plan]  # what an agent receives of a plan
+_FLOAT64, _FLOAT32 = 8, 4  # bytes of a number
 
 
 def main() -> None:
@@ -97,17 +98,17 @@ def states(messages: Sequence[Message]) -> Array:
 
 
 def length(plan: Plan, form: Form) -> int:
-    """Return the bytes of a plan in a form."""
+    """Return the bytes of a plan in a form: of the numbers that are sent, in their length."""
     if form is without_corrections:
         return encoded_length(replace(plan, corrections=plan.corrections[:0]))
-    shorter = plan if form is single else replace(plan, inputs=plan.inputs[:1])
-    saved = 0
-    if form in (single, _both):
-        numbers = sum(
-            array.size for array in (shorter.uav_states, shorter.inputs, shorter.corrections)
-        )
-        saved = 4 * numbers
-    return encoded_length(shorter) - saved
+
+    # A form with the first input sends that one alone; one of all inputs sends all.
+    sent = plan if form is single else replace(plan, inputs=plan.inputs[:1])
+    whole = encoded_length(sent)
+    if form not in (single, _both):
+        return whole
+    numbers = sum(array.size for array in (sent.uav_states, sent.inputs, sent.corrections))
+    return whole - (_FLOAT64 - _FLOAT32) * numbers
 
 
 def mean_length(encoded: Sequence[bytes]) -> str:

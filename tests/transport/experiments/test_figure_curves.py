@@ -10,7 +10,8 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 
 from transport.experiments.cases import Point
-from transport.experiments.declaration import Experiment
+from transport.experiments.declaration import NONE, Experiment
+from transport.experiments.figures.curves_of_experiment import curves_of
 from transport.experiments.figures.figure_curves import draw_curves
 from transport.experiments.statistics import Estimate, PointStatistics
 
@@ -149,3 +150,28 @@ def test_bars_stay_within_a_logarithmic_axis() -> None:
     assert low < 0.2 * costs[0]
     assert high > 2.0 * costs[-1]
     assert last.get_xlabel().endswith("\nbars: range of 3 runs")
+
+
+def test_points_of_no_curve_belong_to_all() -> None:
+    """Of two at one place the last one counts: with a mean delay the constant delay, not the perfect network."""
+    labels = [(NONE, 0.0), (NONE, 0.0), ("uniform", 0.1), ("normal", 0.1), ("normal", 0.2)]
+    points = [
+        PointStatistics(
+            point=Point(labels={"distribution": name, LABEL: x}, text=f"{number}"),
+            runs=SEEDS,
+            completed=SEEDS,
+            errors=0,
+            diverged_s=(),
+            numbers={},
+            cost_ratio=None,
+        )
+        for number, (name, x) in enumerate(labels)
+    ]
+    experiment = Experiment(name="test", x=LABEL, curves="distribution")
+    curves = list(curves_of(experiment, {"paper": points}, joined=True))
+    texts = {curve.style["label"]: [one.point.text for one in curve.points] for curve in curves}
+    assert texts == {"uniform": ["1", "2"], "normal": ["1", "3", "4"]}
+    of_two = list(curves_of(experiment, {"paper": points, "resilient": points}, joined=False))
+    assert of_two[0].style["label"] == "paper, uniform"
+    assert of_two[0].style["color"] == of_two[1].style["color"] != of_two[2].style["color"]
+    assert of_two[0].style["linestyle"] == ""

@@ -6,8 +6,8 @@ loss) has a marker and a line.
 
 import math
 import statistics
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from transport.experiments.declaration import NONE, Experiment, axis
+from transport.experiments.declaration import Experiment
+from transport.experiments.figures.curves_of_experiment import Curve, Scenarios, curves_of, nest
 from transport.experiments.figures.figure_abscissa import Abscissa
-from transport.experiments.figures.figure_parts import mark_style, values_of
-from transport.experiments.statistics import COST_RATIO, PointStatistics, bars_in_words
+from transport.experiments.statistics import COST_RATIO, bars_in_words
 from transport.report.figures.column import (
     NAME_IN,
     Room,
@@ -29,14 +29,10 @@ from transport.report.figures.column import (
 )
 from transport.report.figures.style import (
     DIVERGED,
-    MARKER,
     REFERENCE,
     TEXT,
     label_decades,
-    styles_of,
 )
-
-Scenarios = Mapping[str, Sequence[PointStatistics]]
 
 # Height of a panel, of one whose curves are flat, and room above them, inches.
 _PANEL_IN = 0.95
@@ -47,7 +43,6 @@ _LINE_IN = 0.1  # of the second line of the label below
 # More scenarios than these share their panels; middle of the panels in parts of the width.
 _MOST_COLUMNS = 3
 _MIDDLE = 0.55
-_AROUND_PT = 1.5  # by which a marker is larger than the one above it
 # Height of "never" over the latest divergence, and highest tick below it.
 _NEVER = 1.25
 _HIGHEST_TICK = 0.85
@@ -70,14 +65,6 @@ class FigurePanel(NamedTuple):
     title: str
     number: str
     factor: float = 1.0
-
-
-class _Curve(NamedTuple):
-    """A curve: its scenario, its points in the order of the horizontal axis, and its style with its name."""
-
-    scenario: str
-    points: list[PointStatistics]
-    style: dict[str, Any]
 
 
 class _Drawn(NamedTuple):
@@ -121,9 +108,9 @@ def draw_curves(figure: Figure, experiment: Experiment, scenarios: Scenarios) ->
     columns = _columns(experiment, scenarios)
     is_alone = experiment.curves is None and len(columns) == len(scenarios)
     x = Abscissa.of(experiment, measured, columns=len(columns), is_alone=is_alone)
-    curves = list(_curves(experiment, scenarios, joined=x.is_joined))
+    curves = list(curves_of(experiment, scenarios, joined=x.is_joined))
     if x.is_growth:
-        _nest(curves)
+        nest(curves)
 
     shown = _PANELS[experiment.drawn_as]
     ends_s = [time_s for one in measured for time_s in one.diverged_s]
@@ -148,11 +135,11 @@ def draw_curves(figure: Figure, experiment: Experiment, scenarios: Scenarios) ->
 class _Content(NamedTuple):
     """The curves of a column of panels, with the places of their points."""
 
-    curves: Sequence[_Curve]
+    curves: Sequence[Curve]
     places: Sequence[Sequence[float]]
 
     @classmethod
-    def of(cls, curves: Sequence[_Curve], x: Abscissa) -> "_Content":
+    def of(cls, curves: Sequence[Curve], x: Abscissa) -> "_Content":
         """Return some curves with their places on the axis."""
         return cls(curves, x.places_of([curve.points for curve in curves]))
 
@@ -211,7 +198,7 @@ def _columns(experiment: Experiment, scenarios: Scenarios) -> list[list[str]]:
 
 
 def _legend(
-    experiment: Experiment, curves: Sequence[_Curve], columns: Sequence[Sequence[str]]
+    experiment: Experiment, curves: Sequence[Curve], columns: Sequence[Sequence[str]]
 ) -> list[Line2D]:
     """Return the legend: all curves, or what the columns have in common."""
     if len(columns) == 1:
@@ -228,13 +215,7 @@ def _legend(
     ]
 
 
-def _nest(curves: Sequence[_Curve]) -> None:
-    """Let the markers of each curve be seen around those of the next, where curves stand on the same values."""
-    for under, curve in enumerate(reversed(curves)):
-        curve.style["markersize"] = MARKER + _AROUND_PT * under
-
-
-def _is_flat(content: FigurePanel, curves: Sequence[_Curve]) -> bool:
+def _is_flat(content: FigurePanel, curves: Sequence[Curve]) -> bool:
     """Return whether no curve of a panel changes along the axis."""
     for curve in curves:
         values = [one.mean(content.number) for one in curve.points]
@@ -258,64 +239,6 @@ def _draw_means(panel: Axes, number: FigurePanel, content: _Content) -> list[_Dr
             if not math.isnan(height)
         ]
     return drawn
-
-
-def _curves(experiment: Experiment, scenarios: Scenarios, *, joined: bool) -> Iterator[_Curve]:
-    """Yield each curve of each scenario.
-
-    A scenario has a colour, a value in the column of the curves a marker and a line; with a single scenario
-    each value has a colour of its own. Points labelled `NONE` belong to all curves of their scenario.
-    """
-    column = experiment.curves
-    is_single = len(scenarios) == 1
-    for scenario, look in styles_of(list(scenarios)).items():
-        measured = scenarios[scenario]
-        if column is None:
-            points = _points(experiment, measured, None)
-            style = _style(look, joined=joined)
-            yield _Curve(scenario, points, {**style, "label": scenario})
-            continue
-
-        named = {
-            _name(experiment, column, value): value
-            for value in values_of(measured, column)
-            if value != NONE
-        }
-        for name, (own_colour, marker, line) in styles_of(list(named)).items():
-            points = _points(experiment, measured, named[name])
-            colour = own_colour if is_single else look[0]
-            label = name if is_single else f"{scenario}, {name}"
-            style = _style((colour, marker, line), joined=joined)
-            yield _Curve(scenario, points, {**style, "label": label})
-
-
-def _points(
-    experiment: Experiment, measured: Sequence[PointStatistics], value: float | str | None
-) -> list[PointStatistics]:
-    """Return the points of the curve with a value in the column of the curves.
-
-    Points at one x follow each other in `measured`, and the last of them belongs to the curve: the constant
-    delay, not the perfect network.
-    """
-    column = experiment.curves
-    return list(
-        {
-            one.point.labels[experiment.x]: one
-            for one in measured
-            if column is None or one.point.labels[column] in (NONE, value)
-        }.values()
-    )
-
-
-def _name(experiment: Experiment, column: str, value: float | str) -> str:
-    """Return the name of a curve with a value in a column."""
-    text = value if isinstance(value, str) else axis(column).text(value)
-    return experiment.legend.get(value, text)
-
-
-def _style(look: tuple[str, str, str], *, joined: bool) -> dict[str, Any]:
-    """Return the style of a curve with a colour, marker and line."""
-    return mark_style(look, look[2] if joined else "")
 
 
 def _scale(axes: Axes, drawn: Sequence[_Drawn], *, is_ratio: bool, is_growth: bool) -> None:
