@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from transport.experiments.arena.arena_algorithms import REFERENCE
-from transport.experiments.arena.arena_runs import NAME, VIOLATION, ArenaRuns
+from transport.experiments.arena.arena_runs import NAME, VIOLATION, ArenaRuns, judged
 from transport.experiments.arena.arena_tasks_and_networks import (
     NETWORK_TEXTS,
     NETWORKS,
@@ -253,7 +253,8 @@ def conduct(
     Raises: ExperimentError: a worker was lost. KeyboardInterrupt: the finished runs are kept.
     """
     with Results(NAME, folder) as results:
-        return ArenaResult(made, sweep(made.experiment, made.cases, simulate, results, console))
+        swept = sweep(made.experiment, made.cases, simulate, results, console)
+    return ArenaResult(made, replace(swept, results=[*map(judged, swept.results)]))
 
 
 def _row(one: PointStatistics, refused: str) -> dict[str, Any]:

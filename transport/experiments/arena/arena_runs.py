@@ -1,14 +1,18 @@
 """The arena: every algorithm on every task and network, measured along separate axes."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
+from transport.analysis.cost_and_tracking_metrics import SWING_S
 from transport.experiments.arena.arena_algorithms import REFERENCE, Algorithm, algorithms_of
 from transport.experiments.arena.arena_tasks_and_networks import NETWORKS, PERFECT, SCENARIO, TASKS
 from transport.experiments.cases import (
     Case,
     Point,
+    Result,
     cases_of_point,
     check,
     refused,
@@ -16,9 +20,11 @@ from transport.experiments.cases import (
 )
 from transport.experiments.declaration import Experiment
 from transport.log.run_log import RunLog
+from transport.model.state import R0
 from transport.protocol.scenario.scenario_file import find_scenario
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.wire.messages import PlantState, Target
 
 NAME = "arena"
 SEEDS = 3
@@ -28,6 +34,10 @@ DECLARED = Experiment(name=NAME, seeds=SEEDS, drawn_as="arena", scenarios=())
 # Number of a run: largest violation of the constraint of a task, in its unit.
 VIOLATION = "own_violation_max"
 FAILED = "failed_steps_share"
+# Distance of the payload from its goal at the end, of tasks in which only one agent knows the goal or the way, m.
+FROM_GOAL = "from_goal_m"
+_ARRIVED_M = 0.5
+MISSED = "missed"  # outcome of a run to its end in which the payload does not arrive
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,4 +152,31 @@ def axes(setup: Setup, summary: Any, log: RunLog) -> Mapping[str, float | None]:
         numbers[VIOLATION] = max(known, default=None)
     steps = len(setup.agents) * setup.ticks
     numbers[FAILED] = summary["solver"]["failures"] / steps
+    if _is_of_information(setup, log):
+        numbers[FROM_GOAL] = _from_goal_m(setup, log)
     return numbers
+
+
+def _is_of_information(setup: Setup, log: RunLog) -> bool:
+    """Return whether one agent alone is told a target, or obstacles are known by sight only."""
+    is_told = any(target.to for target in log.of(Target))
+    return is_told or any(one.seen_within_m for one in setup.scenario.obstacle)
+
+
+def _from_goal_m(setup: Setup, log: RunLog) -> float | None:
+    """Return the distance of the payload's mean place from the goal over the last swing of a run, m."""
+    maneuver = setup.after(log.of(Target)).maneuver
+    goal_I = maneuver.path(np.array([maneuver.duration_s]))[0][0]
+    payload_I = [one.x[R0] for one in log.of(PlantState)]
+    last = round(SWING_S / setup.settings.sampling_period_s)
+    return float(np.linalg.norm(np.mean(payload_I[-last:], axis=0) - goal_I))
+
+
+def judged(result: Result) -> Result:
+    """Return the result of a run, with the outcome `MISSED` where the payload does not arrive."""
+    from_goal_m = result.numbers.get(FROM_GOAL)
+    if result.outcome != "completed" or from_goal_m is None or from_goal_m <= _ARRIVED_M:
+        return result
+    return replace(
+        result, outcome=MISSED, reason=f"the payload ends {from_goal_m:.2f} m from its goal"
+    )
