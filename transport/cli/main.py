@@ -26,6 +26,7 @@ _EXPERIMENTS = {
     "agile": ("commands.experiment:COMMANDS", "Fast flight: the payload's error over speed."),
     "weather": ("commands.experiment:COMMANDS", "Worth of the network in weather."),
     "information": ("commands.experiment:COMMANDS", "Targets that one agent knows."),
+    "follow": ("commands.experiment:COMMANDS", "Error over the age of information."),
     "paper": ("commands.experiment:paper", "The paper's claim: centralized against distributed."),
     "scaling": ("commands.experiment:COMMANDS", "Growth of cost, computation and messages."),
 }

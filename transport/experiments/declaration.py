@@ -53,6 +53,7 @@ _COLUMNS: Mapping[str, tuple[Any, ...]] = {
     "hover_s": ("duration of the last hover", "s"),
     "speed_mps": ("largest speed", "m/s"),
     "uavs": ("number of UAVs",),
+    "age_s": ("mean age of the newest plan", "s"),
     "terminal": ("terminal weight",),
     "share_threshold": ("threshold", "% of the input's range; 0: all plans sent", 100.0),
     "rule": ("rule of the agents that learn a target from plans",),
@@ -119,7 +120,7 @@ class Experiment:
     """A sweep, with its options and defaults, and how it is drawn.
 
     That is as curves over x, a map over x and y, or a row for each variant. Curves have the panels
-    of costs, of processor time, of shared plans, of errors or of the radio.
+    of costs, of processor time, of shared plans, of errors, of the radio or of the age of information.
     """
 
     name: str  # of the command
@@ -127,7 +128,7 @@ class Experiment:
     y: str = ""
     shown: str = "cost_mean"  # number in a map
     drawn_as: Literal[
-        "curves", "scaling", "variants", "sharing", "tracking", "radio", "weather", "arena"
+        "curves", "scaling", "variants", "sharing", "tracking", "radio", "weather", "arena", "age"
     ] = "curves"
     # Column that tells the curves of a scenario apart, and names of its values in the figure.
     # Points labelled `NONE` belong to all curves.

@@ -1,4 +1,7 @@
-"""What one agent knows: targets told to agent 1, by the rule of the others and by the network."""
+"""What one agent knows: targets told to agent 1, by the rule of the others and by the network.
+
+Far targets that the others follow by some rule, and a platform that moves on while information about it ages.
+"""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -6,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from transport.experiments.cases import Point, check_names, key_of, run_in_memory
+from transport.experiments.arena.arena_tasks_and_networks import TASKS
+from transport.experiments.cases import Point, check_names, key_of, refused, run_in_memory
 from transport.experiments.declaration import Values, declared
 from transport.experiments.weather_experiment import FORCES, SENSORS, WEATHER
 from transport.log.run_log import RunLog
@@ -168,3 +172,56 @@ def _silences(scenario: Scenario, network: str, instants: int) -> tuple[tuple[st
         cuts = [f"{{between=['agent{agent}'],{times}}}" for agent in others]
         settings.append((f"links.partition=[{','.join(cuts)}]",))
     return tuple(settings)
+
+
+# Hover and targets of the arena's platform, told to agent 1.
+_PLATFORM, _ITS_PLACES = TASKS["follow"].settings
+DELAY, LOSS, NO_MESSAGES = "constant delay", "random loss", "no messages"
+
+
+@declared(
+    "age_s",
+    curves="network",
+    drawn_as="age",
+    scenarios=("precise", "resilient"),
+    seeds=3,
+    maneuver=_PLATFORM,
+    quick_maneuver=_PLATFORM,
+    age=Values(
+        [0.1, 0.2, 0.4, 0.6, 0.8, 1.0],
+        "SECONDS",
+        "Mean age of the newest plan, s.",
+        quick=[0.2],
+    ),
+)
+def follow(scenario: Scenario, age: Sequence[float]) -> Iterator[Point]:
+    """Error over the age of information, where one agent sees a platform that moves.
+
+    A platform moves at 1 m/s with random turns; its place is a target for agent 1 every half second. The others
+    learn it from plans that are delayed, or lost at random, so that the newest one has a given age in the mean,
+    or by no message at all.
+
+    Example: transport experiment follow --age 0.2 --age 0.5 --scenario precise
+    """
+    period_s = scenario.controller.sampling_period_s
+    ages_s = sorted({period_s, *age})
+    if ages_s[0] < period_s:
+        raise refused("--age", f"at least a sampling period, {period_s:g} s", f"{ages_s[0]:g}")
+
+    for age_s in ages_s:
+        is_perfect = age_s == period_s
+        # The newest plan is a period old at the least; with the loss p it is 1 / (1 - p) periods old in the mean.
+        impaired = {
+            DELAY: () if is_perfect else (f"links.delay_s={age_s!r}",),
+            LOSS: () if is_perfect else (f"links.loss={1.0 - period_s / age_s!r}",),
+            NO_MESSAGES: ("links.loss=1.0",),
+        }
+        for network, settings in impaired.items():
+            yield Point(
+                {"network": network, "age_s": age_s},
+                f"{network}, {age_s:g} s",
+                (_ITS_PLACES, *settings),
+                baseline=is_perfect and network == DELAY,
+                # Without any message there is nothing random.
+                by_seed=((),) if network == NO_MESSAGES else (),
+            )

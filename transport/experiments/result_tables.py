@@ -84,6 +84,10 @@ _FURTHER = {
         Column("known\n(s)", "known_s"),
         *(_DIVERGED, _ERROR, _ATTITUDE, _WORST_ATTITUDE, _APART),
     ],
+    "age_s": [
+        *(_ERROR, _LARGEST_ERROR),
+        *(_DIVERGED, _RATIO, _ATTITUDE, _WORST_ATTITUDE, _APART, _AGE),
+    ],
     "share_threshold": [
         Column("plans\nsent (%)", "plans_shared_share", 100.0, 1, True),
         *(_COST, _RATIO, _ATTITUDE, _AGE),

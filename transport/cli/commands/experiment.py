@@ -55,7 +55,8 @@ _OUT = (
 )
 _SCENARIO = (
     "Scenario file or name; default: paper and resilient (hover: also centralized; "
-    "deaths, sharing: resilient; agile: eight; information: precise; weather: five). Repeatable."
+    "deaths, sharing: resilient; agile: eight; information: precise; follow: precise and resilient; "
+    "weather: five). Repeatable."
 )
 _QUICK_SEEDS = 2
 # Experiments that are drawn so measure processor times.

@@ -90,6 +90,7 @@ _PANELS: Mapping[str, Sequence[FigurePanel]] = {
         FigurePanel("payload error, root mean square (cm)", "payload_rms_m", 100.0),
         FigurePanel("mean cost over that without a radio", COST_RATIO),
     ),
+    "age": (FigurePanel("payload error, root mean square (cm)", "payload_rms_m", 100.0), _ATTITUDE),
     "scaling": (
         FigurePanel("agent's CPU per step (ms)", "cpu_step_p50_ms"),
         FigurePanel("team's CPU per tick (ms)", "cpu_team_tick_ms"),
