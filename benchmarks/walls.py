@@ -51,6 +51,7 @@ _SILENT = "3 s of silence"  # on top of the delay and loss
 ROWS: Mapping[str, tuple[str, ...]] = {
     "perfect network": (),
     "200 ms, 30 % loss": _LATE,
+    f"{_SILENT}, eager, no stop": _LATE,
     f"{_SILENT}, eager, stop": (*_LATE, _STOP),
     f"{_SILENT}, confirmed, stop": (*_LATE, _STOP, _CONFIRMED),
 }
