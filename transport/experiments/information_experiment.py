@@ -197,9 +197,8 @@ DELAY, LOSS, NO_MESSAGES = "constant delay", "random loss", "no messages"
 def follow(scenario: Scenario, age: Sequence[float]) -> Iterator[Point]:
     """Error over the age of information, where one agent sees a platform that moves.
 
-    A platform moves at 1 m/s with random turns; its place is a target for agent 1 every half second. The others
-    learn it from plans that are delayed, or lost at random, so that the newest one has a given age in the mean,
-    or by no message at all.
+    A platform moves at 1 m/s with random turns; its place is told to agent 1 every half second. The others
+    learn it from plans, delayed or lost at random, of which the newest has the given age in the mean, or from none.
 
     Example: transport experiment follow --age 0.2 --age 0.5 --scenario precise
     """

@@ -385,6 +385,27 @@ def test_from_python() -> None:
         result.plot("speed")
 
 
+@pytest.mark.parametrize(
+    "task",
+    ["told", *(pytest.param(name, marks=pytest.mark.slow) for name in ("follow", "blocked"))],
+)
+def test_without_messages_the_payload_does_not_arrive(task: str) -> None:
+    """An algorithm completes a task of which one agent knows the goal or the way, and misses it without messages."""
+    result = transport.arena(
+        tasks=[task], networks=["none"], algorithms=["alone"], seeds=1, workers=1, progress=False
+    )
+    runs = {(row["network"], row["algorithm"]): row for row in result.rows("runs")}
+    outcomes = {place: row["outcome"] for place, row in runs.items()}
+    assert outcomes == {
+        (PERFECT, REFERENCE): "completed",
+        (PERFECT, "alone"): "completed",
+        ("none", "alone"): "missed",
+    }
+    missed = runs["none", "alone"]
+    assert missed["reason"] == f"the payload ends {missed['from_goal_m']:.2f} m from its goal"
+    assert runs[PERFECT, "alone"]["from_goal_m"] < 0.1
+
+
 def test_the_project_says_what_was_tuned() -> None:
     """Every algorithm of the project states for which task and network it was tuned."""
     unstated = Entry().tuned

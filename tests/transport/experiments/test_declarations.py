@@ -114,6 +114,32 @@ def test_targets_that_one_agent_knows() -> None:
     assert [target.to for target in cases[0].scenario.maneuver.target] == [[1]] * 4
 
 
+def mean_age_s(point: Point) -> float:
+    """Return the mean age of the newest plan of another agent over many ticks, s."""
+    arrived: dict[int, int] = {}  # by tick, the newest plan that arrives
+    for tick, sent in enumerate(delays(point)):
+        for delay_s in sent:
+            # A plan of a tick counts from the next one on at the earliest.
+            at_tick = tick + max(1, math.ceil(delay_s / 0.05 - 1e-9))
+            arrived[at_tick] = max(tick, arrived.get(at_tick, 0))
+    newest, ages = 0, []
+    for tick in range(TICKS):
+        newest = max(newest, arrived.get(tick, 0))
+        ages.append(tick - newest)
+    return 0.05 * float(np.mean(ages[TICKS // 10 :]))
+
+
+def test_information_about_the_platform_has_the_age_of_its_column() -> None:
+    """A delay and a loss of one column give plans of the same mean age; without messages no plan arrives."""
+    points = built("follow", of=("precise",), age=[0.2, 0.5]).points
+    assert [point.labels["age_s"] for point in points] == [0.05] * 3 + [0.2] * 3 + [0.5] * 3
+    for point in points:
+        if point.labels["network"] == "no messages":
+            assert not any(delays(point))
+        else:
+            assert mean_age_s(point) == pytest.approx(point.labels["age_s"], rel=0.15)
+
+
 @pytest.mark.parametrize(
     ("setting", "expected"),
     [
