@@ -143,7 +143,7 @@ NETWORKS: Mapping[str, tuple[str, ...]] = {
     "bursts": (f"links.gilbert_elliott={{enter={0.1 * 0.3 / 0.7!r},leave=0.1,loss=1.0}}",),
     # Computation short enough for ten exchanges within a period of 50 ms.
     "radio": ("radio={background=0.2,computation_mean_s=0.002,computation_deviation_s=0.0005}",),
-    # Every algorithm is one without messages here: what it does as well here needs none.
+    # Every algorithm is one without messages here.
     "none": ("links.loss=1.0",),
 }
 PERFECT = "perfect"
@@ -152,5 +152,5 @@ NETWORK_TEXTS: Mapping[str, str] = {
     "late": "200 ms delay, 30 % packet loss",
     "bursts": "30 % of the plans lost, in bursts of 0.5 s on average",
     "radio": "one 802.11a channel at 6 Mb/s with a slot for each agent and 20 % traffic of others",
-    "none": "no plan arrives: what is done as well here needs no messages",
+    "none": "no plan arrives",
 }
