@@ -8,7 +8,9 @@ import os
 import signal
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from typing import TypeVar
 
 from transport.experiments.cases import Case, ExperimentError, Result, refused, simulate
@@ -62,6 +64,8 @@ class Workers:
         import joblib
 
         self.jobs = jobs or joblib.cpu_count()
+        self._starting: Iterator[None] | None = None  # calls by which the processes start
+        self._have_begun = False
 
     def __enter__(self) -> "Workers":
         return self
@@ -69,11 +73,16 @@ class Workers:
     def __exit__(self, *_: object) -> None:
         if self.jobs > 1:
             from joblib.externals.loky import get_reusable_executor
+            from joblib.externals.loky.process_executor import TerminatedWorkerError
 
+            with suppress(TerminatedWorkerError):
+                self._wait_for_start()
             get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)
 
     def map(self, function: Callable[[Item], Value], items: Sequence[Item]) -> Iterator[Value]:
-        """Apply a function to items, in any order; the processes start with the first batch.
+        """Apply a function to items, in any order; the processes start with the first call.
+
+        A single item is computed in this process, while those start.
 
         Args:
             function: Picklable; returns one result.
@@ -81,22 +90,42 @@ class Workers:
 
         Raises: ExperimentError: a worker process has died.
         """
-        if self.jobs <= 1 or len(items) <= 1:
+        if self.jobs <= 1:
             yield from map(function, items)
             return
-        import joblib
+        if len(items) <= 1:
+            if not self._have_begun:
+                self._starting = self._apply(_imported, [function] * self.jobs)
+                self._have_begun = True
+            yield from map(function, items)
+            return
         from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+        try:
+            self._wait_for_start()
+            self._have_begun = True
+            yield from self._apply(function, items)
+        except TerminatedWorkerError as error:
+            line = str(error).splitlines()[0]
+            raise ExperimentError(f"a worker process died: {line}", EXIT_UNREACHABLE) from error
+
+    def _wait_for_start(self) -> None:
+        """Wait for the calls by which the processes start; joblib warns of calls that are given up."""
+        if self._starting is not None:
+            deque(self._starting, maxlen=0)
+            self._starting = None
+
+    def _apply(self, function: Callable[[Item], Value], items: Sequence[Item]) -> Iterator[Value]:
+        """Begin to apply a function in the processes; return the results, in any order."""
+        import joblib
 
         # Not loky alone: with all items in its queue its thread may raise while workers are killed.
         team = joblib.Parallel(
             n_jobs=self.jobs, return_as="generator_unordered", batch_size=1, max_nbytes=None,
             initializer=_prepare_worker, initargs=(os.getpid(),),
         )  # fmt: skip
-        try:
-            yield from team(joblib.delayed(function)(item) for item in items)
-        except TerminatedWorkerError as error:
-            line = str(error).splitlines()[0]
-            raise ExperimentError(f"a worker process died: {line}", EXIT_UNREACHABLE) from error
+        results: Iterator[Value] = team(joblib.delayed(function)(item) for item in items)
+        return results
 
 
 def check_cluster(address: str) -> None:
@@ -147,6 +176,10 @@ def _check_threads(address: str, threads: Sequence[int]) -> None:
     expected = f"workers with one thread each at {address} (dask worker {address} --nthreads 1)"
     got = f"some with {max(threads)}" if threads else "none"
     raise refused("--dask", expected, got, EXIT_UNREACHABLE)
+
+
+def _imported(_function: Callable[[Item], Value]) -> None:
+    """Do nothing: a worker has imported what a function needs when it has received it."""
 
 
 def _prepare_worker(parent: int) -> None:
