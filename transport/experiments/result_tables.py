@@ -16,7 +16,7 @@ from transport.experiments.statistics import (
 
 # Most characters in a line of a table.
 WIDTH = 160
-SPREAD = f"± half the 95 % interval, [range] of fewer than {FEW}"
+SPREAD = f"± half the 95 % interval; range of fewer than {FEW} runs"
 TITLE = f"means of completed runs, {SPREAD}"
 
 # Numbers from here on are shown without decimals.

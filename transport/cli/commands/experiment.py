@@ -266,7 +266,8 @@ def _conduct(name: str, options: ExperimentOptions, given: Mapping[str, Any]) ->
 
 def _title(name: str, swept: Swept, options: ExperimentOptions) -> str:
     """Return the title of a table; that of a timed experiment names its maneuver."""
-    title = f"{name}: {TITLE}" + (" (trial, no measurement)" if options.quick else "")
+    trial = " (trial, no measurement)" if options.quick else ""
+    title = f"{name}{trial}: {TITLE}"
     if swept.experiment.drawn_as != _TIMED:
         return title
 
