@@ -40,6 +40,15 @@ _FILE = Path(__file__).resolve()
 _BEFORE_READING = 0.9
 _AFTER_READING = 0.1
 _STEPS = 10  # of the plant's integration in a sampling period
+# Settings of AgentLib: penalty of ADMM, tolerance of IPOPT, order of collocation, and its pauses, s.
+_PENALTY = 1e-2
+_TOLERANCE = 1e-3
+_ORDER = 2
+_SYNC_DELAY_S = 5e-4
+_REGISTRATION_S = (
+    0.0  # the default of 2 s is subtracted from the sampling period: time for one iteration only
+)
+_BEFORE_END_S = 1e-3  # of the last period, at which the run ends: no further instant begins
 
 
 @dataclass(slots=True)
@@ -199,8 +208,8 @@ def _controller(setup: Setup, agent: int, iterations: int) -> dict[str, Any]:
     backend = {
         "type": "casadi_admm",
         "model": {"type": {"file": str(_FILE), "class_name": f"Team{agent}"}},
-        "discretization_options": {"collocation_order": 2, "collocation_method": "legendre"},
-        "solver": {"name": "ipopt", "options": {"ipopt.print_level": 0, "ipopt.tol": 1e-3}},
+        "discretization_options": {"collocation_order": _ORDER, "collocation_method": "legendre"},
+        "solver": {"name": "ipopt", "options": {"ipopt.print_level": 0, "ipopt.tol": _TOLERANCE}},
     }
     return {
         "module_id": "admm",
@@ -209,11 +218,9 @@ def _controller(setup: Setup, agent: int, iterations: int) -> dict[str, Any]:
         "time_step": period_s,  # s
         "prediction_horizon": setup.settings.horizon,
         "max_iterations": iterations,
-        "penalty_factor": 1e-2,
-        "sync_delay": 5e-4,  # s
-        # The default of 2 s is subtracted from the sampling period and would leave time for
-        # one iteration only.
-        "registration_period": 0.0,
+        "penalty_factor": _PENALTY,
+        "sync_delay": _SYNC_DELAY_S,
+        "registration_period": _REGISTRATION_S,
         "inputs": references,
         "controls": [
             {"name": f"u_{j}", "value": float(setup.hover.u[j]), **limits[j]} for j in own
@@ -236,5 +243,5 @@ def fly(setup: Setup, iterations: int) -> tuple[Array, Array, float]:
     agency = LocalMASAgency(
         agent_configs=_agents(setup, iterations), env={"rt": False}, variable_logging=False
     )
-    agency.run(until=setup.ticks * setup.settings.sampling_period_s - 1e-3)
+    agency.run(until=setup.ticks * setup.settings.sampling_period_s - _BEFORE_END_S)
     return np.array(flight.X), np.array(flight.U), time.process_time() - begin

@@ -26,6 +26,12 @@ AGENTS, VERSION, STEPS = 4, 7, 20
 # Mass, inertia and hover thrust of UAV 3, and its corner of the payload.
 MASS, INERTIA, THRUST, RHO = 1.5, np.array([0.029, 0.029, 0.055]), 22.0725, (-0.25, -0.25)
 RHO_Z, LENGTH = -0.125, 3.2
+# Gains of the loops: rods (1/s^2, 1/s), attitude (1/s^2, 1/s), height of the corner and of the UAVs (N/m).
+ROD, ROD_RATE = 40.0, 20.0
+ATTITUDE, RATE = 100.0, 16.0
+CORNER, HEIGHT = 100.0, 20.0
+AHEAD_S = 0.3  # of the corner's height that is fed back
+MOST_TILT, MOST_MOMENT, MOST_FORCE = 0.3, 0.5, 10.0  # rad, N m, N
 
 # Fields of messages behind the header, in the order of docs/reference/protocol.md.
 MEASUREMENT = ("agent", "answered", "shared", "roster", "payload", "uavs", "uav_states", "inputs")
@@ -66,15 +72,17 @@ def control(payload, uav, team):
     """Return the inputs that follow rods and tilt of the others, by two cascaded loops."""
     roll, pitch = payload[6:8]
     p, q = payload[9:11]
-    # How far the corner will be below the middle in 0.3 s, m.
-    low = RHO[1] * (roll + 0.3 * p) - RHO[0] * (pitch + 0.3 * q)
+    # How far the corner will be below the middle, m.
+    low = RHO[1] * (roll + AHEAD_S * p) - RHO[0] * (pitch + AHEAD_S * q)
     e, rod_rate, attitude, rate = uav.reshape(4, 3)
     e_team, rod_rate_team, attitude_team, _ = team.reshape(4, 3)
-    behind = 40.0 * (e - e_team) + 20.0 * (np.cross(rod_rate, e) - np.cross(rod_rate_team, e_team))
+    turning = np.cross(rod_rate, e) - np.cross(rod_rate_team, e_team)
+    behind = ROD * (e - e_team) + ROD_RATE * turning
     tilt = attitude_team[:2] + MASS / THRUST * np.array([behind[1], -behind[0]])
-    turn = np.append(np.clip(tilt, -0.3, 0.3) - attitude[:2], 0.0)
-    moments = INERTIA * (100.0 * turn - 16.0 * rate)
-    return np.append(THRUST + np.clip(100.0 * low, -10.0, 10.0), np.clip(moments, -0.5, 0.5))
+    turn = np.append(np.clip(tilt, -MOST_TILT, MOST_TILT) - attitude[:2], 0.0)
+    moments = INERTIA * (ATTITUDE * turn - RATE * rate)
+    force = np.clip(CORNER * low, -MOST_FORCE, MOST_FORCE)
+    return np.append(THRUST + force, np.clip(moments, -MOST_MOMENT, MOST_MOMENT))
 
 
 def height(payload, uav):
@@ -105,7 +113,7 @@ def answer(me, tick, measured, others, heights):
     inputs[0] = control(measured["payload"], states[0], team)
     z = height(measured["payload"], states[0])
     if heights:
-        inputs[0, 0] += 20.0 * (z - np.mean([z, *heights]))
+        inputs[0, 0] += HEIGHT * (z - np.mean([z, *heights]))
 
     plan = {
         "agent": me,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from transport.log.run_log import Recorded, RunLog
+from transport.protocol.scenario.faults.faults_by_tick import Fault
 from transport.protocol.scenario.links.link_changes import scripted_changes
 from transport.protocol.scenario.sections.lockstep_and_realtime_section import first_tick
 from transport.protocol.scenario.setup.run_setup import Setup
@@ -118,17 +119,9 @@ def _by_plant(setup: Setup, entry: Recorded) -> Iterator[_Event]:
     """Yield the faults that the plant applies at the tick of its state, and no roster tells of."""
     tick = entry.message.tick
     for fault in setup.faults:
-        text = ""
-        sensors = ", ".join(fault.sensors)
-        if fault.do == "degrade" and fault.tick == tick:
-            text = f"motors of {fault.target} degraded to {fault.efficiency:g} of their inputs"
-        elif fault.do == "sensors_off" and fault.tick == tick:
-            text = f"{fault.target} without {sensors}"
-        elif fault.do == "sensors_off" and fault.until == tick:
-            text = f"{fault.target} has {sensors} again"
-        elif fault.do == "load" and fault.tick == tick:
-            gradually = "" if fault.until is None else " gradually"
-            text = f"payload changes{gradually}: {fault.load.in_words()}"
+        text = _begin_in_words(fault) if fault.tick == tick else ""
+        if not text and fault.do == "sensors_off" and fault.until == tick:
+            text = f"{fault.target} has {', '.join(fault.sensors)} again"
         if text:
             yield _Event(
                 tick=tick,
@@ -137,6 +130,19 @@ def _by_plant(setup: Setup, entry: Recorded) -> Iterator[_Event]:
                 text=f"{text} by script",
                 processes=[fault.target],
             )
+
+
+def _begin_in_words(fault: Fault) -> str:
+    """Return the begin of a fault that the plant applies; empty for one that a roster tells of."""
+    match fault.do:
+        case "degrade":
+            return f"motors of {fault.target} degraded to {fault.efficiency:g} of their inputs"
+        case "sensors_off":
+            return f"{fault.target} without {', '.join(fault.sensors)}"
+        case "load":
+            gradually = "" if fault.until is None else " gradually"
+            return f"payload changes{gradually}: {fault.load.in_words()}"
+    return ""
 
 
 # An exception of a class of the user, and the line that raised it.

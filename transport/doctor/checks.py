@@ -25,15 +25,18 @@ from transport.protocol.wire.names import RECORDER
 
 # Wake-ups: how many are measured, and the latest that is no reason for a warning, ms.
 _NAPS = 40
+_NAP_S = 1e-3
 _LATE_MS = 2.0
 # Round trips on the loopback interface: how many, the longest of an undisturbed one in ms, and the
 # time for all of them in s.
 _ROUND_TRIPS = 20
 _LONGEST_MS = 20.0
 _NETWORK_S = 10.0
+_ANSWER_S = 0.5  # for each of them
 # Steps of an agent: how many are measured, after some that warm up.
 _STEPS = 10
 _WARM_UP = 2
+_MOST_OF_PERIOD = 0.5  # share of a sampling period that a step may take without a warning
 
 
 class DoctorFinding(NamedTuple):
@@ -119,7 +122,7 @@ def _round_trips_ms(host: str) -> list[float]:
             answering.declare_queryable(key, lambda query: query.reply(key, "{}"))
             while len(times_ms) < _ROUND_TRIPS and time.monotonic() < deadline_s:
                 asked_s = time.perf_counter()
-                if fetch_answer(asking, key, {}, timeout_s=0.5) is not None:
+                if fetch_answer(asking, key, {}, timeout_s=_ANSWER_S) is not None:
                     times_ms.append(1e3 * (time.perf_counter() - asked_s))
     return times_ms
 
@@ -142,7 +145,7 @@ def step(setup: Setup) -> DoctorFinding:
         "in real time plans will miss deadlines: a longer period, a shorter horizon, "
         "fewer UAVs per agent"
     )
-    return judged(state, median_ms > period_ms / 2.0, advice)
+    return judged(state, median_ms > _MOST_OF_PERIOD * period_ms, advice)
 
 
 def kernels(setup: Setup) -> DoctorFinding:
@@ -171,11 +174,11 @@ def wake_up(_: Setup) -> DoctorFinding:
     late_ms: list[float] = []
     while len(late_ms) < _NAPS:
         begun_s = time.monotonic()
-        time.sleep(1e-3)
-        late_ms.append(1e3 * (time.monotonic() - begun_s) - 1.0)
+        time.sleep(_NAP_S)
+        late_ms.append(1e3 * (time.monotonic() - begun_s - _NAP_S))
 
     median_ms = statistics.median(late_ms)
-    state = f"after 1 ms of sleep late by {median_ms:.2f} ms, at most {max(late_ms):.2f} ms"
+    state = f"after {1e3 * _NAP_S:g} ms of sleep late by {median_ms:.2f} ms, at most {max(late_ms):.2f} ms"
     advice = (
         "the host is busy or saves power; for real time: priority, cores, governor "
         "(docs/realtime.md)"

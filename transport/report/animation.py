@@ -28,6 +28,17 @@ FPS = 10  # frames per second
 LENGTH_S = 6.0  # of the animation of a run, whatever its duration
 _DPI = 100
 _SIZE_IN = (7.2, 4.4)
+# Places of the views: left, bottom, width, height in parts of the figure; and of the texts: left, bottom.
+_SPACE = (-0.04, 0.0, 0.58, 0.95)
+_ABOVE = (0.54, 0.42, 0.44, 0.47)
+_COST = (0.62, 0.25, 0.36, 0.11)
+_ATTITUDE = (0.62, 0.10, 0.36, 0.11)
+_UNITS = (0.03, 0.03)
+_TIME = (0.03, 0.94)
+_TIME_STYLE: Any = {"fontsize": 10.0, "family": "monospace", "weight": "bold"}
+# From where the view in space looks, deg, and its size in parts of its place.
+_ELEVATION, _AZIMUTH, _ZOOM = 20.0, -62.0, 0.85
+_LEAST_S = 1e-9  # of a run of one tick, which has a length, too
 _NOW = "#b2182b"
 _DECADES = 4  # of the cost
 _WIDTH = 0.45  # of a line, points for a pixel on the screen
@@ -98,18 +109,18 @@ class AnimationPage:
         self._reach_m = _reach_m(series)
 
         self.figure = Figure(figsize=_SIZE_IN, dpi=_DPI)
-        self.figure.text(0.03, 0.03, "x, y, altitude in m")
-        self._space: Any = self.figure.add_axes((-0.04, 0.0, 0.58, 0.95), projection="3d")
+        self.figure.text(*_UNITS, "x, y, altitude in m")
+        self._space: Any = self.figure.add_axes(_SPACE, projection="3d")
         _set_space(self._space, series)
-        self.above = self.figure.add_axes((0.54, 0.42, 0.44, 0.47))
+        self.above = self.figure.add_axes(_ABOVE)
         _set_above(self.above)
 
-        cost = self.figure.add_axes((0.62, 0.25, 0.36, 0.11))
+        cost = self.figure.add_axes(_COST)
         _draw_cost(cost, series)
-        attitude = self.figure.add_axes((0.62, 0.10, 0.36, 0.11))
+        attitude = self.figure.add_axes(_ATTITUDE)
         _draw_attitude(attitude, series)
         self._over_time = [cost, attitude]
-        end_s = float(series.times_s[-1]) + 1e-9  # a run of one tick has a length, too
+        end_s = float(series.times_s[-1]) + _LEAST_S
         shade_phases(builder.setup, self._over_time, end_s, named=False)
 
     def show(self, scene: Scene) -> None:
@@ -134,8 +145,7 @@ class AnimationPage:
 
         self._moving += [axes.axvline(scene.time_s, color=_NOW) for axes in self._over_time]
         text = f"{scene.time_s:5.2f} s   {scene.phase}"
-        style: Any = {"fontsize": 10.0, "family": "monospace", "weight": "bold"}
-        self._moving.append(self.figure.text(0.03, 0.94, text, **style))
+        self._moving.append(self.figure.text(*_TIME, text, **_TIME_STYLE))
 
 
 def _middle_I(payload_I: Array, uavs_I: Array) -> Array:
@@ -160,8 +170,8 @@ def _set_space(axes: Any, series: Series) -> None:
     """Set the view in space, with the payload's reference."""
     line(axes, series.payload_reference_I, color=REFERENCE, linewidth=0.8, linestyle="--")
     flown_I = np.concatenate([series.uavs_I.reshape(-1, 3), series.x[:, :3]])
-    frame(axes, flown_I * UP, zoom=0.85)
-    axes.view_init(elev=20.0, azim=-62.0)
+    frame(axes, flown_I * UP, zoom=_ZOOM)
+    axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
     axes.tick_params(pad=-2.0)
     axes.set(xlabel="", ylabel="", zlabel="")
     axes.yaxis.set_major_locator(MaxNLocator(2))

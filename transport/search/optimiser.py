@@ -30,6 +30,7 @@ _LEAST_RANDOM = 16  # points before the first generation, one for each dimension
 _SEVERITY = 6.0  # a severe coordinate is u^(1/6): above one half with probability 0.98
 _SIGMA = 0.25  # first step of CMA-ES, in sides of the cube
 _STALL = 4  # generations of CMA-ES without progress after which it starts anew
+_SEEDS_APART = 1000  # of the seeds of two starts: each draws other numbers
 _APART = 0.3  # least distance of starts, as a multiple of the root of the dimension
 
 # Evolution.
@@ -37,6 +38,7 @@ _PRESSURE = 0.25  # a parent is the worst point with this probability, else the 
 _STEPS = (0.02, 0.3)  # standard deviation of a change, log-uniform between, sides of the cube
 _REDRAWN = 0.15  # share of the coordinates of a changed event that are drawn anew
 _CROSSED = 0.3  # share of the points with events of a second parent
+_OF_SECOND = 0.5  # share of the events that these have from it
 _FRESH = 0.1  # share of the points that are drawn anew
 _MOST_CHANGES = 2  # events of a child that are changed
 
@@ -113,7 +115,7 @@ class Optimiser:
         if rng.random() < _CROSSED:
             other = self._parent(worst_first)
             for event in layout.events:
-                if rng.random() < 0.5:
+                if rng.random() < _OF_SECOND:
                     child[event] = other[event]
 
         changes = min(len(layout.events), int(rng.integers(1, _MOST_CHANGES + 1)))
@@ -192,7 +194,7 @@ class Descent:
         options = {
             "bounds": [0.0, 1.0],
             "popsize": BATCH,
-            "seed": 1 + self._seed + 1000 * len(self._starts),  # 0 is the clock's
+            "seed": 1 + self._seed + _SEEDS_APART * len(self._starts),  # 0 is the clock's
             "verbose": -9,
             "verb_log": 0,
         }

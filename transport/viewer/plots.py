@@ -23,6 +23,13 @@ _LABEL_PX = 16
 # Above, right, below, left: half a value at the upper end, and at the right one.
 _PADDING_PX = (10, 24, 0, 0)
 _FONT = "10px sans-serif"
+_BLACK = "#000000"
+# Ranges that the vertical axes show at least, as a single value has none: payload error, m; cost, powers of ten;
+# ages, sampling periods; thrust, parts of that at hover.
+_ERROR_M = (0.0, 0.01)
+_COST_DECADES = (-6.0, -3.0)
+_AGE_PERIODS = (0.0, 2.0)
+_THRUST_OF_HOVER = (0.98, 1.02)
 # Smaller costs are rounding errors.
 _LEAST_COST = 1e-8
 # Steps of a vertical axis, at most, and the least part of it that curves need.
@@ -34,14 +41,14 @@ _ROUNDING = 1e-9
 _FAR = 100.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class PlottedQuantity:
     """A quantity of a run to be plotted."""
 
     title: str
     unit: str  # name of the vertical axis
     colours: tuple[str, ...]  # of its curves
-    range: tuple[float, float]  # least range of the axis: that of a single value would be any
+    range: tuple[float, ...]  # ends of the axis at least
 
 
 class Plots:
@@ -58,26 +65,13 @@ class Plots:
         self._values_of_ticks: dict[int, list[Array]] = {}
         agents = tuple(uav_style(owned[0])["color"] for owned in setup.owned)
         uavs = tuple(uav_style(i)["color"] for i in range(setup.system.N))
-        hover_N = builder.hover_N
+        ages_s = tuple(periods * self._period_s for periods in _AGE_PERIODS)
+        thrusts_N = tuple(share * builder.hover_N for share in _THRUST_OF_HOVER)
         self._quantities = (
-            PlottedQuantity(
-                title="payload error", unit="m", colours=("#000000",), range=(0.0, 0.01)
-            ),
-            PlottedQuantity(
-                title="stage cost", unit="power of ten", colours=("#000000",), range=(-6.0, -3.0)
-            ),
-            PlottedQuantity(
-                title="oldest plan in use, by agent",
-                unit="s",
-                colours=agents,
-                range=(0.0, 2.0 * self._period_s),
-            ),
-            PlottedQuantity(
-                title="thrust, by UAV",
-                unit="N",
-                colours=uavs,
-                range=(0.98 * hover_N, 1.02 * hover_N),
-            ),
+            PlottedQuantity("payload error", "m", (_BLACK,), _ERROR_M),
+            PlottedQuantity("stage cost", "power of ten", (_BLACK,), _COST_DECADES),
+            PlottedQuantity("oldest plan in use, by agent", "s", agents, ages_s),
+            PlottedQuantity("thrust, by UAV", "N", uavs, thrusts_N),
         )
         self._whole = whole
         self._ranges = [rounded_range(*quantity.range) for quantity in self._quantities]

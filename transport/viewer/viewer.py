@@ -196,16 +196,21 @@ def may_send(pages: Sequence[Page], now_s: float) -> bool:
     get fewer frames, so that none waits in their queues.
     """
     slow = [page for page in pages if page.unshown_since_s is not None]
-    is_alone = len(slow) == len(pages)  # no page shows the newest frame
-    for page in slow:
-        patience_s = _PATIENCE_S
-        if is_alone:
-            patience_s = min(_PATIENCE_S * 2.0 ** (page.unshown - 1), _LONGEST_PATIENCE_S)
-        elif page.unshown > 1:
-            continue
-        if page.unshown_since_s is not None and now_s - page.unshown_since_s < patience_s:
-            return False
-    return True
+    are_all = len(slow) == len(pages)  # no page shows the newest frame
+    return not any(_is_awaited(page, now_s, are_all=are_all) for page in slow)
+
+
+def _is_awaited(page: Page, now_s: float, *, are_all: bool) -> bool:
+    """Return whether a page that does not show its newest frame is still waited for.
+
+    Beside pages that show theirs, one that has missed a frame before is not: it would hold them up each time.
+    """
+    if page.unshown_since_s is None or (page.unshown > 1 and not are_all):
+        return False
+    patience_s = _PATIENCE_S
+    if are_all:
+        patience_s = min(_PATIENCE_S * 2.0 ** (page.unshown - 1), _LONGEST_PATIENCE_S)
+    return now_s - page.unshown_since_s < patience_s
 
 
 def open_viewer(folder: Path, host: str, port: int) -> Viewer:

@@ -116,35 +116,41 @@ def differences(
             continue
         got = np.asarray(getattr(answer, name))
         expected = np.asarray(getattr(recorded, name))
-        same_shape = got.shape == expected.shape
-        if same_shape and got.tobytes() == expected.tobytes():
+        if got.shape == expected.shape and got.tobytes() == expected.tobytes():
             continue
+        yield _difference(answer, name, (got, expected), commands)
 
-        where = ""
-        size: float | None = None
-        got_text = str(got)
-        expected_text = str(expected)
-        if same_shape and got.dtype.kind in "if":
-            apart = np.abs(got - expected)
-            entry = np.unravel_index(int(apart.argmax()), got.shape)
-            where = _entry(answer, name, [int(index) for index in entry], commands)
-            size = float(apart[entry])
-            got_text = str(got[entry])
-            expected_text = str(expected[entry])
-        elif got.ndim:
-            got_text = f"{len(got)} entries"
-            expected_text = f"{len(expected)} entries"
 
-        yield Difference(
-            tick=answer.tick,
-            kind=answer.kind,
-            negotiation=answer.negotiation if isinstance(answer, Plan) else 0,
-            name=name,
-            where=where,
-            got=got_text,
-            expected=expected_text,
-            size=size,
-        )
+def _difference(
+    answer: Answer, name: str, values: tuple[Array, Array], commands: tuple[str, ...]
+) -> Difference:
+    """Return how a field of a message differs, from its replayed and its recorded value.
+
+    Of numbers in arrays of the same shape it is the entry that differs most, of others their texts or lengths.
+    """
+    got, expected = values
+    where = ""
+    size = None
+    texts = [str(value) for value in values]
+    if got.shape == expected.shape and got.dtype.kind in "if":
+        apart = np.abs(got - expected)
+        entry = np.unravel_index(int(apart.argmax()), got.shape)
+        where = _entry(answer, name, [int(index) for index in entry], commands)
+        size = float(apart[entry])
+        texts = [str(value[entry]) for value in values]
+    elif got.ndim:
+        texts = [f"{len(value)} entries" for value in values]
+
+    return Difference(
+        tick=answer.tick,
+        kind=answer.kind,
+        negotiation=answer.negotiation if isinstance(answer, Plan) else 0,
+        name=name,
+        where=where,
+        got=texts[0],
+        expected=texts[1],
+        size=size,
+    )
 
 
 def _entry(message: Answer, name: str, index: list[int], commands: tuple[str, ...]) -> str:
