@@ -1,7 +1,6 @@
 """What ArduPilot and PX4 do differently with the same messages: modes, parameters, health.
 
-ArduPilot has been flown in the loop only by its stand-in (`plant.autopilot.stand_in`), and by a
-prototype with ArduCopter 4.7; PX4 follows its documentation.
+ArduCopter 4.7-dev has been flown in the loop (docs/flight.md); PX4 follows its documentation.
 """
 
 from collections.abc import Callable, Mapping
