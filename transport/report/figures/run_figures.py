@@ -24,8 +24,8 @@ from transport.report.figures.timing_figure import draw_timing
 
 # Names of the figures of a run.
 FIGURES = ("performance", "inputs", "trajectories", "timing", "estimate", "delays", "radio")
-# Number of figures that a forked process draws; they have data at any tick.
-_BESIDE = 2
+# Those that a forked process draws: half of the work, beside the others and the table of steps.
+_BESIDE = ("inputs", "timing", "delays")
 
 _OVER_TIME: dict[str, Callable[..., list[Axes]]] = {
     "performance": draw_performance,
@@ -46,8 +46,8 @@ def draw(
 ) -> list[Path]:
     """Draw `FIGURES` of a run as PNG, and also as "svg" or "pdf", as far as its log goes.
 
-    With `forks`, which only processes of one thread may do, a forked process draws the first two,
-    half of the work, and `meanwhile` is called beside it.
+    With `forks`, which only processes of one thread may do, a forked process draws half of them, and
+    `meanwhile` is called beside it. The folder has no figures before.
 
     Returns: The PNG files, without those that have no data. Raises: ChildProcessError: the forked
         process failed.
@@ -62,19 +62,17 @@ def draw(
             meanwhile()
             return _write(run, FIGURES, folder, also)
 
-        arguments = (run, FIGURES[:_BESIDE], folder, also)
+        arguments = (run, _BESIDE, folder, also)
         process = get_context("fork").Process(target=_write, args=arguments, daemon=True)
         process.start()
         meanwhile()
-        others = _write(run, FIGURES[_BESIDE:], folder, also)
+        _write(run, [name for name in FIGURES if name not in _BESIDE], folder, also)
         process.join()
     if process.exitcode:
         raise ChildProcessError(
             f"a forked process of the report failed (exit status {process.exitcode})"
         )
-
-    beside = [folder / f"{name}.png" for name in FIGURES[:_BESIDE]]
-    return [*beside, *others]
+    return [file for name in FIGURES if (file := folder / f"{name}.png").exists()]
 
 
 def _write(
