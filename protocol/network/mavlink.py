@@ -20,8 +20,14 @@ os.environ.setdefault("MAVLINK20", "1")
 
 _MAGIC = 0xFD  # MAVLink 2; packets of version 1 are refused
 _HEADER = 10
+# Places in the header: length of the payload, incompatible flags, system, and component behind it.
+_LENGTH_AT, _FLAGS_AT, _SYSTEM_AT = 1, 2, 5
+_SYSTEM_AND_COMPONENT = slice(_SYSTEM_AT, _SYSTEM_AT + 2)
+_NUMBERS = 256  # of packets, which count in one byte
 _CHECKSUM = 2
 _SIGNATURE = 13  # link id 1, timestamp 6, hash 6
+_LINK = bytes([0])  # id of this link in its signatures
+_TIMESTAMP_BYTES = 6
 _HASH = 6
 _SIGNED = 0x01  # of the incompatible flags
 _KEY_BYTES = 32
@@ -90,15 +96,16 @@ class Signatures:
     def signed(self, packet: bytes) -> bytes:
         """Return a packet, made with the flag of signed ones, with its signature."""
         self._sent = max(self._sent + 1, _timestamp())
-        signed = packet + bytes([0]) + self._sent.to_bytes(6, "little")
+        signed = packet + _LINK + self._sent.to_bytes(_TIMESTAMP_BYTES, "little")
         return signed + self._hash(signed)
 
     def accept(self, packet: bytes) -> bool:
         """Return whether a signature is right and newer than those before; only then remember it."""
         if self._hash(packet[:-_HASH]) != packet[-_HASH:]:
             return False
-        stream = packet[-_SIGNATURE : -_SIGNATURE + 1] + packet[5:7]
-        stamp = int.from_bytes(packet[-_SIGNATURE + 1 : -_HASH], "little")
+        signature = packet[-_SIGNATURE:]
+        stream = signature[: len(_LINK)] + packet[_SYSTEM_AND_COMPONENT]
+        stamp = int.from_bytes(signature[len(_LINK) : -_HASH], "little")
         oldest = _timestamp() - _OLDEST_FIRST_S * _UNITS_PER_S
         if stamp <= self._newest.get(stream, oldest):
             return False
@@ -178,7 +185,7 @@ class MavlinkLink:
             packet = bytes(message.pack(self._mav))
         else:
             packet = self._signatures.signed(_flagged(message, self._mav))
-        self._mav.seq = (self._mav.seq + 1) % 256
+        self._mav.seq = (self._mav.seq + 1) % _NUMBERS
         try:
             if self._is_client:
                 self._socket.send(packet)
@@ -189,9 +196,10 @@ class MavlinkLink:
 
     def _checked(self, packet: bytes, address: Any) -> Any:
         """Return the message in a packet, None if it does not count."""
-        is_signed = bool(packet[2] & _SIGNED)
-        if self._other not in (0, packet[5]):
-            self.others.add(packet[5])
+        is_signed = bool(packet[_FLAGS_AT] & _SIGNED)
+        system = packet[_SYSTEM_AT]
+        if self._other not in (0, system):
+            self.others.add(system)
             return None
         now_s = time.monotonic()
         is_stranger = self._peer not in (None, address) and now_s < self._heard_s + _FORGETS_S
@@ -216,8 +224,8 @@ def _packets(data: bytes) -> Iterator[bytes]:
         if data[at] != _MAGIC:
             at += 1
             continue
-        signature = _SIGNATURE if data[at + 2] & _SIGNED else 0
-        end = at + _HEADER + data[at + 1] + _CHECKSUM + signature
+        signature = _SIGNATURE if data[at + _FLAGS_AT] & _SIGNED else 0
+        end = at + _HEADER + data[at + _LENGTH_AT] + _CHECKSUM + signature
         if end > len(data):
             return
         yield data[at:end]
@@ -227,7 +235,7 @@ def _packets(data: bytes) -> Iterator[bytes]:
 def _flagged(message: Any, mav: Any) -> bytes:
     """Return a packet with the flag of signed ones, and the checksum that belongs to it."""
     packet = bytearray(message.pack(mav))
-    packet[2] |= _SIGNED
+    packet[_FLAGS_AT] |= _SIGNED
     crc = messages().x25crc(bytes(packet[1:-_CHECKSUM]) + bytes([message.crc_extra])).crc
     packet[-_CHECKSUM:] = crc.to_bytes(_CHECKSUM, "little")
     return bytes(packet)
