@@ -13,7 +13,7 @@ Scenarios = Mapping[str, Sequence[PointStatistics]]
 _AROUND_PT = 1.5  # by which a marker is larger than the one above it
 
 
-class Curve(NamedTuple):
+class DrawnCurve(NamedTuple):
     """A curve: its scenario, its points in the order of the horizontal axis, and its style with its name."""
 
     scenario: str
@@ -21,7 +21,9 @@ class Curve(NamedTuple):
     style: dict[str, Any]
 
 
-def curves_of(experiment: Experiment, scenarios: Scenarios, *, joined: bool) -> Iterator[Curve]:
+def curves_of(
+    experiment: Experiment, scenarios: Scenarios, *, joined: bool
+) -> Iterator[DrawnCurve]:
     """Yield each curve of each scenario, joined by lines or not.
 
     A scenario has a colour, and a value in the column of the curves a marker and a line; with a single scenario
@@ -31,7 +33,7 @@ def curves_of(experiment: Experiment, scenarios: Scenarios, *, joined: bool) -> 
         points = scenarios[scenario]
         if experiment.curves is None:
             style = {**_style(look, joined=joined), "label": scenario}
-            yield Curve(scenario, points_on(experiment, points, None), style)
+            yield DrawnCurve(scenario, points_on(experiment, points, None), style)
             continue
 
         values = _named_values(experiment, points)
@@ -40,7 +42,7 @@ def curves_of(experiment: Experiment, scenarios: Scenarios, *, joined: bool) -> 
             colour = own_colour if is_single else look[0]
             label = name if is_single else f"{scenario}, {name}"
             style = {**_style((colour, marker, line), joined=joined), "label": label}
-            yield Curve(scenario, points_on(experiment, points, values[name]), style)
+            yield DrawnCurve(scenario, points_on(experiment, points, values[name]), style)
 
 
 def _named_values(
@@ -77,7 +79,7 @@ def _style(look: tuple[str, str, str], *, joined: bool) -> dict[str, Any]:
     return mark_style(look, look[2] if joined else "")
 
 
-def nest(curves: Sequence[Curve]) -> None:
+def nest(curves: Sequence[DrawnCurve]) -> None:
     """Let the markers of each curve be seen around those of the next, where curves stand on the same values."""
     for under, curve in enumerate(reversed(curves)):
         curve.style["markersize"] = MARKER + _AROUND_PT * under

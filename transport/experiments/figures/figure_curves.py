@@ -16,7 +16,12 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from transport.experiments.declaration import Experiment
-from transport.experiments.figures.curves_of_experiment import Curve, Scenarios, curves_of, nest
+from transport.experiments.figures.curves_of_experiment import (
+    DrawnCurve,
+    Scenarios,
+    curves_of,
+    nest,
+)
 from transport.experiments.figures.figure_abscissa import Abscissa
 from transport.experiments.statistics import COST_RATIO, bars_in_words
 from transport.report.figures.column import (
@@ -136,11 +141,11 @@ def draw_curves(figure: Figure, experiment: Experiment, scenarios: Scenarios) ->
 class _Content(NamedTuple):
     """The curves of a column of panels, with the places of their points."""
 
-    curves: Sequence[Curve]
+    curves: Sequence[DrawnCurve]
     places: Sequence[Sequence[float]]
 
     @classmethod
-    def of(cls, curves: Sequence[Curve], x: Abscissa) -> "_Content":
+    def of(cls, curves: Sequence[DrawnCurve], x: Abscissa) -> "_Content":
         """Return some curves with their places on the axis."""
         return cls(curves, x.places_of([curve.points for curve in curves]))
 
@@ -199,7 +204,7 @@ def _columns(experiment: Experiment, scenarios: Scenarios) -> list[list[str]]:
 
 
 def _legend(
-    experiment: Experiment, curves: Sequence[Curve], columns: Sequence[Sequence[str]]
+    experiment: Experiment, curves: Sequence[DrawnCurve], columns: Sequence[Sequence[str]]
 ) -> list[Line2D]:
     """Return the legend: all curves, or what the columns have in common."""
     if len(columns) == 1:
@@ -216,7 +221,7 @@ def _legend(
     ]
 
 
-def _is_flat(content: FigurePanel, curves: Sequence[Curve]) -> bool:
+def _is_flat(content: FigurePanel, curves: Sequence[DrawnCurve]) -> bool:
     """Return whether no curve of a panel changes along the axis."""
     for curve in curves:
         values = [one.mean(content.number) for one in curve.points]
