@@ -48,7 +48,7 @@ CITATION = re.compile(r"(?<![\w\])])(?<!\d )\(([1-9]\d{0,2}[a-z]?)\)(?!\^)")
 # Parts of documents that other programs than docs/figures.py renew, or that a test compares.
 OTHER_PARTS: list[tuple[str, str, tuple[str, ...]]] = [
     ("docs/arena.md", "docs/arena_page.py", ("tasks", "networks")),
-    ("docs/record/arena.md", "docs/arena_page.py", ("results",)),
+    ("docs/record/arena.md", "docs/arena_page.py", ("results", "information")),
     ("docs/record/algorithms.md", "docs/algorithm_figures.py", ("ready algorithms",)),
     ("docs/record/guarantees.md", "benchmarks/silence.py", ("bench: silence",)),
     ("docs/record/guarantees.md", "benchmarks/walls.py", ("bench: walls",)),
