@@ -60,6 +60,7 @@ class HandOver:
         # While UAVs act alone: force of the integral of each, N, and its sensors.
         self._integral_I: dict[int, Array] = {}
         self._sensors: dict[int, OwnSensors] = {}
+        self._faded: Array = np.zeros((0, 1))
 
     @property
     def share(self) -> float:
@@ -91,7 +92,7 @@ class HandOver:
         settings, count = self._setup.settings, len(self._owned)
         before = linear.u0[state.input_indices(self._owned)]
         inputs = mixed(team, alone, share, before, settings.largest_step(count))
-        return np.clip(inputs, settings.lower(count), settings.upper(count))
+        return np.minimum(np.maximum(inputs, settings.lower(count)), settings.upper(count))
 
     def _alone(self, uav: int, k: int, start: int, linear: Linear, steps: int) -> Array:
         """Return the inputs of a UAV alone over a plan, (steps, 4).
@@ -106,9 +107,14 @@ class HandOver:
         deviation = law.inputs(motion, setpoint, integral_I) - setpoint.inputs
         self._integral_I[uav] = law.integral_after(integral_I, motion, setpoint, self._period_s)
 
-        fading = np.exp(-self._period_s / _FADES_S * np.arange(steps))
         ahead = self._team.alone_ahead(uav, start, steps)
-        return np.asarray(ahead + fading[:, None] * deviation)
+        return np.asarray(ahead + self._fading(steps) * deviation)
+
+    def _fading(self, steps: int) -> Array:
+        """Return the part of a deviation that is left at each step, (steps, 1), computed once for a length."""
+        if len(self._faded) != steps:
+            self._faded = np.exp(-self._period_s / _FADES_S * np.arange(steps))[:, None]
+        return self._faded
 
     def _motion(self, uav: int, k: int, start: int, linear: Linear) -> UavMotion:
         """Return the motion of a UAV at tick `start` by its own sensors: (31d), (31e).
@@ -190,5 +196,5 @@ def mixed(team: Array, alone: Array, share: float, before: Array, step: Array) -
     inputs = (1.0 - share) * team + share * alone
     for k in range(len(inputs)):
         previous = before if k == 0 else inputs[k - 1]
-        inputs[k] = np.clip(inputs[k], previous - step, previous + step)
+        inputs[k] = np.minimum(np.maximum(inputs[k], previous - step), previous + step)
     return inputs

@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from transport.model.arrays import Array
 
@@ -69,6 +68,8 @@ class Optimiser:
     """Minimiser of a function over the unit cube, by asking for points and being told its values."""
 
     def __init__(self, layout: SearchLayout, *, seed: int) -> None:
+        from scipy.stats import qmc  # 0.4 s, in which the workers of a search start
+
         self._layout = layout
         self._random_left = max(_LEAST_RANDOM, layout.dimension)
         self._sampler = qmc.Sobol(layout.dimension, seed=seed)

@@ -28,10 +28,11 @@ class Streams:
         self._bits = Philox(key=key)
         self._generator = Generator(self._bits)
         self._state = self._bits.state  # before any number is drawn
+        self._counter = self._state["state"]["counter"]  # (4,), 0 there
 
     def at(self, tick: int, stream: int = 0) -> Generator:
         """Return the generator at the begin of a stream of a tick, valid until the next call."""
-        self._state["state"]["counter"] = np.array([0, 0, stream, tick], dtype=np.uint64)
+        self._counter[2:] = stream, tick
         self._bits.state = self._state
         return self._generator
 
