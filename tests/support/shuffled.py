@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from typing_extensions import override
 
 from tests.support.runs import end
 from transport.flight import memory
@@ -30,6 +31,7 @@ class _Shuffled(memory.InMemoryRun):
         self._channels: dict[tuple[str, str, str], deque[Message | Presence]] = {}
         self._speeds: dict[tuple[str, str, str], float] = {}
 
+    @override
     def _send(self, messages: Sequence[Message]) -> None:
         for message in messages:
             if message.sender == self._coordinator.name and self._fails(message.sender, message):
@@ -38,12 +40,14 @@ class _Shuffled(memory.InMemoryRun):
             for name in self._receivers(message):
                 self._put(message.sender, name, message)
 
-    def _tell(self, event: Presence) -> None:
+    @override
+    def _announce(self, event: Presence) -> None:
         self._put(event.name, self._coordinator.name, event)
         if not event.alive:  # each process sees the connection close, at its own time
             for name in self.nodes.keys() - {self._coordinator.name, event.name}:
                 self._put(event.name, name, event)
 
+    @override
     def _fails(self, name: str, message: Message) -> bool:
         failed = super()._fails(name, message)
         if failed:
@@ -70,6 +74,7 @@ class _Shuffled(memory.InMemoryRun):
         self._channels[channel].append(event)
         self._queue.append(_SOMETHING)
 
+    @override
     def _deliver(self, message: Message) -> None:
         assert message is _SOMETHING
         waiting = [channel for channel, events in self._channels.items() if events]
