@@ -6,6 +6,7 @@ How several pytest workers share the tests, and compiled models.
 import gc
 import math
 import os
+import random
 import shutil
 import signal
 import sys
@@ -153,24 +154,27 @@ def vector_width(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
     return width
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Put long files first, of which workers take one at a time.
 
     A long one at the end would leave a worker idle.
 
-    Files whose tests compute for long come beside those of processes, which wait.
+    Files whose tests compute for long come beside those of processes, which wait. Their order is drawn by
+    the time of `--slow-until`, so that a slow machine does not skip the same tests each time.
     """
     slow = {item.path for item in items if item.get_closest_marker("slow")}
+    drawn = random.Random(config.getoption("--slow-until"))  # noqa: S311
+    place = {path: drawn.random() for path in sorted(slow)}
 
-    def rank(item: pytest.Item) -> int:
+    def rank(item: pytest.Item) -> tuple[int, float]:
         if item.name in APART:
-            return len(FIRST)  # others in real time come first, not at the same time
+            return len(FIRST), 0.0  # others in real time come first, not at the same time
         if item.path.stem in FIRST:
-            return FIRST.index(item.path.stem)
+            return FIRST.index(item.path.stem), 0.0
         if (
             "system" in item.path.parts
         ):  # tests that start processes wait much: several at once use the processors
-            return len(FIRST)
-        return len(FIRST) + (1 if item.path in slow else 2)
+            return len(FIRST), place.get(item.path, 0.0)
+        return len(FIRST) + (1 if item.path in slow else 2), place.get(item.path, 0.0)
 
     items.sort(key=rank)

@@ -48,9 +48,9 @@ LOW = (
 )
 FAILURES = (
     "faults.event=[{at_s=1.5,do='kill',target='vehicle2'},{at_s=2.0,do='restart',target='vehicle2'},"
-    "{at_s=3.0,do='kill',target='coordinator'},{at_s=13.0,do='restart',target='coordinator'}]"
+    "{at_s=3.0,do='kill',target='coordinator'},{at_s=7.0,do='restart',target='coordinator'}]"
 )
-RETURNS_S = 240.0  # of wall time: ArduCopter's start, and 13 s at a quarter of real time
+RETURNS_S = 240.0  # of wall time: ArduCopter's start, and 7 s at a quarter of real time
 LATE_M = 0.10  # payload error on a late network, rms
 TIMEOUT_S = 0.5  # `vehicles.setpoint_timeout_s`
 NO_ARDUCOPTER = "ARDUCOPTER does not name ArduCopter's simulator program"
@@ -97,8 +97,9 @@ def test_a_team_flies_through_failures_and_lands(
     """Four agents, vehicles and autopilots: a vehicle ends and returns, then the coordinator, which lands the team.
 
     docs/flight.md: the team goes on, the vehicle from its own law to the plans, the target of the first
-    coordinator stays in force for 10 s without one, and no setpoint is by knowledge older than a plan's
-    0.4 s, its tick before, and the offset of the clocks. Nothing ends the run but the release.
+    coordinator stays in force without one, for longer than Zenoh's timeout of 10 s, and no setpoint is by
+    knowledge older than a plan's 0.4 s, its tick before, and the offset of the clocks. Nothing ends the
+    run but the release.
     """
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("TRANSPORT_AUTOPILOTS", str(tmp_path / "autopilots"))
@@ -139,16 +140,16 @@ def test_a_team_flies_through_failures_and_lands(
     assert len({status.incarnation for status in of_two}) == 2
     back = [status for status in of_two if status.incarnation > 0 and status.phase == "flying"]
     assert back[-1].plan_tick >= 0
-    # Ticks go on while there is no coordinator, 3 to 13 s.
+    # Ticks go on while there is no coordinator, 3 to 7 s at a quarter of real time.
     ticks = {status.tick for status in statuses if status.uav == 3}
-    assert len(ticks & set(range(65, 255))) > 180
+    assert len(ticks & set(range(65, 135))) > 65
     if program != "stand_in":
         return  # tests.system.test_arducopter reads the setpoints on their way
     for uav in (1, 3, 4):
         rows = setpoints(tmp_path, uav)
         age_s = rows[:, 0] - rows[:, 1]
         assert np.ptp(age_s) < TIMEOUT_S + 0.25
-        assert len(rows) > 0.7 * 60 * 16.0
+        assert len(rows) > 0.7 * 60 * 10.0
 
 
 @pytest.mark.slow

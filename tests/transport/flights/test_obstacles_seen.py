@@ -12,6 +12,7 @@ import pytest
 from tests.support import logs, runs
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.summary_assembly import summarise
+from transport.flight.memory import simulate
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.physics.obstacles import clearances
@@ -22,7 +23,14 @@ from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.codec import decode, encode
 from transport.protocol.wire.errors_and_exit_codes import MessageError
-from transport.protocol.wire.messages import Measurement, Note, Plan, PlantState, Target
+from transport.protocol.wire.messages import (
+    Measurement,
+    Message,
+    Note,
+    Plan,
+    PlantState,
+    Target,
+)
 
 # 12 m at 1.5 m/s, along x and y, and time for a way round.
 GO = (
@@ -76,6 +84,25 @@ def makers(log: RunLog) -> dict[str, int]:
     return made
 
 
+class _SeenError(Exception):
+    """An agent sees an obstacle; ends a run."""
+
+
+def seen_at(*settings: str) -> int:
+    """Return the first tick of a target in a plan of a run of `precise`, which ends there."""
+    first: list[int] = []
+
+    def look(message: Message) -> None:
+        if isinstance(message, Plan):
+            first.extend(one.tick for one in carried_by(message) if is_of_sight(one))
+        if first:
+            raise _SeenError
+
+    with pytest.raises(_SeenError):
+        simulate(runs.ready("precise", *settings), look)
+    return first[0]
+
+
 @pytest.mark.parametrize("network", [(), LATE], ids=["perfect", "late"])
 def test_a_wall_is_gone_round_and_the_path_s_end_reached(network: Sequence[str]) -> None:
     """A path through it is not refused; the agents that see it lead the others, and all margins are kept."""
@@ -127,8 +154,7 @@ def test_two_walls_of_which_each_hides_behind_the_other() -> None:
 def test_a_silence_from_the_moment_of_sight_ends_before_the_wall(rule: str) -> None:
     """No other agent hears of it for 3 s: with a stop all rest before it, and go round it after."""
     settings = GO % 20, wall(7.0, 2.0), f"controller.targets={rule}", "controller.silence=stop"
-    _, before = flown(*settings)
-    since_s = 0.05 * min(makers(before).values())
+    since_s = 0.05 * seen_at(*settings)
     silent = f"links.change=[{{at_s={since_s},loss=1.0}},{{at_s={since_s + 3.0},loss=0.0}}]"
     run, log = flown(*settings, silent)
     uav_m, load_m = least(run, log)
