@@ -88,6 +88,19 @@ def test_the_coordinators_own_absence_restarts_the_timeouts(mode: tuple[str, ...
         assert node.tick > 0
 
 
+def test_a_coordinator_that_always_wakes_up_late_loses_a_silent_agent() -> None:
+    """Its absence restarts the timeouts once while a tick is open, not each time."""
+    run = setup(ticks(400), CONTINUE)
+    node = started(CoordinatorNode(run))
+    delay = int(run.scenario.clock.next_tick)
+    answered = [plan(run, agent, 0, delay=delay) for agent in (1, 2, 3)]
+    tell(node, [*answered, plant_state(run, 0)], START_NS + MS)
+    for is_silent in (False, True):
+        assert node.wake_ns is not None
+        rosters = [one for one in node.poll(node.wake_ns + 300 * MS) if isinstance(one, Roster)]
+        assert [one.agents for one in rosters] == [(1, 2, 3)] * is_silent
+
+
 def run_until(
     run: Setup, node: CoordinatorNode, until_ns: int, silent: Sequence[str]
 ) -> tuple[list[Message], int]:
