@@ -156,6 +156,8 @@ class CoordinatorNode:
         match event:  # what comes most is first
             case Plan():
                 self._take_plan(event, now_ns)
+            case PlantState() if self._fleet is not None and self._machine.state in BEFORE_TICK_0:
+                return ()  # of a run that this process has not joined yet; the end is told again
             case PlantState():
                 self._open.take_plant_state(event, now_ns)
                 if self._verdict.add_plant_state(event, self._roster.time(event.tick)):

@@ -14,13 +14,14 @@ from transport.plant.motion_over_period import Integrated
 from transport.plant.node import PlantNode, PlantPeriod
 from transport.plant.plant_run import PlantRun
 from transport.protocol.admission.participant import Ticking
-from transport.protocol.wire.messages import Message, Schedule
+from transport.protocol.wire.messages import Message, PlantState, Schedule
 
 # Most steps in one turn, so that messages are read between them.
 _MOST_STEPS = 40
 _STEPS = 1  # of integration, between two exchanges
 # Time between two turns, s of wall time.
 _TURN_S = 0.005
+_REPEAT_NS = 10**9  # between two words that the run ends, of wall time
 # Time by which the physics may be behind the ticks of the run, s of scenario time: what a host that
 # was busy for a moment makes up for.
 _BEHIND_S = 1.0
@@ -65,6 +66,8 @@ class PlayedPlant(PlantNode):
         self._ticking: Ticking | None = None
         self._decided: PlantPeriod | None = None  # for the period that is played
         self._until: Integrated | None = None  # within the period
+        self._last_word: PlantState | None = None  # that the run ends, with its reason
+        self._repeats_ns = 0  # when it is told again
 
     def _take(self, message: Message, now_ns: int) -> None:
         if isinstance(message, Schedule) and message.start_ns and self._ticking is None:
@@ -105,11 +108,38 @@ class PlayedPlant(PlantNode):
             if self._diverged:
                 break
             out += self._play(now_ns)
+            if self._diverged:
+                states = [message for message in out if isinstance(message, PlantState)]
+                self._last_word = states[-1] if states else None
+                self._repeats_ns = now_ns + _REPEAT_NS
         is_behind = due > self._played
         self.wake_ns = now_ns if is_behind else now_ns + round(_TURN_S * 1e9)
         if self._diverged:
-            self.wake_ns = now_ns + round(1e9)
+            self.wake_ns = now_ns + _REPEAT_NS
+            out += self._repeated(now_ns)
         return out
+
+    def _repeated(self, now_ns: int) -> list[Message]:
+        """Return once a second that the run ends: a coordinator that was away has not heard it."""
+        last = self._last_word
+        if last is None or self._ticking is None or now_ns < self._repeats_ns:
+            return []
+        self._repeats_ns = now_ns + _REPEAT_NS
+        tick = min(self._ticking.newest(now_ns), self._setup.run.rules.ticks - 1)
+        if tick <= last.tick:
+            return []
+        return [
+            self._out.stamp(
+                PlantState,
+                tick=tick,
+                x=last.x,
+                u=last.u,
+                plan_ticks=last.plan_ticks,
+                local_error=last.local_error,
+                diverged=last.diverged,
+                plans_lost=0,
+            )
+        ]
 
     def _play(self, now_ns: int) -> list[Message]:
         """Play one step; return what is recorded of a period that ends with it."""

@@ -131,3 +131,9 @@ def test_a_host_that_is_too_slow_ends_the_run() -> None:
     said += go(plant, 9 * S, 10 * S)
     states = [message for message in said if isinstance(message, PlantState)]
     assert "lower clock.speed" in states[-1].diverged
+
+    # A coordinator that was away learns it, as of a tick that it has not heard of.
+    again = [message for message in go(plant, 10 * S, 12 * S) if isinstance(message, PlantState)]
+    assert [state.diverged for state in again] == [states[-1].diverged] * len(again)
+    assert len(again) in (1, 2)
+    assert again[0].tick > states[-1].tick
