@@ -1086,7 +1086,7 @@ static void judge(double value, double multiplier, double low, double high, doub
     else if (multiplier != 0.0) *slackness = larger(*slackness, fabs(multiplier * (isinf(low) ? 1.0 : value - low)));
 }
 
-/* Karush-Kuhn-Tucker residuals (28); see mpc/program/qp_solvers.py. found: stationarity, primal, complementarity. */
+/* Karush-Kuhn-Tucker residuals (28); see mpc/program/quadratic_program.py. found: stationarity, primal, complementarity. */
 void residuals(ptrdiff_t n, ptrdiff_t rows, const double *H, const double *g, const double *lower, const double *upper,
                const double *A, const double *row_lower, const double *row_upper, const double *z,
                const double *bound_multipliers, const double *row_multipliers, double *found, double *work)

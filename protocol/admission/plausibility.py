@@ -159,6 +159,7 @@ def _check_size(field: str, values: Array) -> None:
 def _check_rods(uav_states: Array) -> None:
     """Refuse rod directions, |e| = 1, whose length no sensor noise explains."""
     lengths = [math.hypot(*e) for e in uav_states[:, state.E].tolist()]
-    if max(lengths) > 1.0 + _OFF_UNIT or min(lengths) < 1.0 - _OFF_UNIT:
-        text = f"uav_states: expected rod directions of length 1, got {max(lengths):g}"
+    worst = max(lengths, key=lambda length: abs(length - 1.0))
+    if not abs(worst - 1.0) <= _OFF_UNIT:
+        text = f"uav_states: expected rod directions of length 1, got {worst:g}"
         raise MessageError("out_of_range", text)

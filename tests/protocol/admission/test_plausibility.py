@@ -1,5 +1,6 @@
 """Plausibility: the contents a message can have in a run, at any tick."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -10,13 +11,17 @@ from tests.support import runs
 from tests.support.log_messages import report
 from tests.support.messages import sample
 from tests.support.runs import setup, ticks
+from transport.model.state import PER_UAV, SENSED
 from transport.protocol.admission.plausibility import check_plausible
+from transport.protocol.wire.codec import encode
 from transport.protocol.wire.errors_and_exit_codes import MessageError
-from transport.protocol.wire.messages import Airtime, Message
+from transport.protocol.wire.messages import ActualInputs, Airtime, Message, Target, VehicleStatus
 from transport.protocol.wire.node_interface import RunShape
 
 RUN = setup("controller.horizon=5", ticks(40))
 PLAN, MEASUREMENT = runs.plan(RUN, 2, 3), runs.measurement(RUN, 2, 3)
+TARGET = replace(sample(Target), tick=3)
+ACTUAL = replace(sample(ActualInputs), tick=3)
 AIRTIME = replace(sample(Airtime), tick=3, agents=(1,), receivers=(1, 2, 3, 4))
 
 
@@ -125,6 +130,54 @@ def refusal(message: Message, shape: RunShape = RUN.rules.shape) -> tuple[str, s
             "released: expected UAVs of this run, got [200]",
         ),
         (
+            runs.tick(3),
+            {"shared": (0,)},
+            "unknown_agent",
+            "shared: expected agents of this run, got [0]",
+        ),
+        (
+            MEASUREMENT,
+            {"shared": (2, 6)},
+            "unknown_agent",
+            "shared: expected agents of this run, got [6]",
+        ),
+        (
+            MEASUREMENT,
+            {"missing": 1},
+            "wrong_shape",
+            "missing: expected none without sensors of vehicles, got 1",
+        ),
+        (
+            runs.roster({1: 0}),
+            {"off": (1, 5)},
+            "unknown_agent",
+            "off: expected UAVs of this run, got [5]",
+        ),
+        (
+            TARGET,
+            {"to": (2, 9)},
+            "unknown_agent",
+            "to: expected agents of this run, got [9]",
+        ),
+        (
+            ACTUAL,
+            {"uavs": (5,)},
+            "unknown_agent",
+            "uavs: expected UAVs of this run, got [5]",
+        ),
+        (
+            ACTUAL,
+            {"cables": (7,)},
+            "unknown_agent",
+            "cables: expected UAVs of this run, got [7]",
+        ),
+        (
+            replace(sample(VehicleStatus), tick=3),
+            {"changes": (encode(replace(TARGET, to=(9,))),)},
+            "unknown_agent",
+            "to: expected agents of this run, got [9]",
+        ),
+        (
             AIRTIME,
             {"agents": (5,)},
             "unknown_agent",
@@ -157,6 +210,24 @@ def test_implausible_messages_are_refused(
     found = refusal(replace(message, **changes))
     assert found[0] == reason
     assert text in found[1]
+
+
+def test_rod_directions_of_all_uavs_count() -> None:
+    """The refusal tells the length that is farthest from 1, of whichever UAV."""
+    both = setup("agents.owned=[[1,2],[3],[4]]", ticks(40))
+    found = runs.measurement(both, 1, 3)
+    states = found.uav_states.copy()
+    states[1] *= 0.5
+    refused = refusal(replace(found, uav_states=states, answered=(), shared=()), both.rules.shape)
+    expected = "uav_states: expected rod directions of length 1, got 0.5"
+    assert refused == ("out_of_range", expected)
+
+
+def test_numbers_of_vehicle_sensors() -> None:
+    """Where UAVs have sensors of their own, a measurement has their numbers, not states."""
+    shape = dataclasses.replace(RUN.rules.shape, vehicle_sensors=True)
+    expected = f"uav_states: expected {SENSED} numbers of a UAV, got {PER_UAV}"
+    assert refusal(MEASUREMENT, shape) == ("wrong_shape", expected)
 
 
 def test_start_of_plans() -> None:
