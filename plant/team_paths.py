@@ -9,7 +9,7 @@ A target that only some agents are told enters the shared path once the plans of
 carried it. One that agents make because of an obstacle comes with plans only, and enters both then.
 """
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -55,7 +55,7 @@ class TeamPaths:
         self._give(self._run.maneuver, target.tick)
         return not target.to and self._share(target, k)
 
-    def hear(self, plans: Iterable[Plan], k: int, roster: Collection[int]) -> bool:
+    def hear(self, plans: Sequence[Plan], k: int, roster: Collection[int]) -> bool:
         """Take in plans that become usable at tick k; return whether the shared path is a new one."""
         is_new = False
         for plan in plans:
@@ -78,7 +78,7 @@ class TeamPaths:
             self._give(self._shared.setup.maneuver, k)
         return True
 
-    def _keep_pace(self, plans: Iterable[Plan], k: int, roster: Collection[int]) -> bool:
+    def _keep_pace(self, plans: Sequence[Plan], k: int, roster: Collection[int]) -> bool:
         """Stop the shared path in silence, and go on with the agents on the roster; return whether it is new."""
         if self._stopping is None:
             return False
