@@ -195,7 +195,7 @@ DELAY, LOSS, NO_MESSAGES = "constant delay", "random loss", "no messages"
     ),
 )
 def follow(scenario: Scenario, age: Sequence[float]) -> Iterator[Point]:
-    """Error over the age of information, where one agent sees a platform that moves.
+    """Error over the age of information.
 
     A platform moves at 1 m/s with random turns; its place is told to agent 1 every half second. The others
     learn it from plans, delayed or lost at random, of which the newest has the given age in the mean, or from none.

@@ -89,7 +89,7 @@ def test_workers_do_not_change_results(table: transport.Sweep, tmp_path: Path) -
 def test_figures(table: transport.Sweep) -> None:
     """Curves over any setting, one for each value of the others; a map of two."""
     first = table.plot()
-    assert first.axes[-1].get_xlabel() == "delay of plans (ms)"
+    assert first.axes[-1].get_xlabel() == "delay of plans (ms)\nbars: range of 2 runs"
     assert [label.get_text() for label in first.axes[-1].get_xticklabels()] == ["0", "100"]
     assert [text.get_text() for text in first.legends[0].get_texts()] == [
         "loss of plans 0 %",
