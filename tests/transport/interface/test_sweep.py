@@ -95,7 +95,7 @@ def test_figures(table: transport.Sweep) -> None:
         "loss of plans 0 %",
         "loss of plans 30 %",
     ]
-    assert table.plot("loss").axes[-1].get_xlabel() == "loss of plans (%)"
+    assert table.plot("loss").axes[-1].get_xlabel() == "loss of plans (%)\nbars: range of 2 runs"
     assert table.plot(kind="map").axes[0].get_ylabel() == "loss of plans (%)"
     with pytest.raises(
         transport.ArgumentError, match=r"x: expected one of links.delay_s, loss, got 'delay'"
