@@ -94,6 +94,7 @@ class CourseProgram:
         """Return the QP of a course, without rows if it violates no constraint.
 
         minimise sum_k dc_o(k)' M_oo(k) dc_o(k) + penalties of slacks, docs/equations.md (74).
+        A slack s >= 0 costs penalty * (s + s^2 / 2).
         """
         m = self._decision.shape[1]
         size = self._decision.size

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from functools import lru_cache
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -195,6 +196,77 @@ def test_decision_changes_functions_of_the_inputs_by_the_difference_equation() -
         xi = at.A_closed @ xi + at.B @ dc[k]
     changes = (found.effect @ z).reshape(-1, len(weights))
     np.testing.assert_allclose(changes, expected, atol=SAME_COST * np.abs(expected).max())
+
+
+def test_own_corrections_are_the_best_response_to_those_of_the_others() -> None:
+    """Random corrections of the others: the own ones minimise sum c' M c of (72), whatever was announced."""
+    model, track = flown()
+    rng, own = np.random.default_rng(4), slice(4, 8)  # agent 2 of four inputs for each UAV
+    announced = rng.normal(scale=0.01, size=(12, model.system.m))
+    course, _ = step(controller(), track.X[60], announced)
+    found = course.law.c
+    others = np.ones(model.system.m, dtype=bool)
+    others[own] = False
+    np.testing.assert_array_equal(found[:, others], announced[:, others])
+    for k, at in enumerate(course.trajectory.gains):
+        # c' M c = |L' c|^2, a linear least-squares problem in the own entries.
+        L = np.linalg.cholesky(at.M).T
+        best, *_ = np.linalg.lstsq(L[:, own], -L[:, others] @ announced[k, others], rcond=None)
+        assert np.abs(best).max() > 1e-5
+        np.testing.assert_allclose(found[k, own], best, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("off_limits", [False, True], ids=["within", "off limits"])
+@pytest.mark.parametrize("w", [0.0, 0.5, 1.0])
+def test_plan_mixes_the_optimum_with_what_was_announced(w: float, *, off_limits: bool) -> None:
+    """Corrections are w (c* + dc) + (1 - w) c_announced, inputs follow from them within the limits, (30a), (74).
+
+    A failed solution counts as w = 0: the announced ones.
+    """
+    model, track = flown()
+    limits = Limits(
+        thrust_N=(0.0, 14.0), thrust_rate_N_s=60.0, moments_Nm=(0.05, 0.05, 0.02),
+        moment_rates_Nm_s=(0.4, 0.4, 0.2),
+    ) if off_limits else SETTINGS.limits  # fmt: skip
+    settings = SETTINGS.model_copy(update={"relaxation": w or 0.5, "limits": limits})
+    one, start, own = controller(settings=settings), 60, slice(4, 8)
+    x0, u0 = track.X[start].copy(), track.U[start - 1]
+    x0[R0] += [0.6, -0.5, 0.3] if off_limits else [0.01, 0.0, 0.0]
+    announced_c = np.random.default_rng(5).normal(scale=0.001, size=(12, model.system.m))
+    announced = one.law(x0, track.X[start : start + 12], announced_c, None, start)
+    assert announced is not None
+
+    linear, U = one.linearise(x0, u0), track.U[start : start + 12]
+    course = one.predict(linear, one.discretise(linear), U, announced)
+    assert isinstance(course, Course)
+    assert course.within is not off_limits
+    solution = one.solve(one.condense(linear, course, np.zeros((13, 25)), announced))
+    assert solution.status == "solved"
+    dc = course.trajectory.decision.inputs(solution.z[: 12 * 4])
+    assert dc.any() == off_limits
+    if w == 0.0:
+        solution = msgspec.structs.replace(solution, status="limit")
+    result = one.conclude(solution, course, U, announced)
+
+    c = announced_c.copy()
+    c[:, own] = w * (course.law.c[:, own] + dc) + (1.0 - w) * announced_c[:, own]
+    assert np.abs(course.law.c[:, own] - announced_c[:, own]).max() > 1e-4
+    np.testing.assert_allclose(result.c, c[:, own], rtol=0.0, atol=1e-12)
+
+    N = model.system.N
+    largest = settings.largest_step(N)[own] + 1e-12
+    first = (announced.uncorrected + c)[0, own]
+    if not off_limits:
+        followed = rollout(
+            model, Actuation.of(settings, N), x0, msgspec.structs.replace(announced, c=c)
+        ).U
+        np.testing.assert_allclose(result.U, followed[:, own], rtol=0.0, atol=1e-9)
+    assert (np.abs(np.diff(np.vstack([u0[own], result.U]), axis=0)) <= largest).all()
+    low, high = np.array([0.0, -0.05, -0.05, -0.02]), np.array([14.0, 0.05, 0.05, 0.02])
+    if off_limits:
+        np.testing.assert_array_equal(np.clip(result.U, low, high), result.U)
+        first = np.clip(np.clip(first, u0[own] - largest, u0[own] + largest), low, high)
+    np.testing.assert_allclose(result.U[0], first, rtol=0.0, atol=1e-9)
 
 
 def test_no_corrections_on_and_near_the_reference() -> None:
