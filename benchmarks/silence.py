@@ -7,11 +7,13 @@ it to the end of the run, beside the run without silence. A ratio of sums is tha
 a mean of ratios would weigh a seed by how little it errs without silence.
 
 One line for each case, `--runs` for each run; `--case TEXT` selects cases. `--write` renews each row
-of the table in docs/record/guarantees.md as soon as its runs are done; the table says which rows are new.
+of the table in docs/record/guarantees.md as soon as its runs are done; the table says which rows are new:
+where it names a row twice, the later origin is that of the row.
 """
 
 import argparse
 import math
+import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -42,7 +44,6 @@ from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, Note, PlantState
 
 ALONE = ("agents.controller=alone",)
-_BEYOND_S = 1e6  # end of an interval to the end of a run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,9 +59,9 @@ class Flown:
     period_s: float
 
     def squares(self, begin_s: float, end_s: float) -> Array:
-        """Return the squared payload errors over an interval, by tick, m^2."""
+        """Return the squared payload errors over an interval, by tick, m^2; to the end of the run if infinite."""
         first = round(begin_s / self.period_s)
-        last = round(min(end_s, _BEYOND_S) / self.period_s)
+        last = round(end_s / self.period_s) if math.isfinite(end_s) else None
         return np.asarray(self.error_m[first:last] ** 2)
 
 
@@ -93,7 +94,7 @@ class Result:
     attitude_deg: float = 0.0
     separation_m: float = math.inf
     during: Errors = field(default_factory=Errors)
-    after: Errors = field(default_factory=Errors)  # from 3 s after the silence on
+    after: Errors = field(default_factory=Errors)  # from `BACK_S` after the silence on
     resets: int = 0
 
 
@@ -191,7 +192,7 @@ def _count(case: Case, seed: int, runs: Trio, result: Result) -> None:
 
 HEADINGS = (
     "case", "complete", "attitude at most", "UAVs apart", "payload error in the silence",
-    "alone", "without silence", "from 3 s after it", "without silence",
+    "alone", "without silence", f"from {BACK_S:g} s after it", "without silence",
 )  # fmt: skip
 
 
@@ -238,9 +239,21 @@ def write(results: Sequence[tuple[Case, Result]], *, only: str) -> None:
     source = origin()
     count = len({line.split(" | ")[0].strip("| ") for line in whole.splitlines()[2:]} | rows.keys())
     if len(results) < count:
-        new = f"rows with {only!r}" if only else f"rows up to {results[-1][0].name!r}"
-        source = f"{earlier.strip('*.').split('; rows ')[0]}; {new}: {source}"
+        base, *parts = earlier.strip("*.").split("; rows ")
+        stay = [part for part in parts if not _rows_of(part, order) <= rows.keys()]
+        new = f"with {only!r}" if only else ""
+        if not _rows_of(f"{new}:", order) <= rows.keys():
+            new = f"{new} up to {results[-1][0].name!r}".lstrip()
+        source = "; rows ".join([base, *stay, f"{new}: {source}"])
     put_rows(document, "bench: silence", HEADINGS, order, rows, source)
+
+
+def _rows_of(part: str, order: Sequence[str]) -> set[str]:
+    """Return the rows that a part of the origin names: "with 'TEXT' up to 'LAST': ...", or one of both."""
+    named = re.match(r"(?:with '(.*?)')? ?(?:up to '(.*?)')?:", part)
+    text, last = named.groups("") if named else ("", "")
+    shown = order[: order.index(last) + 1] if last in order else order
+    return {name for name in shown if text in name}
 
 
 def main(given: Sequence[str] | None = None) -> None:

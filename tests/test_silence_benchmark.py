@@ -48,6 +48,81 @@ def test_errors_of_all_seeds_count_together(monkeypatch: pytest.MonkeyPatch) -> 
     assert result.runs == result.completed == 2
 
 
+def test_cells_of_two_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Worst attitude and distance, sum of resets, and errors of both intervals beside those of the other runs.
+
+    Errors before the silence, and in the 3 s after it, count in neither interval.
+    """
+    #          in silence, 3 s after it, then; m
+    levels_m = {"silent": (0.04, 8.0, 0.03), "alone": (0.02, 8.0, 7.0), "open": (0.01, 8.0, 0.02)}
+    ticks = 500
+
+    def fly(_: str, settings: tuple[str, ...]) -> Flown:
+        seed = 0 if "seed=0" in settings else 1
+        is_silent = any("partition" in setting for setting in settings)
+        kind = "silent" if is_silent else "alone" if silence.ALONE[0] in settings else "open"
+        first = round(silence_cases.begins(CASE, seed) / PERIOD_S)
+        error_m = np.full(ticks, 9.0)
+        for number, level_m in enumerate(levels_m[kind]):
+            error_m[first + 60 * number :] = level_m  # 60 ticks are 3 s
+        completed = not (is_silent and seed == 1)
+        return Flown(
+            outcome="completed" if completed else "diverged",
+            reason="",
+            error_m=error_m,
+            attitude_deg=np.array([1.0, 4.0 + 3.0 * seed, 2.0] if is_silent else [50.0]),
+            separation_m=np.array([0.6, 0.49 - 0.04 * seed, 0.5] if is_silent else [0.1]),
+            resets=1 + seed if is_silent else 100,
+            period_s=PERIOD_S,
+        )
+
+    monkeypatch.setattr(silence, "fly", fly)
+    assert silence._cells(silence.run(CASE, range(2))) == [
+        "1 of 2, 3 resets of filters", "7.0 deg", "0.450 m", "0.040 m",
+        "0.020 m (x2.00)", "0.010 m (x4.00)", "0.030 m", "0.020 m (x1.50)",
+    ]  # fmt: skip
+
+
+def test_a_hover_as_flown() -> None:
+    """Half a second at rest: ten ticks without error, level, with the UAVs as far apart as their rods, 0.5 m."""
+    phases = "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]}]"
+    flown = silence.fly("paper", (phases,))
+    assert (flown.outcome, flown.reason, flown.resets, flown.period_s) == ("completed", "", 0, 0.05)
+    assert [len(one) for one in (flown.error_m, flown.attitude_deg, flown.separation_m)] == [10] * 3
+    np.testing.assert_allclose(flown.error_m, 0.0, atol=1e-6)
+    np.testing.assert_allclose(flown.attitude_deg, 0.0, atol=1e-4)
+    np.testing.assert_allclose(flown.separation_m, 0.5, atol=1e-6)
+
+
+def test_each_row_keeps_its_origin(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Two selections renewed after each other have their own origins; one renewed again has its new one."""
+    names = ["a still", "a windy", "b still", "c"]
+    chosen = {name: Case(name=name, scenario="precise") for name in names}
+    monkeypatch.setattr(silence, "cases", lambda: iter(chosen.values()))
+    monkeypatch.setattr(silence, "ROOT", tmp_path)
+    (tmp_path / "docs" / "record").mkdir(parents=True)
+    page = tmp_path / "docs" / "record" / "guarantees.md"
+    rows = [[name, *(["-"] * (len(silence.HEADINGS) - 1))] for name in names]
+    old = f"{table(silence.HEADINGS, rows)}\n\n*Old; rows with 'b': CPU; day 0.*"
+    page.write_text(f"<!-- bench: silence -->\n{old}\n<!-- end of bench: silence -->\n")
+
+    def renewed(day: str, only: str, *done: str) -> str:
+        monkeypatch.setattr(silence, "origin", lambda: f"CPU; {day}")
+        silence.write([(chosen[name], silence.Result()) for name in done], only=only)
+        return page.read_text().splitlines()[-2]
+
+    kept = "*Old; rows with 'b': CPU; day 0; rows "
+    assert renewed("day 1", "a", "a still") == f"{kept}with 'a' up to 'a still': CPU; day 1.*"
+    assert renewed("day 1", "a", "a still", "a windy") == f"{kept}with 'a': CPU; day 1.*"
+    both = f"{kept}with 'a': CPU; day 1; rows with 'windy': CPU; day 2.*"
+    assert renewed("day 2", "windy", "a windy") == both
+    again = "*Old; rows with 'b': CPU; day 0; rows with 'a': CPU; day 3.*"
+    assert renewed("day 3", "a", "a still", "a windy") == again
+    started = again.removesuffix(".*") + "; rows up to 'a still': CPU; day 4.*"
+    assert renewed("day 4", "", "a still") == started
+    assert renewed("day 4", "", *names) == "*CPU; day 4.*"
+
+
 @pytest.mark.parametrize("is_selected", [True, False])
 def test_each_row_is_renewed_as_its_case_is_done(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *, is_selected: bool
