@@ -34,7 +34,7 @@ from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.teams.team_of_any_size import Team, given_values, resized
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.errors_and_exit_codes import EXIT_USAGE, TransportError
-from transport.protocol.wire.messages import Control, Message, Plan, StepReport, Tick
+from transport.protocol.wire.messages import STAGES, Control, Message, Plan, StepReport, Tick
 
 # Outcome of a case that could not be simulated.
 ERROR = "error"
@@ -332,8 +332,8 @@ def resource_use(setup: Setup, _: Any, log: RunLog) -> Mapping[str, float | None
     a network without multicast. Messages to plant and coordinator are not counted: in the field
     they stay on board or do not exist.
     """
-    # All stages of computation of an agent's step.
-    steps_ms = [float(report.times_ms[-1]) for report in log.of(StepReport)]
+    total = STAGES.index("total")  # all stages of computation of an agent's step
+    steps_ms = [float(report.times_ms[total]) for report in log.of(StepReport)]
     if not steps_ms:
         return {}
 

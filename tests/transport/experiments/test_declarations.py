@@ -4,6 +4,7 @@ Points that can be simulated, impairments with the stated statistics, refused op
 """
 
 import csv
+import dataclasses
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,7 +16,14 @@ import pytest
 from tests.support.results import here
 from tests.support.runs import ticks
 from transport.cli.commands.experiment import EXPERIMENTS
-from transport.experiments.cases import ExperimentError, Point, cases_of, is_random
+from transport.experiments.cases import (
+    ERROR,
+    ExperimentError,
+    Point,
+    cases_of,
+    is_random,
+    simulate,
+)
 from transport.experiments.declaration import Experiment
 from transport.experiments.network_experiments import JITTER, NETWORKS
 from transport.protocol.scenario.links.delay_jitter_and_loss import Link
@@ -150,6 +158,7 @@ def test_information_about_the_platform_has_the_age_of_its_column() -> None:
         ("links.reorder=0.01", True),
         ("links.duplicate=0.01", True),
         ("links.gilbert_elliott={enter=0.1,leave=0.1}", True),
+        ("links={distribution='empirical',samples_s=[0.05,0.1]}", True),
         ("links.override=[{from='agent1',loss=0.5}]", True),
         ("links.change=[{at_s=1.0,loss=0.5}]", True),
         ("plant.noise.position_m=0.01", True),
@@ -160,6 +169,14 @@ def test_information_about_the_platform_has_the_age_of_its_column() -> None:
 def test_chance_is_seen(setting: str, expected: bool) -> None:
     """Every setting that draws random numbers is recognised."""
     assert is_random(read_scenario(find_scenario("paper"), [setting])) is expected
+
+
+def test_a_case_of_another_version_is_an_error() -> None:
+    """A case whose fingerprint is not that of the running package is refused, and not simulated."""
+    (case,) = cases_of(built("loss", of=("paper",), loss=[0.5]).points[:1], [], 1)
+    result = simulate(dataclasses.replace(case, key="another"))
+    assert (result.key, result.outcome, result.numbers) == ("another", ERROR, {})
+    assert "got another version" in result.reason
 
 
 def test_fingerprints_tell_results_apart() -> None:
