@@ -9,6 +9,7 @@ from pathlib import Path
 from xml.etree import ElementTree  # of files written here
 
 import matplotlib as mpl
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -28,7 +29,16 @@ from transport.protocol.wire.messages import FaultNote, LinkChange
 from transport.report.figures.captions import captions
 from transport.report.figures.event_marks import caption_of, marks_of
 from transport.report.figures.run_figures import FIGURES, draw, fill
-from transport.report.figures.style import COLUMN_IN, CURVES, RC, SMALL, label_decades, styles_of
+from transport.report.figures.style import (
+    COLUMN_IN,
+    CURVES,
+    RC,
+    SMALL,
+    label_decades,
+    line_width,
+    shade_phases,
+    styles_of,
+)
 from transport.report.report import write_report
 from transport.scene.uav_and_link_colours import uav_marker, uav_style
 
@@ -265,6 +275,41 @@ def test_ten_curves_are_told_apart() -> None:
     assert len({(colour, line) for colour, _, line in CURVES}) == 10
     assert len({tuple(uav_style(i).values()) for i in range(10)}) == 10
     assert len({(uav_style(i)["color"], uav_marker(i)) for i in range(10)}) == 10
+
+
+def test_curves_that_coincide_stay_visible() -> None:
+    """The first of three curves is the widest, the last 1 point wide, as is one alone."""
+    assert [line_width(i, 3, 2.0) for i in range(3)] == [2.0, 1.5, 1.0]
+    assert line_width(0, 1, 2.0) == 1.0
+
+
+def test_every_other_phase_is_shaded() -> None:
+    """Of phases of 1, 2 and 1, 1 s, cut at 4.5 s, the second and fourth are shaded, and panels end there."""
+    lasting = ",".join(
+        f"{{name='p',duration_s={duration_s},displacement_m=[0,0,0]}}"
+        for duration_s in (1.0, 2.0, 1.0, 1.0, 1.0)
+    )
+    figure, axes = plt.subplots(2)
+    try:
+        shade_phases(runs.setup(f"maneuver.phase=[{lasting}]"), list(axes), 4.5)
+        for panel in axes:
+            spans = [
+                patch.get_extents().transformed(panel.transData.inverted())
+                for patch in panel.patches
+            ]
+            assert [(round(span.x0, 9), round(span.x1, 9)) for span in spans] == [
+                (1.0, 3.0),
+                (4.0, 4.5),
+            ]
+            assert panel.get_xlim() == (0.0, 4.5)
+    finally:
+        plt.close(figure)
+
+
+def test_nine_names_beside_known_ones_differ() -> None:
+    """Nine other names and a known one have ten styles."""
+    names = ["paper", *(f"m{i}" for i in range(9))]
+    assert len(set(styles_of(names).values())) == 10
 
 
 def test_controllers_and_networks_have_their_own_style() -> None:

@@ -84,8 +84,9 @@ LEAST_COST = 1e-6
 
 
 def styles_of(names: Sequence[str]) -> dict[str, tuple[str, str, str]]:
-    """Return colour, marker and line of each of names: known ones have always the same, ten others differ.
+    """Return colour, marker and line of each of names: known ones have always the same.
 
+    Others have the rest of the ten curves, and repeat them after that: nine beside `paper` differ.
     Of more names than colours, all of which have parts between commas, the first part has a colour, and
     the others together have a marker and a line.
     """
