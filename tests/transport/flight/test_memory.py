@@ -264,6 +264,38 @@ def test_timeouts_cost_nothing() -> None:
     assert time.monotonic() - began_s < 60.0
 
 
+@pytest.mark.parametrize("do", ["kill", "stop"])
+def test_a_run_whose_coordinator_is_gone_is_aborted(do: str) -> None:
+    """The others end the run: one end is recorded, as the last message, and it is what is returned."""
+    messages: list[Message] = []
+    fault = f"faults.event=[{{target='coordinator',do='{do}',at_s=0.5}}]"
+    end = memory.simulate(setup(SHORT, fault), messages.append)
+    assert end.outcome == "aborted"
+    assert "coordinator is gone" in end.reason
+    assert [message for message in messages if isinstance(message, Control)] == [end]
+    assert messages[-1] is end
+
+
+@pytest.mark.parametrize("do", ["kill", "stop"])
+def test_a_run_whose_plant_is_gone_is_aborted(do: str) -> None:
+    """The coordinator ends the run once, at the tick after that of the last plant state or at it."""
+    messages: list[Message] = []
+    fault = f"faults.event=[{{target='plant',do='{do}',at_s=0.5}}]"
+    end = memory.simulate(setup(SHORT, fault), messages.append)
+    assert end.outcome == "aborted"
+    assert "plant" in end.reason
+    assert [message for message in messages if isinstance(message, Control)] == [end]
+    assert plant_states(messages)[-1].tick in {9, 10}
+
+
+def test_a_run_in_which_every_node_waits_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plant that never answers, and no wake-up of any node: an error names the deadlock, no endless loop."""
+    monkeypatch.setattr(PlantNode, "receive", lambda *_: ())
+    monkeypatch.setattr(memory.InMemoryRun, "_wait", lambda _: False)
+    with pytest.raises(RuntimeError, match=r"deadlock at tick .*every node waits"):
+        memory.simulate(setup(SHORT))
+
+
 def test_stopwatch_is_only_for_reports() -> None:
     """A stopwatch that runs fast changes the times in the reports and nothing else."""
     now = iter(range(0, 10**15, 10**9))
