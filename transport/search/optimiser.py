@@ -147,6 +147,9 @@ class Descent:
     """CMA-ES from the worst point, anew from the worst that is apart from earlier starts."""
 
     def __init__(self, dimension: int, *, seed: int) -> None:
+        import cma  # 0.4 s, in which the workers of a search start
+
+        self._new_evolution: Any = cma.CMAEvolutionStrategy
         self._dimension = dimension
         self._seed = seed
         self._starts: list[Array] = []
@@ -183,8 +186,6 @@ class Descent:
 
     def _start(self, worst_first: Sequence[Array]) -> None:
         """Start at the worst point that is apart from earlier starts, else anywhere."""
-        import cma
-
         start = next((point for point in worst_first if self._is_apart(point)), None)
         if start is None:
             start = np.random.default_rng([self._seed, len(self._starts)]).random(self._dimension)
@@ -199,7 +200,7 @@ class Descent:
             "verbose": -9,
             "verb_log": 0,
         }
-        self._evolution = cma.CMAEvolutionStrategy(start, _SIGMA, options)
+        self._evolution = self._new_evolution(start, _SIGMA, options)
 
     def _is_apart(self, point: Array) -> bool:
         """Return whether a point is far from all starts."""
