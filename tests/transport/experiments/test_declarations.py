@@ -10,9 +10,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
+from tests.support import log_messages, runs
 from tests.support.results import here
 from tests.support.runs import ticks
 from transport.cli.commands.experiment import EXPERIMENTS
@@ -22,13 +24,17 @@ from transport.experiments.cases import (
     Point,
     cases_of,
     is_random,
+    resource_use,
     simulate,
 )
 from transport.experiments.declaration import Experiment
 from transport.experiments.network_experiments import JITTER, NETWORKS
+from transport.log.run_log import Recorded, RunLog
 from transport.protocol.scenario.links.delay_jitter_and_loss import Link
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.wire.codec import encode
+from transport.protocol.wire.messages import STAGES
 
 TICKS = 3_000
 BOTH = ("paper", "resilient")
@@ -177,6 +183,41 @@ def test_a_case_of_another_version_is_an_error() -> None:
     result = simulate(dataclasses.replace(case, key="another"))
     assert (result.key, result.outcome, result.numbers) == ("another", ERROR, {})
     assert "got another version" in result.reason
+
+
+def test_resources_of_a_run() -> None:
+    """Of six steps of two agents of four at three ticks of 50 ms, with four of six plans shared, in 0.3 s in all."""
+    run = runs.setup(runs.SHORT)
+    steps = [(agent, k) for k in range(3) for agent in (1, 2)]
+    reports = []
+    for total_ms, (agent, k) in enumerate(steps, start=1):
+        times_ms = np.full(len(STAGES), 100.0)
+        times_ms[STAGES.index("total")] = total_ms
+        reports.append(log_messages.report(run, agent, k, times_ms=times_ms))
+    plans = [
+        msgspec.structs.replace(runs.plan(run, agent, k), shared=number < 4)
+        for number, (agent, k) in enumerate(steps)
+    ]
+    sent = [runs.tick(0), *plans, *reports, runs.end(2)]
+    times_ns = [10**9, *([1_100_000_000] * 12), 1_300_000_000]
+    log = RunLog(
+        header={},
+        messages=tuple(
+            Recorded(message=message, received_ns=at_ns)
+            for message, at_ns in zip(sent, times_ns, strict=True)
+        ),
+        cut="",
+    )
+    shared_bytes = sum(len(encode(plan)) for plan in plans[:4])
+    assert resource_use(run, None, log) == pytest.approx({
+        "plans_per_tick": 4.0,  # 4 plans for 3 others each, in 3 ticks
+        "plan_bytes_per_s": 3 * shared_bytes / 0.15,
+        "cpu_step_p50_ms": 3.5,
+        "cpu_step_p99_ms": 5.95,
+        "cpu_team_tick_ms": 7.0,
+        "cpu_flight_s_per_s": 2.0,
+    })  # fmt: skip
+    assert resource_use(run, None, RunLog(header={}, messages=(), cut="")) == {}
 
 
 def test_fingerprints_tell_results_apart() -> None:
