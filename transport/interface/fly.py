@@ -172,7 +172,7 @@ class ActiveRun:
             given["land_at_m"] = [plain(x), plain(y)]
         if speed is not None:
             given["speed_mps"] = plain(speed)
-        return self._live.ask(COORDINATOR, "target", given)
+        return self._ask(given)
 
     def path(
         self,
@@ -196,6 +196,13 @@ class ActiveRun:
         given = {key: value for key, value in every.items() if value is not None}
         if to:
             given["to"] = [int(agent) for agent in to]
+        return self._ask(given)
+
+    def _ask(self, given: dict[str, Any]) -> dict[str, Any]:
+        """Return the coordinator's answer to a target.
+
+        Raises: TransportError: the folder has another active run by now, or none.
+        """
         if live.read(self.folder) != self._live:
             raise TransportError(f"the run in {self.folder} has ended")
         return self._live.ask(COORDINATOR, "target", given)

@@ -2,13 +2,17 @@
 
 import os
 import subprocess
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 import transport
 from transport.flight import live
 from transport.flight.live import LiveRun
+from transport.interface.setting_arguments import ArgumentError
 from transport.protocol.wire.errors_and_exit_codes import TransportError
 
 HERE = LiveRun(
@@ -45,8 +49,13 @@ def test_a_run_that_has_ended_says_so(tmp_path: Path) -> None:
     active = transport.active(tmp_path)
     live.remove(tmp_path)
     for _ in range(2):
-        with pytest.raises(TransportError, match=f"the run in {tmp_path} has ended"):
-            active.target(0.0, 0.0, -10.0)
+        for request in (
+            lambda: active.target(0.0, 0.0, -10.0),
+            lambda: active.path([[0.0, 0.0, -10.0]]),
+            active.land,
+        ):
+            with pytest.raises(TransportError, match=f"the run in {tmp_path} has ended"):
+                request()
         live.write(tmp_path, LiveRun("another", HERE.endpoints, HERE.pid))
 
     ended = subprocess.Popen(["true"])
@@ -54,6 +63,48 @@ def test_a_run_that_has_ended_says_so(tmp_path: Path) -> None:
     dead = LiveRun(HERE.run, HERE.endpoints, ended.pid, str(tmp_path / "keys"))
     with pytest.raises(TransportError, match="run hover has ended"):
         dead.ask("coordinator", "target", {})
+
+
+def test_an_active_run_is_asked_for_what_is_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each request reaches the coordinator with the keys of docs/reference/protocol.md, no others."""
+    asked: list[tuple[str, str, Mapping[str, Any]]] = []
+
+    def ask(_: LiveRun, name: str, what: str, given: Mapping[str, Any]) -> dict[str, Any]:
+        asked.append((name, what, given))
+        return {"tick": 7}
+
+    monkeypatch.setattr(LiveRun, "ask", ask)
+    live.write(tmp_path, HERE)
+    active = transport.active(tmp_path)
+    timed, untimed = tmp_path / "timed.csv", tmp_path / "untimed.csv"
+    timed.write_text("t,x,y,z\n0,1,2,-3\n4,5,6,-7\n", encoding="ascii")
+    untimed.write_text("x,y,z\n1,2,-3\n", encoding="ascii")
+
+    assert active.target(1.0, 2.0, -3.0) == {"tick": 7}
+    active.target(1.0, 2.0, -3.0, speed=0.5, to=[2, 3])
+    active.path(np.array([[1.0, 2.0, -3.0], [4.0, 5.0, -6.0]]), times=[0.0, 2.5])
+    active.path(timed, to=(1,))
+    active.path(str(untimed), speed=2.0)
+    active.land()
+    active.land(3.0, 4.0, speed=0.25)
+    for place in ({"x": 3.0}, {"y": 4.0}):
+        with pytest.raises(ArgumentError, match="x, y: expected both or none"):
+            active.land(**place)
+
+    assert asked == [
+        ("coordinator", "target", given)
+        for given in (
+            {"points_m": [[1.0, 2.0, -3.0]]},
+            {"points_m": [[1.0, 2.0, -3.0]], "speed_mps": 0.5, "to": [2, 3]},
+            {"points_m": [[1.0, 2.0, -3.0], [4.0, 5.0, -6.0]], "times_s": [0.0, 2.5]},
+            {"points_m": [[1.0, 2.0, -3.0], [5.0, 6.0, -7.0]], "times_s": [0.0, 4.0], "to": [1]},
+            {"points_m": [[1.0, 2.0, -3.0]], "speed_mps": 2.0},
+            {"land": True},
+            {"land": True, "land_at_m": [3.0, 4.0], "speed_mps": 0.25},
+        )
+    ]
 
 
 @pytest.mark.parametrize(

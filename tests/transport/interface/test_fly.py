@@ -4,6 +4,7 @@ import gc
 import io
 import os
 import signal
+import sys
 import threading
 import weakref
 from collections.abc import Callable
@@ -19,6 +20,7 @@ import threadpoolctl
 
 import transport
 from tests.support.runs import recorded, reproducible
+from transport.interface.fly import console
 from transport.interface.run_series import QUANTITIES
 from transport.interface.scenario_builder import path_phase
 from transport.interface.setting_arguments import ArgumentError
@@ -259,3 +261,16 @@ def test_a_team_flies_a_path() -> None:
         ArgumentError, match="path: expected two or more rows of t_s, x_m, y_m, z_m"
     ):
         transport.fly(made, path=[[0.0, 1.0, 2.0]])
+
+
+def test_progress_in_a_notebook_is_lines_of_text(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kernel that asks for colours is no terminal; hidden progress writes nothing."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.delitem(sys.modules, "ipykernel", raising=False)
+    assert console(shown=True).is_terminal
+    monkeypatch.setitem(sys.modules, "ipykernel", sys)
+    notebook = console(shown=True)
+    assert (notebook.stderr, notebook.quiet) == (True, False)
+    assert not notebook.is_terminal
+    assert not notebook.is_jupyter
+    assert console(shown=False).quiet
