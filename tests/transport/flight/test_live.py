@@ -2,7 +2,7 @@
 
 import os
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -49,11 +49,12 @@ def test_a_run_that_has_ended_says_so(tmp_path: Path) -> None:
     active = transport.active(tmp_path)
     live.remove(tmp_path)
     for _ in range(2):
-        for request in (
+        requests: tuple[Callable[[], object], ...] = (
             lambda: active.target(0.0, 0.0, -10.0),
             lambda: active.path([[0.0, 0.0, -10.0]]),
             active.land,
-        ):
+        )
+        for request in requests:
             with pytest.raises(TransportError, match=f"the run in {tmp_path} has ended"):
                 request()
         live.write(tmp_path, LiveRun("another", HERE.endpoints, HERE.pid))
@@ -84,7 +85,8 @@ def test_an_active_run_is_asked_for_what_is_given(
 
     assert active.target(1.0, 2.0, -3.0) == {"tick": 7}
     active.target(1.0, 2.0, -3.0, speed=0.5, to=[2, 3])
-    active.path(np.array([[1.0, 2.0, -3.0], [4.0, 5.0, -6.0]]), times=[0.0, 2.5])
+    array: Any = np.array([[1.0, 2.0, -3.0], [4.0, 5.0, -6.0]])
+    active.path(array, times=[0.0, 2.5])
     active.path(timed, to=(1,))
     active.path(str(untimed), speed=2.0)
     active.land()
