@@ -34,6 +34,8 @@ from transport.protocol.wire.messages import (
 
 Row = dict[str, Any]
 
+_AXES = 3  # numbers of each of `model.state.SENSORS`
+
 # Names of the entries of states and inputs, each ending in its unit, in the order of `model.state`.
 PAYLOAD_NAMES = (
     *("r0_x_m", "r0_y_m", "r0_z_m"),
@@ -163,8 +165,8 @@ def _measured(message: Measurement, commands: tuple[str, ...]) -> Iterator[Row]:
     uavs = zip(message.uavs, message.uav_states, message.inputs, missing, strict=True)
 
     for uav, states, inputs, sensors in uavs:
-        columns = _uav_columns(states, sensors)
-        yield {"uav": uav, **payload, **columns, **_named("", commands, inputs)}
+        measured = _uav_columns(states, sensors)
+        yield {"uav": uav, **payload, **measured, **_named("", commands, inputs)}
 
 
 def _planned(message: Plan, commands: tuple[str, ...]) -> Iterator[Row]:
@@ -223,11 +225,11 @@ def _uav_columns(values: Array, missing: int = 0) -> Row:
         known = int(values[IS_KNOWN])
         missing = known - 1 if known > 0 else ALL_SENSORS
         values = values[SENSED_VALUES]
-    columns = _named("", SENSED_NAMES, values)
+    sensed = _named("", SENSED_NAMES, values)
     return {
         name: value
-        for place, (name, value) in enumerate(columns.items())
-        if is_measured(place // 3, missing)
+        for place, (name, value) in enumerate(sensed.items())
+        if is_measured(place // _AXES, missing)
     }
 
 
