@@ -26,7 +26,7 @@ from transport.experiments.workers import Workers
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.search.candidate import Base, Candidate
 from transport.search.drawn_events import Death, DrawnSilence, Event
-from transport.search.evaluation import FoundProblem
+from transport.search.evaluation import SearchProblem
 from transport.search.objective import SearchObjective
 from transport.search.search import Evaluations, Search, flying, random_search
 from transport.search.search_options import SearchOptions, search
@@ -59,7 +59,7 @@ class PlantedFault(Case):
         path = find_scenario(self.scenario)
         scenario = read_scenario(path, self.settings)
         base = Base(scenario=scenario, source=str(path))
-        problem = FoundProblem(base=base, objective=SearchObjective.of("attitude", None, scenario))
+        problem = SearchProblem(base=base, objective=SearchObjective.of("attitude", None, scenario))
         space = Space(self.over, Bounds.model_validate(self.bounds), scenario)
         return Search(problem=problem, space=space, budget=budget, seed=seed, until_failure=True)
 
@@ -217,7 +217,7 @@ def together() -> str:
             scenario = read_scenario(path, [f"controller.fail_safe={fail_safe}"])
             base = Base(scenario=scenario, source=str(path))
             objective = SearchObjective.of("attitude", _UPSET_DEG, scenario)
-            found = FoundProblem(base=base, objective=objective).evaluate(candidate)
+            found = SearchProblem(base=base, objective=objective).evaluate(candidate)
             row.append(
                 f"{found.value:.1f} deg"
                 if found.outcome == "completed"

@@ -76,7 +76,7 @@ class CaseVerdict:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FoundProblem:
+class SearchProblem:
     """Scenario and objective of a search: what turns a candidate into a number."""
 
     base: Base
@@ -157,7 +157,7 @@ class FoundProblem:
         except ScenarioError as error:
             return _refusal(self.key(candidate), error)
         base = Base(scenario=scenario, source=self.base.source)
-        problem = FoundProblem(base=base, objective=self.objective)
+        problem = SearchProblem(base=base, objective=self.objective)
         return problem.evaluate(candidate.beyond_network())
 
     def verdict(self, candidate: Candidate) -> CaseVerdict:

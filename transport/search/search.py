@@ -14,7 +14,7 @@ from transport.experiments.workers import Workers
 from transport.protocol.scenario.files.atomic_writing import PARTIAL, Lines, write_whole
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.search.candidate import Candidate
-from transport.search.evaluation import REFUSED, CaseVerdict, Evaluation, FoundProblem
+from transport.search.evaluation import REFUSED, CaseVerdict, Evaluation, SearchProblem
 from transport.search.optimiser import BATCH, Optimiser
 from transport.search.shrink import Evaluate, Shrinker
 from transport.search.space import Space
@@ -23,7 +23,7 @@ EVALUATIONS = "evaluations.jsonl"
 _IDENTITY = "search.json"
 
 # Evaluates candidates, in any order.
-Fly = Callable[[FoundProblem, Sequence[Candidate]], Iterable[Evaluation]]
+Fly = Callable[[SearchProblem, Sequence[Candidate]], Iterable[Evaluation]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +44,7 @@ class SearchCase:
 class Minimal:
     """The minimal case with its evaluation, and the verdict of perfect information."""
 
-    problem: FoundProblem  # perhaps with a smaller team
+    problem: SearchProblem  # perhaps with a smaller team
     whole_team: int  # UAVs of the scenario that was searched
     candidate: Candidate
     evaluation: Evaluation
@@ -55,7 +55,7 @@ class Minimal:
 class SearchResult:
     """Result of a search."""
 
-    problem: FoundProblem
+    problem: SearchProblem
     without_events: Evaluation
     cases: Sequence[SearchCase]
     minimal: Minimal | None  # None: no case has failed
@@ -115,7 +115,7 @@ class Evaluations:
             self._file.close()
 
     def of(
-        self, problem: FoundProblem, candidates: Sequence[Candidate], fly: Fly
+        self, problem: SearchProblem, candidates: Sequence[Candidate], fly: Fly
     ) -> list[Evaluation]:
         """Return the evaluations of candidates, flying those that are missing."""
         keys = [problem.key(candidate) for candidate in candidates]
@@ -159,7 +159,7 @@ class Progress(Protocol):
 def _counted(fly: Fly, progress: Progress) -> Fly:
     """Return a function that flies, and tells each run at once."""
 
-    def counted(problem: FoundProblem, candidates: Sequence[Candidate]) -> Iterator[Evaluation]:
+    def counted(problem: SearchProblem, candidates: Sequence[Candidate]) -> Iterator[Evaluation]:
         for evaluation in fly(problem, candidates):
             progress.simulated()
             yield evaluation
@@ -170,7 +170,7 @@ def _counted(fly: Fly, progress: Progress) -> Fly:
 def flying(workers: Workers) -> Fly:
     """Return a function that flies candidates in worker processes."""
 
-    def fly(problem: FoundProblem, candidates: Sequence[Candidate]) -> Iterator[Evaluation]:
+    def fly(problem: SearchProblem, candidates: Sequence[Candidate]) -> Iterator[Evaluation]:
         return workers.map(problem.evaluate, candidates)
 
     return fly
@@ -180,7 +180,7 @@ def flying(workers: Workers) -> Fly:
 class Search:
     """A search over a space for a problem."""
 
-    problem: FoundProblem
+    problem: SearchProblem
     space: Space
     budget: int  # cases to evaluate, at least one
     seed: int = 0
@@ -218,7 +218,7 @@ class Search:
         if worst.evaluation.failed:
 
             def evaluate(
-                problem: FoundProblem, candidates: Sequence[Candidate]
+                problem: SearchProblem, candidates: Sequence[Candidate]
             ) -> list[Evaluation]:
                 return evaluations.of(problem, candidates, fly)
 

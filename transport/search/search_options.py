@@ -12,7 +12,7 @@ from transport.flight.run_files import checked
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.search.candidate import Base
-from transport.search.evaluation import FoundProblem
+from transport.search.evaluation import SearchProblem
 from transport.search.objective import SearchObjective
 from transport.search.search import Evaluations, Search, SearchResult, flying
 from transport.search.search_progress import SearchProgress
@@ -48,7 +48,7 @@ def search(
     """
     base = Base(scenario=scenario, source=source)
     objective = SearchObjective.of(options.objective, options.limit, scenario)
-    problem = FoundProblem(base=base, objective=objective)
+    problem = SearchProblem(base=base, objective=objective)
     setup = Setup.of(scenario, source)
     checked(setup)
     duration_s = setup.ticks * setup.settings.sampling_period_s
@@ -77,7 +77,7 @@ def search(
     return result
 
 
-def _identity(problem: FoundProblem, bounds: Bounds, options: SearchOptions) -> dict[str, Any]:
+def _identity(problem: SearchProblem, bounds: Bounds, options: SearchOptions) -> dict[str, Any]:
     """Return what two searches share of which one resumes the other; the budget may grow."""
     return {
         "scenario": problem.base.scenario.digest(),

@@ -7,7 +7,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 
 from transport.flight.progress import ConsoleProgress
 from transport.search.candidate import Candidate
-from transport.search.evaluation import FoundProblem
+from transport.search.evaluation import SearchProblem
 from transport.search.optimiser import BATCH
 from transport.search.search import SearchCase
 
@@ -15,7 +15,7 @@ from transport.search.search import SearchCase
 class SearchProgress(ConsoleProgress):
     """A bar over the budget with the worst case so far."""
 
-    def __init__(self, problem: FoundProblem, budget: int, console: Console) -> None:
+    def __init__(self, problem: SearchProblem, budget: int, console: Console) -> None:
         super().__init__(
             console,
             BarColumn(bar_width=20),

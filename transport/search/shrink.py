@@ -10,10 +10,10 @@ from dataclasses import replace
 from functools import partial
 
 from transport.search.candidate import Candidate
-from transport.search.evaluation import REFUSED, CaseVerdict, Evaluation, FoundProblem
+from transport.search.evaluation import REFUSED, CaseVerdict, Evaluation, SearchProblem
 
 _MOST = 400  # evaluations of one shrinking: each takes about a second
-Evaluate = Callable[[FoundProblem, Sequence[Candidate]], Sequence[Evaluation]]
+Evaluate = Callable[[SearchProblem, Sequence[Candidate]], Sequence[Evaluation]]
 Progress = Callable[[Candidate, int], None]
 
 
@@ -26,7 +26,7 @@ class Shrinker:
 
     def __init__(
         self,
-        problem: FoundProblem,
+        problem: SearchProblem,
         candidate: Candidate,
         evaluate: Evaluate,
         progress: Progress,

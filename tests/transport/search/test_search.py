@@ -29,7 +29,7 @@ from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.search.candidate import Base, Candidate
 from transport.search.drawn_events import Death, DrawnSilence, Gusts
-from transport.search.evaluation import REFUSED, CaseVerdict, Evaluation, FoundProblem
+from transport.search.evaluation import REFUSED, CaseVerdict, Evaluation, SearchProblem
 from transport.search.objective import SearchObjective
 from transport.search.optimiser import BATCH, Optimiser, SearchLayout
 from transport.search.search import Evaluations, Search, SearchCase, SearchResult, random_search
@@ -56,7 +56,7 @@ class Quiet:
         """Tell nothing."""
 
 
-class Planted(FoundProblem):
+class Planted(SearchProblem):
     """A problem whose runs fail by a formula: a coincidence of a death and a silence."""
 
     def evaluate(self, candidate: Candidate) -> Evaluation:
@@ -114,12 +114,12 @@ def planted() -> Planted:
     return Planted(base=base, objective=SearchObjective.of("attitude", None, scenario))
 
 
-def fly(problem: FoundProblem, candidates: Sequence[Candidate]) -> Iterable[Evaluation]:
+def fly(problem: SearchProblem, candidates: Sequence[Candidate]) -> Iterable[Evaluation]:
     """Evaluate in this process."""
     return [problem.evaluate(candidate) for candidate in candidates]
 
 
-def backwards(problem: FoundProblem, candidates: Sequence[Candidate]) -> Iterable[Evaluation]:
+def backwards(problem: SearchProblem, candidates: Sequence[Candidate]) -> Iterable[Evaluation]:
     """Evaluate in another order, as workers of different speed do."""
     return [problem.evaluate(candidate) for candidate in reversed(candidates)]
 
@@ -255,7 +255,7 @@ def counted() -> tuple[list[str], Callable[..., Iterable[Evaluation]]]:
     """Return the keys of what is flown, to be filled, and a function that flies in this process."""
     keys: list[str] = []
 
-    def counting(problem: FoundProblem, candidates: Sequence[Candidate]) -> Iterable[Evaluation]:
+    def counting(problem: SearchProblem, candidates: Sequence[Candidate]) -> Iterable[Evaluation]:
         keys.extend(problem.key(candidate) for candidate in candidates)
         return fly(problem, candidates)
 
@@ -398,7 +398,7 @@ def test_a_scenario_that_fails_without_events_is_refused() -> None:
     limit = SearchObjective.of("separation", 10.0, problem.base.scenario)
     scenario = read_scenario(FILE, [SHORT])
     base = Base(scenario=scenario, source=str(FILE))
-    failing = FoundProblem(base=base, objective=limit)
+    failing = SearchProblem(base=base, objective=limit)
     space = Space(KINDS, read_bounds(None, 25.0), scenario)
     with pytest.raises(ScenarioError, match="holds its limit without events"):
         Search(problem=failing, space=space, budget=8).run(Evaluations(None, {}), fly, Quiet())
@@ -410,7 +410,7 @@ def test_own_constraints_count_as_violations_as_limits_do() -> None:
     scenario = read_scenario(FILE, [SHORT, own])
     base = Base(scenario=scenario, source=str(FILE))
     objective = SearchObjective.of("constraint", 0.2, scenario)
-    evaluation = FoundProblem(base=base, objective=objective).evaluate(Candidate(()))
+    evaluation = SearchProblem(base=base, objective=objective).evaluate(Candidate(()))
 
     setup = Setup.of(scenario, str(FILE))
     summary = summarise(AnalysedRun.of(setup, log_of(recorded(setup))))
@@ -424,7 +424,7 @@ def test_a_run_ends_as_soon_as_it_has_failed() -> None:
     """A run past the limit of attitude is not flown on; the end is the time of the failure."""
     scenario = read_scenario(FILE, [SHORT])
     base = Base(scenario=scenario, source=str(FILE))
-    problem = FoundProblem(base=base, objective=SearchObjective.of("attitude", 0.005, scenario))
+    problem = SearchProblem(base=base, objective=SearchObjective.of("attitude", 0.005, scenario))
     evaluation = problem.evaluate(Candidate((Gusts(speed_mps=1.0, seed=1),)))
     assert evaluation.outcome == "failed"
     assert 0.0 < evaluation.end_s < 1.4
@@ -477,13 +477,13 @@ class One:
 """
 
 
-def own_class_problem(folder: Path, limit_deg: float) -> FoundProblem:
+def own_class_problem(folder: Path, limit_deg: float) -> SearchProblem:
     """Return a hover of four UAVs with the class above."""
     (folder / "only_one.py").write_text(ONE_UAV, encoding="utf-8")
     hover = "maneuver.phase=[{name='hover',duration_s=2.0,displacement_m=[0.0,0.0,0.0]}]"
     scenario = read_scenario(FILE, [hover, "agents.controller=only_one:One"])
     base = Base(scenario=scenario, source=str(FILE))
-    return FoundProblem(base=base, objective=SearchObjective.of("attitude", limit_deg, scenario))
+    return SearchProblem(base=base, objective=SearchObjective.of("attitude", limit_deg, scenario))
 
 
 def test_the_verdict_on_a_class_of_the_user_is_that_of_the_projects_controller(

@@ -11,7 +11,7 @@ from tests.support.runs import SCENARIOS
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.search.candidate import Base, Candidate
 from transport.search.drawn_events import Death, DrawnSilence, Event, Gusts, TargetEvent
-from transport.search.evaluation import CaseVerdict, Evaluation, FoundProblem
+from transport.search.evaluation import CaseVerdict, Evaluation, SearchProblem
 from transport.search.objective import SearchObjective
 from transport.search.search import Minimal
 from transport.search.search_report import draw, in_words, scenario_text, window_s
@@ -42,7 +42,7 @@ def minimal(
         passed_s=failed_s,
     )
     return Minimal(
-        problem=FoundProblem(base=base, objective=SearchObjective.of(measure, None, scenario)),
+        problem=SearchProblem(base=base, objective=SearchObjective.of(measure, None, scenario)),
         whole_team=4,
         candidate=Candidate(events),
         evaluation=evaluation,
