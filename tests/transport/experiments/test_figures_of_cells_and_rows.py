@@ -108,6 +108,60 @@ def test_marks_of_the_arena_tell_how_many_runs_complete() -> None:
     assert [label.get_text() for label in panel.get_xticklabels()] == ["paper", "Alone"]
 
 
+@pytest.mark.parametrize(
+    ("networks", "rows"),
+    [
+        (["perfect"], [["perfect"]]),
+        (["perfect", "late", "bursts"], [["perfect", "late", "bursts"]]),
+        (
+            ["perfect", "late", "bursts", "radio", "none"],
+            [["perfect", "late", "bursts", "radio"], ["no network"]],
+        ),
+    ],
+)
+def test_the_legend_of_the_arena_has_networks_first_and_fills_last(
+    networks: Sequence[str], rows: Sequence[Sequence[str]]
+) -> None:
+    """Four entries fit beside each other; networks are full marks, and each fill has its meaning."""
+    figure = Figure()
+    draw_arena(figure, [flown(network, "paper", RUNS, 0.1) for network in networks])
+    figure.draw_without_rendering()
+
+    (legend,) = figure.legends
+    shown: dict[float, list[tuple[float, str, str]]] = {}
+    for handle, text in zip(legend.get_lines(), legend.get_texts(), strict=True):
+        if text.get_text():
+            right, up = text.get_window_extent().p0
+            row = shown.setdefault(round(up), [])
+            row.append((right, text.get_text(), str(handle.get_fillstyle())))
+    found = [[entry[1:] for entry in sorted(shown[up])] for up in sorted(shown, reverse=True)]
+    fills = [("all complete", "full"), ("some do", "left"), ("none does", "none")]
+    assert found == [*[[(name, "full") for name in row] for row in rows], fills]
+
+
+def test_the_title_of_a_measure_tells_the_order_of_the_networks() -> None:
+    """A line for the rows of a cell; a single network needs none."""
+    titles = []
+    for networks in (["perfect"], ["late", "perfect", "radio"]):
+        figure = Figure()
+        measured = [flown(network, "paper", RUNS, 0.01) for network in networks]
+        draw_measure(figure, measured, "payload_rms_m", "payload error, cm", 100.0)
+        titles.append(figure.axes[0].texts[0].get_text())
+    assert titles == [
+        "payload error, cm",
+        "payload error, cm\nin a cell: perfect, late / radio",
+    ]
+
+
+def test_a_mean_of_zero_has_no_tile() -> None:
+    """A logarithmic scale has no zero, and the runs have completed: no colour and no hatches."""
+    figure = Figure()
+    measured = [flown("perfect", "paper", RUNS, 0.02), flown("perfect", "alone", RUNS, 0.0)]
+    draw_measure(figure, measured, "payload_rms_m", "payload error, cm", 100.0)
+    (tile,) = (patch for patch in figure.axes[0].patches if isinstance(patch, Rectangle))
+    assert tile.get_x() == pytest.approx(-0.396)
+
+
 def test_tiles_of_the_arena_have_the_colour_of_their_number() -> None:
     """In the unit of the figure; hatched where no run completes, and the bar names ends and middle."""
     figure = Figure()

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from transport.experiments.figures.figure_parts import (
     values_of,
 )
 from transport.experiments.statistics import COST_RATIO, PointStatistics
-from transport.report.figures.column import Room, column_panels, head, text_width_in
+from transport.report.figures.column import Room, column_panels, head, in_rows, text_width_in
 from transport.report.figures.style import styles_of
 
 # Height of a row, of the matrix at least so that numbers of a scale are apart, and room around it, inches.
@@ -98,14 +97,13 @@ def draw_arena(figure: Figure, measured: Sequence[PointStatistics]) -> None:
 
 
 def _legend(looks: Mapping[str, tuple[str, str, str]]) -> list[Line2D]:
-    """Return the legend: networks in its first row, fills in the second."""
+    """Return the legend: networks in its first rows, fills in the last."""
     networks = [
         Line2D([], [], label=_NAMES.get(name, name), **_mark(look, _ALL))
         for name, look in looks.items()
     ]
     fills = [Line2D([], [], label=text, **_mark(_GREY, fill)) for fill, text in _FILLS.items()]
-    pairs = zip_longest(networks, fills)  # a legend is filled by columns
-    return [handle for pair in pairs for handle in pair if handle is not None]
+    return in_rows([networks, fills])
 
 
 def _fill(one: PointStatistics) -> str:

@@ -193,6 +193,22 @@ def draw_legend(figure: Figure, handles: Sequence[Line2D]) -> None:
     )
 
 
+def in_rows(groups: Sequence[Sequence[Line2D]]) -> list[Line2D]:
+    """Return the handles of a legend in which each group begins a row and continues in the next ones.
+
+    A legend is filled by columns: handles without a mark fill the rows.
+    """
+    columns = _columns([handle for group in groups for handle in group])
+    rows = [
+        [*group[first : first + columns]]
+        for group in groups
+        for first in range(0, len(group), columns)
+    ]
+    for row in rows:
+        row += [Line2D([], [], linestyle="none", label="") for _ in range(columns - len(row))]
+    return [handle for column in zip(*rows, strict=True) for handle in column]
+
+
 def _columns(handles: Sequence[Line2D]) -> int:
     """Return the number of columns of a legend that fit the width."""
     widest_in = max(text_width_in(str(handle.get_label())) for handle in handles)
