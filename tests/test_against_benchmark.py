@@ -1,0 +1,96 @@
+"""The benchmark of two versions in turns: which value counts for which version, and what it refuses."""
+
+import ast
+import importlib
+import platform
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from benchmarks import against
+
+BEFORE, NOW = Path("before"), Path("now")
+VERSIONS = {"before": (BEFORE, {"CACHE": "1"}), "now": (NOW, {"CACHE": "2"})}
+
+
+def test_versions_are_measured_in_turns_and_the_first_turn_is_left_out() -> None:
+    """It compiles the models: each version has one value for each turn after it."""
+    measured = []
+
+    def count(tree: Path, environment: Mapping[str, str]) -> dict[str, float]:
+        measured.append((tree, environment["CACHE"]))
+        return {"calls": float(len(measured)), "negative": -float(len(measured))}
+
+    assert against.in_turns(count, VERSIONS, 2) == {
+        "calls": {"before": [3.0, 5.0], "now": [4.0, 6.0]},
+        "negative": {"before": [-3.0, -5.0], "now": [-4.0, -6.0]},
+    }
+    assert measured == [(BEFORE, "1"), (NOW, "2")] * 3
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "expected"),
+    [
+        ([4.0, 2.0, 9.0], [1.0, 3.0, 1.0], ["4.00", "1.00", "0.25"]),  # medians, not means
+        ([1.0], [4.0], ["1.00", "4.00", "4.00"]),
+        ([0.0], [2.0], ["0.00", "2.00", ""]),
+    ],
+)
+def test_cells_have_medians_and_their_ratio(
+    before: list[float], now: list[float], expected: list[str]
+) -> None:
+    """The ratio is below 1 where this version is the smaller one; none to 0."""
+    cells = against.cells("a quantity", {"before": before, "now": now})
+    assert cells == ["a quantity", *expected]
+
+
+def test_each_version_has_a_cache_of_its_own() -> None:
+    """Models that one has compiled are none of the other's; the environment is otherwise the same."""
+    trees = {"before": BEFORE, "now": NOW}
+    assert against.versions_of(trees, {"CC": "cc"}, Path("caches")) == {
+        "before": (BEFORE, {"CC": "cc", "PAYLOAD_TRANSPORT_CACHE": "caches/before"}),
+        "now": (NOW, {"CC": "cc", "PAYLOAD_TRANSPORT_CACHE": "caches/now"}),
+    }
+
+
+def test_the_program_of_a_run_in_memory_names_what_there_is() -> None:
+    """It runs in the other interpreter: neither imports nor calls are checked where it is kept."""
+    for node in ast.walk(ast.parse(against.IN_MEMORY)):
+        if isinstance(node, ast.ImportFrom):
+            module = importlib.import_module(str(node.module))
+            assert [name.name for name in node.names if not hasattr(module, name.name)] == []
+
+
+@pytest.mark.parametrize(
+    ("flags", "expected"),
+    [("fpu avx2 avx512f", ["AVX-512", "AVX2"]), ("fpu avx2", [platform.machine()])],
+)
+def test_a_processor_with_avx512_is_measured_without_it_as_well(
+    flags: str, expected: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a compiler that is told to leave AVX-512 out; native models switched off are on in all."""
+    monkeypatch.setenv("PAYLOAD_TRANSPORT_NATIVE", "0")
+    monkeypatch.delenv("CC", raising=False)
+    cpuinfo = tmp_path / "cpuinfo"
+    cpuinfo.write_text(f"flags : {flags}\n", encoding="utf-8")
+
+    found = against.environments(tmp_path, cpuinfo)
+    assert list(found) == expected
+    assert all("PAYLOAD_TRANSPORT_NATIVE" not in environment for environment in found.values())
+    assert "CC" not in found[expected[0]]
+    if "AVX2" in found:
+        compiler = Path(found["AVX2"]["CC"])
+        assert compiler.read_text(encoding="utf-8").endswith("-mno-avx512f\n")
+
+
+def test_a_processor_that_the_machine_is_not_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The error names those that can be measured."""
+    monkeypatch.setattr(against, "environments", lambda _folder: {"AVX-512": {}, "AVX2": {}})
+    monkeypatch.setattr(sys, "argv", ["against", "before", "--processor", "AVX512"])
+    with pytest.raises(SystemExit):
+        against.main()
+    assert "--processor: this machine has AVX-512 and AVX2, not AVX512" in capsys.readouterr().err
