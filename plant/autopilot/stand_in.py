@@ -39,6 +39,14 @@ _AGAIN_S = 1.0  # after which outputs are sent again: the physics may not be the
 _ORPHAN_S = 30.0  # without physics it ends
 _MOST_BYTES = 4096
 _METRES_PER_DEGREE = 111_319.49
+_GRAVITY = 9.80665  # a unit of SCALED_IMU, m/s^2
+_BATTERY_MV, _CURRENT_CA = 16_000, 500  # a battery of 16 V, 5 A
+_VARIANCE = 0.1  # of the estimate, as EKF_STATUS_REPORT tells it: far below its limit, 1
+_NO_SENSORS = [0] * 4  # of SYS_STATUS: bits of sensors, and load
+_NO_ERRORS = [0] * 6  # of SYS_STATUS: lost packets and other errors
+_NO_GYRO_OR_COMPASS = [0] * 6  # of SCALED_IMU
+_TEXT_BYTES = 50  # of STATUSTEXT
+_MAVLINK_VERSION = 3  # in HEARTBEAT, also of MAVLink 2
 # Errors of the estimate: standard deviation and correlation time, s. Those of a satellite
 # receiver with an inertial filter, as ArduCopter's own were in simulation.
 _ERRORS = {
@@ -96,6 +104,7 @@ class Wandering:
             self.values[name] = x, y, z
 
     def _drawn(self, size: float) -> Vector:
+        """Return three normal numbers of a standard deviation."""
         gauss = self._random.gauss
         return gauss(0.0, size), gauss(0.0, size), gauss(0.0, size)
 
@@ -125,6 +134,7 @@ class StandIn:
 
     @property
     def _is_ready(self) -> bool:
+        """Whether navigation is ready: it has an origin, and arming is allowed."""
         return self.time_s >= _READY_S
 
     def servos(self) -> bytes:
@@ -172,6 +182,10 @@ class StandIn:
         self._force = _sum(told["imu"]["accel_body"], off["force"])
 
     def _geodetic(self, place: Sequence[float]) -> list[float]:
+        """Return latitude and longitude, degrees, and height, m, of a place in the frame of the physics.
+
+        The frame, north, east, down, m, begins at the home; it is flat.
+        """
         latitude, longitude, height = self._home
         east = _METRES_PER_DEGREE * math.cos(math.radians(latitude))
         return [
@@ -181,6 +195,7 @@ class StandIn:
         ]
 
     def _local(self, origin: Sequence[float]) -> Vector:
+        """Return the place of an origin in the frame of the physics: the inverse of `_geodetic`."""
         latitude, longitude, height = self._home
         east = _METRES_PER_DEGREE * math.cos(math.radians(latitude))
         return (
@@ -199,6 +214,7 @@ class StandIn:
                     self._take(message)
 
     def _take(self, message: Any) -> None:
+        """Obey one message; ignore those that it does not know."""
         m = messages()
         match message.get_type():
             case "SET_ATTITUDE_TARGET":
@@ -258,6 +274,7 @@ class StandIn:
                 self._tell(name)
 
     def _tell_parameter(self, name: str) -> None:
+        """Send the value of a parameter; nothing if there is none of that name."""
         if name in self.parameters:
             m = messages()
             value = self.parameters[name]
@@ -268,7 +285,10 @@ class StandIn:
             )
 
     def _say(self, text: str) -> None:
-        self.link.send(messages().MAVLink_statustext_message(4, text.encode()[:50]))
+        """Send a warning to people, cut to the length of its message."""
+        m = messages()
+        warning = m.MAVLink_statustext_message(m.MAV_SEVERITY_WARNING, text.encode()[:_TEXT_BYTES])
+        self.link.send(warning)
 
     def _tell(self, name: str) -> None:
         """Send one message by its name."""
@@ -281,17 +301,19 @@ class StandIn:
                 armed = m.MAV_MODE_FLAG_SAFETY_ARMED if self.control.is_armed else 0
                 mode = m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | armed
                 kind = m.MAV_TYPE_QUADROTOR, m.MAV_AUTOPILOT_ARDUPILOTMEGA
-                message = m.MAVLink_heartbeat_message(*kind, mode, self.control.mode, 4, 3)
+                message = m.MAVLink_heartbeat_message(
+                    *kind, mode, self.control.mode, m.MAV_STATE_ACTIVE, _MAVLINK_VERSION
+                )
             case "ATTITUDE":
                 message = m.MAVLink_attitude_message(ms, *_euler(own.attitude), *own.gyro)
             case "LOCAL_POSITION_NED" if self._origin is not None:
                 message = m.MAVLink_local_position_ned_message(ms, *own.position, *own.velocity)
             case "SCALED_IMU":
-                milli = [round(1e3 * part / 9.80665) for part in self._force]
-                message = m.MAVLink_scaled_imu_message(ms, *milli, *[0] * 6)
+                milli = [round(1e3 * part / _GRAVITY) for part in self._force]
+                message = m.MAVLink_scaled_imu_message(ms, *milli, *_NO_GYRO_OR_COMPASS)
             case "EKF_STATUS_REPORT":
-                flags = 831 if self._is_ready else 0x80 | 0x01
-                message = m.MAVLink_ekf_status_report_message(flags, *[0.1] * 5)
+                flags = _ready_flags(m) if self._is_ready else m.EKF_ATTITUDE | m.EKF_CONST_POS_MODE
+                message = m.MAVLink_ekf_status_report_message(flags, *[_VARIANCE] * 5)
             case "ATTITUDE_TARGET":
                 share = sum(self._outputs) / len(self._outputs)
                 message = m.MAVLink_attitude_target_message(
@@ -299,7 +321,8 @@ class StandIn:
                 )
             case "SYS_STATUS":
                 charge = round(self.parameters["STAND_BATTERY"])
-                message = m.MAVLink_sys_status_message(*[0] * 4, 16000, 500, charge, *[0] * 6)
+                battery = _BATTERY_MV, _CURRENT_CA, charge
+                message = m.MAVLink_sys_status_message(*_NO_SENSORS, *battery, *_NO_ERRORS)
             case "GPS_GLOBAL_ORIGIN" if self._origin is not None:
                 latitude, longitude, height = self._origin
                 message = m.MAVLink_gps_global_origin_message(
@@ -309,7 +332,16 @@ class StandIn:
             self.link.send(message)
 
 
+def _ready_flags(m: Any) -> int:
+    """Return the bits of an estimate that is complete: attitude, velocity, and position."""
+    velocity = m.EKF_VELOCITY_HORIZ | m.EKF_VELOCITY_VERT
+    position = m.EKF_POS_HORIZ_REL | m.EKF_POS_HORIZ_ABS | m.EKF_POS_VERT_ABS
+    predicted = m.EKF_PRED_POS_HORIZ_REL | m.EKF_PRED_POS_HORIZ_ABS
+    return int(m.EKF_ATTITUDE | velocity | position | predicted)
+
+
 def _sum(a: Sequence[float], b: Sequence[float]) -> Vector:
+    """Return the sum of two vectors."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 

@@ -1,145 +1,200 @@
-"""The stand-in autopilot does what ArduCopter was measured to do, as control alone."""
+"""The stand-in autopilot: its estimate, its frame, and the messages that it sends and obeys."""
 
-import math
+import json
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from transport.plant.autopilot.copter_control import (
-    BRAKE,
-    GUIDED,
-    LAND,
-    CopterControl,
-    CopterEstimate,
-    CopterSetpoint,
-    Quaternion,
-    Vector,
-    _normalised,
-    _product,
-    _turned,
-)
-from transport.plant.autopilot.stand_in import _DEFAULTS
+from transport.plant.autopilot import stand_in
+from transport.plant.autopilot.copter_control import GUIDED
+from transport.plant.autopilot.stand_in import StandIn, Wandering
+from transport.protocol.network.mavlink import messages
 
-STEP_S = 1 / 400
-# Moments of an output of 1, rad/s^2, and gains of a loop of 50 ms with them.
-PER_OUTPUT = (137.0, 137.0, 6.8)
-TAU_S = 0.05
-LAG_S = 0.0125  # of the motors
-HOVER = 0.5
+# 10 m to the north and to the east of 47 deg N, 8 deg E on a sphere of 6,378,137 m, in 1e-7 deg:
+# 10 / 111,319.49, and that divided by cos 47 deg = 0.6819984.
+NORTH, EAST = 470_000_898, 80_001_317
+# Roll 0.3, pitch -0.2, yaw 1.1 rad, scalar first.
+TILTED = Rotation.from_euler("ZYX", [1.1, -0.2, 0.3]).as_quat(scalar_first=True).tolist()
 
 
-class Body:
-    """A rigid body turned by a control about the axes of its body, without any load."""
+class Told:
+    """A link that keeps what is sent."""
 
     def __init__(self) -> None:
-        self.parameters = dict(_DEFAULTS)
-        self.parameters["GUID_TIMEOUT"] = 0.5
-        self.parameters["MOT_THST_HOVER"] = HOVER
-        for axis, most in zip(("RLL", "PIT", "YAW"), PER_OUTPUT, strict=True):
-            self.parameters[f"ATC_RAT_{axis}_P"] = 1 / (TAU_S * most)
-            self.parameters[f"ATC_RAT_{axis}_I"] = 0.5 / (TAU_S * most)
-        self.control = CopterControl(self.parameters)
-        assert self.control.change_mode(GUIDED)
-        assert not self.control.arm("")
-        self.time_s = 0.0
-        self.attitude: Quaternion = (1.0, 0.0, 0.0, 0.0)
-        self.rates: Vector = (0.0, 0.0, 0.0)
-        self.position = [0.0, 0.0, -10.0]
-        self.velocity = [0.0, 0.0, 0.0]
-        self.outputs = [HOVER] * 4
+        self.sent: list[Any] = []
 
-    def step(self) -> None:
-        """Let the control act once, and the body move."""
-        estimate = CopterEstimate(
-            (self.position[0], self.position[1], self.position[2]),
-            (self.velocity[0], self.velocity[1], self.velocity[2]),
-            self.attitude,
-            self.rates,
-        )
-        wanted = self.control.outputs(self.time_s, STEP_S, estimate)
-        share = 1 - math.exp(-STEP_S / LAG_S)
-        self.outputs = [
-            now + share * (to - now) for now, to in zip(self.outputs, wanted, strict=True)
-        ]
-        fr, rl, fl, rr = self.outputs
-        moments = (rl + fl - fr - rr, fr + fl - rl - rr, fr + rl - fl - rr)
-        x, y, z = (
-            rate + STEP_S * most * moment / 2.0
-            for rate, most, moment in zip(self.rates, PER_OUTPUT, moments, strict=True)
-        )
-        self.rates = x, y, z
-        self.attitude = _normalised(_product(self.attitude, _turned(self.rates, STEP_S)))
-        w, x, y, z = self.attitude
-        lift = 9.80665 * sum(self.outputs) / 4 / HOVER
-        axis = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
-        for i, part in enumerate(axis):
-            self.velocity[i] += STEP_S * (-lift * part + (9.80665 if i == 2 else 0.0))
-            self.position[i] += STEP_S * self.velocity[i]
-        self.time_s += STEP_S
+    def send(self, message: Any) -> None:
+        """Keep a message."""
+        self.sent.append(message)
 
-    def fly(self, seconds: float, rates: Vector | None = None) -> list[Vector]:
-        """Body rates over a time, with a setpoint every 20 ms if rates are given."""
-        seen = []
-        for k in range(round(seconds / STEP_S)):
-            if rates is not None and k % 8 == 0:
-                self.control.take(CopterSetpoint(HOVER, rates, self.time_s))
-            self.step()
-            seen.append(self.rates)
-        return seen
+    def last(self, name: str) -> Any:
+        """Return the newest message of a name."""
+        return next(one for one in reversed(self.sent) if one.msgname == name)
 
 
-@pytest.mark.parametrize("axis", [0, 1])
-def test_rates_follow_with_the_overshoot_of_guided(axis: int) -> None:
-    """A step of roll or pitch rate reaches 63 % after 50 to 90 ms, and overshoots by 10 to 30 %.
-
-    ArduCopter was measured at 68 ms and 20 %.
-    """
-    body = Body()
-    body.fly(0.5, (0.0, 0.0, 0.0))
-    rates: Vector = (0.6, 0.0, 0.0) if axis == 0 else (0.0, 0.6, 0.0)
-    seen = [rate[axis] / 0.6 for rate in body.fly(0.4, rates)]
-    reached_s = STEP_S * next(k for k, rate in enumerate(seen) if rate > 0.632)
-    assert 0.05 < reached_s < 0.09
-    assert 1.1 < max(seen) < 1.3
+@pytest.fixture
+def copter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[StandIn]:
+    """A stand-in without errors of its estimate, at 47 deg N, 8 deg E, with a link that keeps."""
+    monkeypatch.chdir(tmp_path)
+    exact = {name: (0.0, time_s) for name, (_, time_s) in stand_in._ERRORS.items()}
+    monkeypatch.setattr(stand_in, "_ERRORS", exact)
+    made = StandIn(stand_in._options(["--serial1", "udpclient:127.0.0.1:9"]))
+    made.link.close()
+    made.link = Told()  # type: ignore[assignment]
+    yield made
+    made._record.close()
 
 
-def test_without_setpoints_it_levels_and_drifts() -> None:
-    """After its time-out it levels and keeps its height, but not its place."""
-    body = Body()
-    body.fly(0.5, (0.0, 0.0, 0.0))
-    body.fly(0.3, (0.0, -0.7, 0.0))
-    body.fly(1.0, (0.0, 0.0, 0.0))
-    before_m = body.position[0]
-    body.fly(0.5)
-    body.fly(3.0)
-    _, x, y, _ = body.attitude
-    assert math.hypot(x, y) < 0.01
-    assert abs(body.velocity[2]) < 0.05
-    assert body.position[0] - before_m > 3.0
+def physics(time_s: float, place: tuple[float, float, float] = (12.0, 13.0, -20.0)) -> bytes:
+    """Return what the physics tells."""
+    told = {
+        "timestamp": time_s, "position": place, "velocity": [1.0, 2.0, 3.0], "quaternion": TILTED,
+        "imu": {"gyro": [0.1, 0.2, 0.3], "accel_body": [0.980665, 1.96133, -9.80665]},
+    }  # fmt: skip
+    return json.dumps(told).encode()
 
 
-@pytest.mark.parametrize(("mode", "sinks_mps"), [(GUIDED, 0.0), (BRAKE, 0.0), (LAND, 0.5)])
-def test_it_holds_its_place_by_itself(mode: int, sinks_mps: float) -> None:
-    """Before any setpoint, in BRAKE and in LAND it keeps its place; in LAND it sinks."""
-    body = Body()
-    assert body.control.change_mode(mode)
-    body.velocity[0] = 0.5
-    body.fly(6.0)
-    start_m = list(body.position)
-    body.fly(2.0)
-    assert math.hypot(body.position[0] - start_m[0], body.position[1] - start_m[1]) < 0.05
-    assert body.position[2] - start_m[2] == pytest.approx(2 * sinks_mps, abs=0.05)
+def ask(copter: StandIn, name: str) -> Any:
+    """Return the message that it sends when asked for one by name; None without."""
+    sent: list[Any] = copter.link.sent  # type: ignore[attr-defined]
+    before = len(sent)
+    copter._tell(name)
+    return sent[-1] if len(sent) > before else None
 
 
-def test_it_refuses() -> None:
-    """It arms only without a problem and in GUIDED, and obeys setpoints only armed and there."""
-    control = CopterControl(dict(_DEFAULTS))
-    estimate = CopterEstimate((0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3)
-    assert control.arm("") == "mode not armable"
-    assert not control.change_mode(99)
-    assert not control.take(CopterSetpoint(0.5, (0.0, 0.0, 0.0), 0.0))
-    assert control.change_mode(GUIDED)
-    assert control.arm("Need Position Estimate") == "Need Position Estimate"
-    assert control.outputs(0.0, STEP_S, estimate) == (0.0,) * 4
-    assert not control.arm("")
-    assert control.take(CopterSetpoint(0.5, (0.0, 0.0, 0.0), 0.0))
-    assert control.outputs(0.0, STEP_S, estimate) == pytest.approx((0.5,) * 4)
+def command(copter: StandIn, number: int, first: float, second: float = 0.0) -> int:
+    """Return the acknowledged result of a command."""
+    m = messages()
+    copter._take(m.MAVLink_command_long_message(1, 1, number, 0, first, second, 0, 0, 0, 0, 0))
+    ack = copter.link.last("COMMAND_ACK")  # type: ignore[attr-defined]
+    assert ack.command == number
+    return int(ack.result)
+
+
+def test_errors_wander_with_their_size_and_correlation() -> None:
+    """Over 1,000 s the errors have the deviation named, and that share exp(-t / time) is left after t."""
+    errors = Wandering(1)
+    step_s = 0.02
+    seen: dict[str, list[Any]] = {name: [] for name in stand_in._ERRORS}
+    for _ in range(50_000):
+        errors.advance(step_s)
+        for name, error in errors.values.items():
+            seen[name].append(error)
+    expected = {
+        "position": (0.05, 5.0), "velocity": (0.03, 2.0), "gyro": (0.004, 0.02), "force": (0.05, 0.02),
+    }  # fmt: skip
+    for name, (size, time_s) in expected.items():
+        values = np.array(seen[name])
+        lag = round(time_s / step_s)  # one correlation time: exp(-1) = 0.368 is left
+        assert np.sqrt(np.mean(values**2)) == pytest.approx(size, rel=0.15), name
+        left = np.mean(values[lag:] * values[:-lag]) / np.mean(values**2)
+        assert left == pytest.approx(0.368, abs=0.12), name
+
+
+def test_its_place_is_in_the_frame_of_a_given_origin(copter: StandIn) -> None:
+    """With an origin 10 m north-east of the home and 5 m above, 12 m and 13 m become 2 m and 3 m."""
+    m = messages()
+    copter._take(m.MAVLink_set_gps_global_origin_message(1, NORTH, EAST, 5_000))
+    copter.step(physics(2.5))
+    told = ask(copter, "LOCAL_POSITION_NED")
+    assert (told.x, told.y, told.z) == pytest.approx((2.0, 3.0, -15.0), abs=0.02)
+    assert (told.vx, told.vy, told.vz) == (1.0, 2.0, 3.0)
+    origin = ask(copter, "GPS_GLOBAL_ORIGIN")
+    assert (origin.latitude, origin.longitude, origin.altitude) == (NORTH, EAST, 5_000)
+    copter._take(m.MAVLink_set_gps_global_origin_message(1, 0, 0, 0))  # the first one holds
+    assert ask(copter, "GPS_GLOBAL_ORIGIN").latitude == NORTH
+
+
+def test_it_chooses_an_origin_when_it_is_ready(copter: StandIn) -> None:
+    """The place where it is after 2 s; before it tells neither a place nor an origin."""
+    copter.step(physics(1.9))
+    assert ask(copter, "LOCAL_POSITION_NED") is None
+    assert ask(copter, "GPS_GLOBAL_ORIGIN") is None
+    assert ask(copter, "EKF_STATUS_REPORT").flags == 128 + 1  # constant position, attitude
+    copter.step(physics(2.0, (10.0, 10.0, -20.0)))
+    copter.step(physics(2.1, (11.0, 13.0, -24.0)))
+    told = ask(copter, "LOCAL_POSITION_NED")
+    assert (told.x, told.y, told.z) == pytest.approx((1.0, 3.0, -4.0), abs=1e-6)
+    origin = ask(copter, "GPS_GLOBAL_ORIGIN")
+    assert (origin.latitude, origin.longitude, origin.altitude) == (NORTH, EAST, 20_000)
+    # All but the height above ground, 64, and constant position, 128.
+    assert ask(copter, "EKF_STATUS_REPORT").flags == 1 + 2 + 4 + 8 + 16 + 32 + 256 + 512
+
+
+def test_it_arms_once_it_is_ready(copter: StandIn) -> None:
+    """Before 2 s it refuses and says why; the heartbeat tells mode and arming."""
+    m = messages()
+    assert command(copter, m.MAV_CMD_DO_SET_MODE, 1.0, GUIDED) == m.MAV_RESULT_ACCEPTED
+    assert command(copter, m.MAV_CMD_DO_SET_MODE, 1.0, 99.0) == m.MAV_RESULT_DENIED
+    copter.step(physics(1.9))
+    assert command(copter, m.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == m.MAV_RESULT_FAILED
+    said = copter.link.last("STATUSTEXT")  # type: ignore[attr-defined]
+    assert (said.severity, said.text) == (4, "Arm: Need Position Estimate")
+    assert ask(copter, "HEARTBEAT").base_mode == 1
+    copter.step(physics(2.0))
+    assert command(copter, m.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == m.MAV_RESULT_ACCEPTED
+    beat = ask(copter, "HEARTBEAT")
+    told = beat.type, beat.autopilot, beat.base_mode, beat.custom_mode, beat.system_status
+    assert told == (2, 3, 128 + 1, 4, 4)  # quadrotor, ArduPilot, armed, GUIDED, active
+    assert command(copter, m.MAV_CMD_COMPONENT_ARM_DISARM, 0.0) == m.MAV_RESULT_ACCEPTED
+    assert ask(copter, "HEARTBEAT").base_mode == 1
+
+
+def test_what_it_measures_is_told(copter: StandIn) -> None:
+    """Attitude in rad, specific force in thousandths of 9.80665 m/s^2, battery in %, thrust as a share."""
+    copter.step(physics(2.5))
+    attitude = ask(copter, "ATTITUDE")
+    angles = attitude.roll, attitude.pitch, attitude.yaw
+    assert angles == pytest.approx((0.3, -0.2, 1.1), abs=1e-12)
+    assert attitude.time_boot_ms == 2500
+    assert (attitude.rollspeed, attitude.pitchspeed, attitude.yawspeed) == (0.1, 0.2, 0.3)
+    force = ask(copter, "SCALED_IMU")
+    assert (force.xacc, force.yacc, force.zacc) == (100, 200, -1000)
+    battery = ask(copter, "SYS_STATUS")
+    told = battery.voltage_battery, battery.current_battery, battery.battery_remaining
+    assert told == (16_000, 500, 90)
+    copter._outputs = (0.25, 0.36, 0.49, 0.64)
+    target = ask(copter, "ATTITUDE_TARGET")
+    assert target.thrust == pytest.approx((0.25 + 0.36 + 0.49 + 0.64) / 4)
+    assert target.q == pytest.approx(TILTED)
+
+
+def test_pulses_are_square_roots_of_thrusts(copter: StandIn) -> None:
+    """Packets of outputs are counted, with pulses of 1,000 to 2,000 us; 12 channels are not used."""
+    copter._outputs = (0.25, 0.36, 0.49, 1.0)
+    for count in (1, 2):
+        expected = 18458, 400, count, 1500, 1600, 1700, 2000, *[0] * 12
+        assert struct.unpack("<HHI16H", copter.servos()) == expected
+
+
+def test_parameters_and_setpoints_are_taken(copter: StandIn, tmp_path: Path) -> None:
+    """A parameter that is set is told back; obeyed setpoints are recorded with both clocks."""
+    m = messages()
+    copter._take(m.MAVLink_param_set_message(1, 1, b"STAND_BATTERY", 35.0, 9))
+    value = copter.link.last("PARAM_VALUE")  # type: ignore[attr-defined]
+    assert (value.param_id, value.param_value) == ("STAND_BATTERY", 35.0)
+    assert ask(copter, "SYS_STATUS").battery_remaining == 35
+    setpoint = m.MAVLink_set_attitude_target_message(
+        1500, 1, 1, 128, [1, 0, 0, 0], 0.1, 0.2, 0.3, 0.6
+    )
+    copter._take(setpoint)  # not armed: not obeyed
+    copter.step(physics(2.5))
+    assert copter.control.change_mode(GUIDED)
+    assert not copter.control.arm("")
+    copter._take(setpoint)
+    text = (tmp_path / "setpoints.csv").read_text(encoding="ascii")
+    assert text == "2.5000,1.5000,0.6000,0.1000,0.2000,0.3000\n"
+
+
+def test_rotations() -> None:
+    """Products and angles are those of scipy."""
+    a, b = Rotation.random(2, rng=np.random.default_rng(3))
+    first, second = (tuple(one.as_quat(scalar_first=True).tolist()) for one in (a, b))
+    product = stand_in._multiplied(first, second)
+    assert Rotation.from_quat(product, scalar_first=True).approx_equal(a * b, atol=1e-12)
+    assert stand_in._euler(first) == pytest.approx(a.as_euler("ZYX")[::-1], abs=1e-12)
