@@ -89,6 +89,66 @@ def test_fail_safe_begins_where_the_inputs_in_force_end() -> None:
         assert (by_fail_safe[COLUMNS[2]] == is_over).all()
 
 
+class Following:
+    """A fail-safe that follows: it takes over after so many steps of the last plan."""
+
+    def __init__(self, played: int) -> None:
+        self._played = played
+
+    def played(self, steps: int, period_s: float) -> int:
+        """Return the steps that the actuators play."""
+        assert period_s == 0.05
+        return min(steps, self._played)
+
+
+@pytest.mark.parametrize("alignment", ["by_age", "by_one", "held"])
+def test_off_the_roster_the_last_plan_is_played_by_its_age_then_hover(alignment: Alignment) -> None:
+    """Whatever the alignment of others: the age of a last plan is known. No correction of it counts."""
+    plan = labelled(2, 7)
+    inputs = announced(plan, alignment=alignment)
+    inputs.heard.off_roster = {2}
+    hover = U_HOVER[COLUMNS[2]]
+    expected = [plan.inputs[2], plan.inputs[3], plan.inputs[4], hover, hover]
+    np.testing.assert_array_equal(rows(2, inputs.sequence(9, STEPS, before=9)), expected)
+    assert not inputs.corrections(9, STEPS, before=9).any()
+
+
+def test_off_the_roster_a_fail_safe_that_follows_takes_over_after_0_4_s() -> None:
+    """Of a plan of 12 steps of 0.05 s 8 are played, of inputs assumed in its place as well."""
+    plan = labelled(2, 0, steps=12)
+    inputs = AnnouncedInputs(OWNED, U_HOVER, settings=ControllerSettings(sampling_period_s=0.05))
+    inputs.add(plan)
+    inputs.heard.off_roster = {2}
+    inputs.fail_safe = Following(8)  # type: ignore[assignment]  # all that `sequence` asks
+    hover = U_HOVER[COLUMNS[2]]
+    U = rows(2, inputs.sequence(6, 4, before=6))
+    np.testing.assert_array_equal(U, [plan.inputs[6], plan.inputs[7], hover, hover])
+    inputs.assume(2, 10, np.tile(np.arange(12.0)[:, None], (1, len(U_HOVER))))
+    U = rows(2, inputs.sequence(16, 4, before=16))
+    np.testing.assert_array_equal(U, [[6.0] * 4, [7.0] * 4, hover, hover])
+
+
+@pytest.mark.parametrize(("start", "steps"), [(2, [0, 1, 2]), (3, [1, 2, 3]), (6, [4]), (8, [])])
+def test_assumed_inputs_begin_at_their_tick(start: int, steps: list[int]) -> None:
+    """From tick 2 on five steps are assumed for a departed agent, then hover, (32b)."""
+    inputs = announced(labelled(2, 0))
+    inputs.heard.off_roster = {2}
+    inputs.assume(2, 2, np.tile(np.arange(5.0)[:, None], (1, len(U_HOVER))))
+    hover = list(U_HOVER[COLUMNS[2]])
+    expected = [[float(step)] * 4 for step in steps] + [hover] * (3 - len(steps))
+    np.testing.assert_array_equal(rows(2, inputs.sequence(start, 3, before=start)), expected)
+
+
+def test_corrections_from_before_a_failure_do_not_count() -> None:
+    """Plans of the tick of the failure of a UAV count, older ones do not."""
+    older, newer = labelled(1, 6), labelled(2, 7)
+    inputs = announced(older, newer)
+    inputs.heard.failed_since = 7
+    c = inputs.corrections(8, 2, before=8)
+    np.testing.assert_array_equal(rows(1, c), np.zeros((2, 8)))
+    np.testing.assert_array_equal(rows(2, c), newer.corrections[1:3])
+
+
 @pytest.mark.parametrize("agent", [1, 2])
 def test_stale_plans_are_played_like_a_last_one(agent: int) -> None:
     """An agent that only repeats old inputs is assumed on its fail-safe once these have been played.
@@ -403,3 +463,74 @@ def test_inputs_taken_to_be_in_force_are_within_limits() -> None:
     within = np.array([15.0, 0.5, -0.5, 0.5] * 3)
     inputs = under_law(modest, law=lambda _tick, _x: within, settings=settings)
     np.testing.assert_array_equal(rows(1, inputs.in_force(8, before=9, x=X)), within[:8] + 0.25)
+
+
+def test_after_a_failure_the_law_holds_without_older_corrections() -> None:
+    """Before the failure a plan counts as announced; after it by the law, corrected by newer plans only."""
+    older, newer = labelled(1, 6), labelled(2, 8)
+    inputs = under_law(older, newer)
+    inputs.heard.failed_since = 8
+    before = inputs.in_force(7, before=10, x=X)
+    np.testing.assert_array_equal(rows(1, before), older.inputs[1])
+    after = inputs.in_force(9, before=10, x=X)
+    np.testing.assert_array_equal(rows(1, after), by_law(9, X)[COLUMNS[1]])
+    np.testing.assert_array_equal(rows(2, after), by_law(9, X)[COLUMNS[2]] + newer.corrections[1])
+
+
+def test_a_plan_without_corrections_leaves_the_law() -> None:
+    """An agent that announces no corrections is assumed by the law alone."""
+    plan = replace(labelled(1, 6), corrections=np.zeros((0, 8)))
+    u = under_law(plan).in_force(8, before=9, x=X)
+    np.testing.assert_array_equal(rows(1, u), by_law(8, X)[COLUMNS[1]])
+
+
+def test_off_the_roster_the_last_plan_is_in_force_and_no_law() -> None:
+    """The actuators play the inputs of a last plan, whatever the law says."""
+    plan = labelled(1, 6)
+    inputs = under_law(plan)
+    inputs.heard.off_roster = {1}
+    np.testing.assert_array_equal(rows(1, inputs.in_force(8, before=9, x=X)), plan.inputs[2])
+
+
+RULE = Silence.of(0.05, is_filtered=False)  # alone from 10 ticks overdue on, wholly from 20
+
+
+def test_a_quarter_alone_is_a_quarter_of_the_inputs_alone() -> None:
+    """An agent that announces a share of 0.25 follows the law by three quarters."""
+    plan = replace(labelled(2, 6), alone=0.25, corrections=np.zeros((0, 4)))
+    law = SharedLaw(
+        inputs=lambda _tick, _x: np.full(12, 8.0),
+        silence=RULE,
+        inputs_alone=lambda uav, _tick, _x: np.full(4, 100.0 + uav),
+    )
+    inputs = AnnouncedInputs(OWNED, U_HOVER, law=law)
+    inputs.add(plan)
+    u = inputs.in_force(7, before=8, x=X)
+    np.testing.assert_array_equal(rows(2, u), np.full(4, 0.75 * 8.0 + 0.25 * 101.0))
+
+
+def test_silent_others_by_columns() -> None:
+    """None while all information is fresh; then share and correlation of the overdue agent alone.
+
+    With a usual age of one tick, information is 15 ticks overdue 16 ticks after the last plan: half
+    way between 0.5 s and 1 s, and 5 ticks of the 6 in which the correlation falls by e.
+    """
+    inputs = AnnouncedInputs(OWNED, U_HOVER, own=1, law=SharedLaw(silence=RULE))
+    inputs.add(labelled(2, 0))
+    inputs.heard.observe(1)
+    assert inputs.silent(1, before=1) is None
+    silent = inputs.silent(16, before=16)
+    assert silent is not None
+    np.testing.assert_allclose(silent.alone, [0.0] * 4 + [0.5] * 4 + [0.0] * 4)
+    overdue = 0.6 * np.exp(-5.0 / 6.0)
+    np.testing.assert_allclose(silent.correlation, [0.6] * 4 + [overdue] * 4 + [0.6] * 4)
+
+
+def test_which_inputs_the_law_gives() -> None:
+    """Another agent's without plan or after the first step of it, never the own ones."""
+    inputs = announced(labelled(1, 6), own=OWN)
+    of_agent_1 = np.array([True] * 4 + [False] * 4 + [True] * 4)
+    np.testing.assert_array_equal(inputs.unannounced(5, before=9).by_law, of_agent_1)
+    assert not inputs.unannounced(6, before=9).by_law.any()
+    np.testing.assert_array_equal(inputs.unannounced(7, before=9).by_law, of_agent_1)
+    assert not inputs.unannounced(7, before=9).by_fail_safe.any()
