@@ -62,7 +62,7 @@ class Comparison:
     # Differences by field, in the order in which the fields first differ.
     by_field: dict[str, list[Difference]] = field(default_factory=dict)
     inputs_apart: list[InputsApart] = field(default_factory=list)  # of each tick compared
-    commands: tuple[str, ...] = INPUT_NAMES  # names of the inputs in plans
+    command_names: tuple[str, ...] = INPUT_NAMES  # names of the inputs in plans
 
     @property
     def first(self) -> Difference | None:
@@ -75,7 +75,7 @@ class Comparison:
     def first_beyond(self, size: float) -> int | None:
         """Return the first tick at which an input of the plan differs by more than a size.
 
-        The size is in N or N m. None if there is no such tick.
+        The size is in the unit of the input: N, N m or rad/s. None if there is no such tick.
         """
         return next((apart.tick for apart in self.inputs_apart if apart.largest > size), None)
 
@@ -94,7 +94,7 @@ class Comparison:
         for answer, recorded in zip(step.answers, recorded_ones, strict=True):
             differing = [
                 difference
-                for difference in differences(answer, recorded, self.commands)
+                for difference in differences(answer, recorded, self.command_names)
                 if difference.field not in ignored
             ]
             for difference in differing:
@@ -108,7 +108,7 @@ class Comparison:
 
 
 def differences(
-    answer: Answer, recorded: Answer, commands: tuple[str, ...] = INPUT_NAMES
+    answer: Answer, recorded: Answer, command_names: tuple[str, ...] = INPUT_NAMES
 ) -> Iterator[Difference]:
     """Yield the fields in which two messages of one kind differ by at least a bit; 0 and -0 do."""
     for name in answer.__struct_fields__:
@@ -118,11 +118,11 @@ def differences(
         expected = np.asarray(getattr(recorded, name))
         if got.shape == expected.shape and got.tobytes() == expected.tobytes():
             continue
-        yield _difference(answer, name, (got, expected), commands)
+        yield _difference(answer, name, (got, expected), command_names)
 
 
 def _difference(
-    answer: Answer, name: str, values: tuple[Array, Array], commands: tuple[str, ...]
+    answer: Answer, name: str, values: tuple[Array, Array], command_names: tuple[str, ...]
 ) -> Difference:
     """Return how a field of a message differs, from its replayed and its recorded value.
 
@@ -135,7 +135,7 @@ def _difference(
     if got.shape == expected.shape and got.dtype.kind in "if":
         apart = np.abs(got - expected)
         entry = np.unravel_index(int(apart.argmax()), got.shape)
-        where = _entry(answer, name, [int(index) for index in entry], commands)
+        where = _entry(answer, name, [int(index) for index in entry], command_names)
         size = float(apart[entry])
         texts = [str(value[entry]) for value in values]
     elif got.ndim:
@@ -153,12 +153,12 @@ def _difference(
     )
 
 
-def _entry(message: Answer, name: str, index: list[int], commands: tuple[str, ...]) -> str:
+def _entry(message: Answer, name: str, index: list[int], command_names: tuple[str, ...]) -> str:
     """Return a description of an array entry; empty for a scalar."""
     if isinstance(message, Plan) and name in ("inputs", "corrections"):
         step, column = index
         uav = message.uavs[column // INPUTS]
-        command = commands[column % INPUTS]
+        command = command_names[column % INPUTS]
         return f"{index}, UAV{uav} {command}, step {step} of the horizon"
     return str(index) if index else ""
 

@@ -157,7 +157,7 @@ def _debugger_at(tick: int | None) -> Callable[[AgentNode, Measurement], None]:
 def _compared(run: RecordedRun, again: Replay, options: ReplayOptions) -> Comparison:
     """Replay an agent and compare the ticks that the options select."""
     is_rates = run.setup.system.commands_rates
-    comparison = Comparison(commands=RATE_NAMES if is_rates else INPUT_NAMES)
+    comparison = Comparison(command_names=RATE_NAMES if is_rates else INPUT_NAMES)
     # In real time the log does not record when the agent noticed a lost message.
     is_realtime = again.setup.scenario.clock.mode == "realtime"
     ignored = ("report.lost",) if is_realtime else ()
