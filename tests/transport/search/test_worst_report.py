@@ -5,19 +5,31 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
 
 from tests.support.runs import SCENARIOS
+from transport.analysis.series import series_of
+from transport.flight.run_files import machine
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.search.candidate import Base, Candidate
 from transport.search.drawn_events import Death, DrawnSilence, Event, Gusts, TargetEvent
 from transport.search.evaluation import CaseVerdict, Evaluation, SearchProblem
 from transport.search.objective import SearchObjective
-from transport.search.search import Minimal
-from transport.search.search_report import draw, in_words, scenario_text, window_s
+from transport.search.search import Minimal, SearchCase, SearchResult
+from transport.search.search_report import (
+    draw,
+    flown_again,
+    in_words,
+    scenario_text,
+    summary,
+    window_s,
+)
 
 FILE = SCENARIOS / "resilient.toml"
-HOVER = "maneuver.phase=[{name='hover',duration_s=4.0,displacement_m=[0.0,0.0,0.0]}]"
+HOVER = "maneuver.phase=[{name='hover',duration_s=6.0,displacement_m=[0.0,0.0,0.0]}]"
 LONGEST_NAME = 40  # characters of the name of a scenario
 LONGEST_LINE = 100  # characters of a line of the comment
 SILENCE = DrawnSilence(start_s=1.5, duration_s=1.0)
@@ -159,3 +171,129 @@ def test_the_panels_show_the_window(events: tuple[Event, ...], begin_s: float) -
         assert panel.get_xlim() == pytest.approx((begin_s, 1.75 + AFTER_S))
         times_s = np.asarray(panel.lines[0].get_xdata())
         assert (times_s[0], times_s[-1]) == pytest.approx((begin_s, 1.75 + AFTER_S))
+
+
+def upright(panel: Axes) -> list[tuple[float, str]]:
+    """Return time and style of each line over the whole height of a panel."""
+    lines = [line for line in panel.lines if list(np.ravel(line.get_ydata())) == [0.0, 1.0]]
+    return [(float(np.ravel(line.get_xdata())[0]), str(line.get_linestyle())) for line in lines]
+
+
+def level(panel: Axes) -> list[float]:
+    """Return the height of each line over the whole width of a panel."""
+    lines: list[Line2D] = [
+        line for line in panel.lines if list(np.ravel(line.get_xdata())) == [0.0, 1.0]
+    ]
+    return [float(np.ravel(line.get_ydata())[0]) for line in lines]
+
+
+def test_each_panel_has_its_curve_the_events_and_the_limit_if_it_is_its_own() -> None:
+    """A silence is a span, a death and a target are lines of their own kind, as the legend names them."""
+    events = (
+        SILENCE,
+        Death(agent=3, at_s=1.0),
+        TargetEvent(at_s=1.25, offset_m=(0.1, 0.0, 0.0)),
+    )
+    case = minimal(*events, measure="payload")
+    figure = draw(Figure(), case)
+    series = series_of(*flown_again(case))
+    shown = (series.times_s >= 0.0) & (series.times_s <= 1.75 + AFTER_S)
+
+    curves = {
+        "attitude (deg)": series.attitude_max_deg,
+        "payload error (m)": series.payload_error_norm_m,
+        "distance (m)": series.separation_m,
+    }
+    assert [panel.get_ylabel() for panel in figure.axes] == list(curves)
+    for panel, values in zip(figure.axes, curves.values(), strict=True):
+        assert np.ravel(panel.lines[0].get_ydata()).tolist() == values[shown].tolist()
+        (span,) = (patch for patch in panel.patches if isinstance(patch, Rectangle))
+        assert (span.get_x(), span.get_width()) == pytest.approx((1.5, 1.0))
+        assert upright(panel) == [(1.0, "--"), (1.25, "-.")]
+    assert [level(panel) for panel in figure.axes] == [[], [1.0], []]  # m, of the payload alone
+
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == [
+        "silence",
+        "death",
+        "target",
+        "limit",
+    ]
+
+
+def test_the_legend_names_only_the_marks_there_are() -> None:
+    """Gusts have no mark, and the cost no panel and so no limit."""
+    figure = draw(Figure(), minimal(SILENCE, GUSTS, measure="cost"))
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["silence"]
+    assert [level(panel) for panel in figure.axes] == [[], [], []]
+
+
+def test_the_summary_has_counts_the_worst_cases_and_the_minimal_one() -> None:
+    """The worst is first, a refused case is counted apart, and robustness is rounded."""
+    case = minimal(SILENCE, GUSTS)
+    completed = Evaluation(
+        key="", robustness=0.62345, value=3.75, outcome="completed", end_s=4.0, passed_s=None
+    )
+    refused = replace(completed, robustness=1.0, value=0.0, outcome="refused", end_s=0.0)
+    result = SearchResult(
+        problem=case.problem,
+        without_events=replace(completed, value=2.5),
+        cases=[
+            SearchCase(number=1, candidate=Candidate((GUSTS,)), evaluation=completed),
+            SearchCase(number=2, candidate=Candidate(()), evaluation=refused),
+            SearchCase(number=3, candidate=case.candidate, evaluation=case.evaluation),
+        ],
+        minimal=case,
+    )
+    silence = "from 1.5 to 2.5 s the whole network is silent"
+    gusts = "gusts of 0.5 m/s, seed 7"
+    assert summary(result) == {
+        "scenario": "resilient",
+        "objective": "attitude",
+        "limit": 10.0,
+        "without_events": 2.5,
+        "cases": 3,
+        "failures": 1,
+        "refused": 1,
+        "first_failure": 3,
+        "worst": [
+            {
+                "case": 3,
+                "robustness": -0.5,
+                "value": 12.5,
+                "outcome": "failed",
+                "end_s": 1.75,
+                "events": f"{silence}; {gusts}",
+            },
+            {
+                "case": 1,
+                "robustness": 0.623,
+                "value": 3.75,
+                "outcome": "completed",
+                "end_s": 4.0,
+                "events": gusts,
+            },
+            {
+                "case": 2,
+                "robustness": 1.0,
+                "value": 0.0,
+                "outcome": "refused",
+                "end_s": 0.0,
+                "events": "no event",
+            },
+        ],
+        "minimal": {
+            "uavs": 4,
+            "events": [silence, gusts],
+            "outcome": "failed",
+            "value": 12.5,
+            "end_s": 1.75,
+            "failed_s": 1.75,
+            "beyond_physics": False,
+            "verdict": "The project's controller for all UAVs with perfect information survives the "
+            "same weather and targets.",
+        },
+        "machine": machine(),
+    }
+    assert summary(replace(result, minimal=None))["minimal"] is None
