@@ -75,6 +75,10 @@ class Finding:
 class Autopilot(Protocol):
     """One autopilot. Times are ns of a steady clock."""
 
+    @property
+    def tells_thrust(self) -> bool:
+        """Whether its states have its thrust, some time after its first sign of life."""
+
     def state(self) -> AutopilotState | None:
         """Return what it has told; None before its first sign of life, and after 2 s without."""
 

@@ -72,6 +72,8 @@ class BetaflightSettings:
 class BetaflightAutopilot:
     """One Betaflight and its motion capture; an `Autopilot`."""
 
+    tells_thrust = False
+
     def __init__(self, link: MspLink, pose: MavlinkLink, settings: BetaflightSettings) -> None:
         self._link = link
         self._pose = pose

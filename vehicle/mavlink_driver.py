@@ -53,6 +53,8 @@ class MavlinkSettings:
 class MavlinkAutopilot:
     """One autopilot on a link; an `Autopilot`."""
 
+    tells_thrust = True  # ATTITUDE_TARGET
+
     def __init__(self, link: MavlinkLink, dialect: Dialect, settings: MavlinkSettings) -> None:
         self._link = link
         self._dialect = dialect

@@ -49,6 +49,7 @@ _CARRIES = 0.95  # share of the thrust of hover from which on the UAV may leave 
 _TURN_NS = 20_000_000  # time between two turns before tick 0, ns of wall time
 _TELL_NS = 200_000_000  # time between two statuses there and after the flight, ns of wall time
 _NO_PLACE = np.zeros(3)
+_NO_THRUST = "the autopilot does not tell its thrust (ATTITUDE_TARGET)"
 
 
 class VehiclePhase(Enum):
@@ -266,7 +267,7 @@ class VehicleNode(Participant):
         if not is_hovering or not self._vehicles.hover_share:
             return ""
         if told.thrust < 0.0:
-            return "the autopilot does not tell its thrust (ATTITUDE_TARGET)"
+            return _NO_THRUST
         thrust_N = told.thrust * self._largest_N
         before_N = thrust_N if self._hover_N is None else self._hover_N
         self._hover_N = before_N + _FRESH * (thrust_N - before_N)
@@ -280,10 +281,14 @@ class VehicleNode(Participant):
         return f"thrust of its hover: {expected}, {why}, {got}"
 
     def _rising(self, told: AutopilotState) -> str:
-        """Return that the thrust on the stand does not carry the UAV yet, empty if it does or is not told."""
+        """Return that the thrust on the stand does not carry the UAV yet, empty if it does or is never told."""
+        if not self._autopilot.tells_thrust:
+            return ""
+        if told.thrust < 0.0:
+            return _NO_THRUST
         carried_N = told.thrust * self._largest_N
         weight_N = float(self._hover[0])
-        if told.thrust < 0.0 or carried_N >= _CARRIES * weight_N:
+        if carried_N >= _CARRIES * weight_N:
             return ""
         return f"its motors are on their way: {carried_N:.1f} N of {weight_N:.1f} N"
 

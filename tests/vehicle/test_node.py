@@ -46,6 +46,8 @@ def flight(*settings: str) -> Setup:
 class Recording:
     """An autopilot at the hover of the scenario, whose properties a test changes."""
 
+    tells_thrust = True
+
     def __init__(self, setup: Setup) -> None:
         x = setup.initial_state()
         hover = setup.model.sensed(x, setup.hover.u).reshape(-1, 15)[UAV - 1]
@@ -370,8 +372,13 @@ def test_on_a_stand_it_arms_and_lifts() -> None:
     run.autopilot.commands.clear()
     run.until(-1.3)
     assert run.autopilot.commands == []
+    # It has not told its thrust yet.
+    run.autopilot.told = replace(run.autopilot.told, armed=True, thrust=-1.0)
+    run.until(-1.2)
+    assert run.statuses()[-1].phase == "checking"
+    assert "does not tell its thrust" in run.statuses()[-1].problem
     # ArduCopter takes two seconds from arming to thrust.
-    run.autopilot.told = replace(run.autopilot.told, armed=True, thrust=0.0)
+    run.autopilot.told = replace(run.autopilot.told, thrust=0.0)
     run.until(-1.0)
     assert {c[1] for c in run.autopilot.commands} == {run.setup.hover.u[4]}
     assert run.statuses()[-1].phase == "checking"
