@@ -81,7 +81,7 @@ EXPERIMENTS: Mapping[str, Asked] = {
         shown=worth,
     ),
     "information": Asked(seeds=10),
-    "follow": Asked(seeds=5),
+    "follow": Asked(seeds=10),
 }
 # Pages of experiments with a page of their own.
 OWN_PAGES = {"radio": ROOT / "docs" / "record" / "radio.md"}
