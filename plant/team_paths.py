@@ -2,7 +2,7 @@
 
 They are two, as not all that one agent is told is known to all:
 
-    given    every target from its tick on, whoever is told. The run diverges when the payload is too far from it.
+    given    every target from its tick on, told to all agents or some; a run diverges too far from it.
     shared   the targets that the whole team knows, with its stops in silence. UAVs without an agent follow it.
 
 A target that only some agents are told enters the shared path once the plans of all agents on the roster have

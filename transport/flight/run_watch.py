@@ -49,9 +49,8 @@ class RunWatch:
     harness: Harness | None = None
     faults: FaultScript | None = None
     is_interrupted: bool = False  # whether Ctrl-C has been handed on
-    first_end_s: float = (
-        math.inf
-    )  # steady-clock time at which the first process had ended before a tick
+    # Steady-clock time at which the first process had ended before a tick.
+    first_end_s: float = math.inf
 
     def until_end(self) -> None:
         """Show progress until the run has ended.

@@ -1,5 +1,6 @@
 """Watch of a run: what Ctrl-C and the end of a process do, before and from the first tick on."""
 
+import math
 import signal
 import time
 from collections.abc import Iterator, Sequence
@@ -139,5 +140,7 @@ def test_an_end_after_the_first_tick_is_no_concern_of_the_watch(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The other processes notice it, and the coordinator decides."""
-    run, _ = watch(monkeypatch, started_s=1.0, code=1)
+    run, child = watch(monkeypatch, started_s=1.0, code=1)
     run.until_end()
+    assert run.first_end_s == math.inf
+    assert child.received == []
