@@ -8,8 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
-from transport.agent.estimation.filter.innovation_level import Level
 from transport.agent.estimation.filter.manifold import Basis
+from transport.agent.estimation.filter.model_error_level import Level
 from transport.model import state
 from transport.model.arrays import Array
 

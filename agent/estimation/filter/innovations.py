@@ -14,6 +14,10 @@ from transport.agent.estimation.filter.unknown_forces import COUNT, Situation, U
 from transport.model import state
 from transport.model.arrays import Array
 
+# Normalised innovation squared (NIS) per measurement beyond which measurements deny an estimate.
+# Gusts and masses that the model does not know stay below 15.
+_LARGEST_NIS = 100.0
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entries:
@@ -77,6 +81,16 @@ def observation_of(
     if unknown_forces is not None:
         H[:, s:] = slopes[rows, n:] @ unknown_forces.derivative(place)
     return Observation(error=innovation.error, H=H, R=innovation.R)
+
+
+def deny_the_estimate(squared_error: float, measurements: int) -> bool:
+    """Return whether the innovations of a tick are too large for a correction: a new start is due.
+
+    Args:
+        squared_error: (z - h)' S^-1 (z - h), which is the number of measurements on average.
+        measurements: Their number.
+    """
+    return squared_error > _LARGEST_NIS * measurements
 
 
 @lru_cache  # one set of measurements is that of nearly all ticks

@@ -24,20 +24,21 @@ from transport.agent.estimation.filter.assumed_noise import (
 )
 from transport.agent.estimation.filter.belief import Belief, Covariance, Postponed, SavedGain
 from transport.agent.estimation.filter.filter_interface import FilterPeriod, Sensed
-from transport.agent.estimation.filter.innovation_level import (
+from transport.agent.estimation.filter.innovations import (
+    Innovation,
+    deny_the_estimate,
+    innovation_of,
+    observation_of,
+)
+from transport.agent.estimation.filter.kalman import Correction, Observation
+from transport.agent.estimation.filter.manifold import Manifold
+from transport.agent.estimation.filter.model_error_level import (
     EXACT,
     WIND,
     Level,
     LevelRule,
     followed,
 )
-from transport.agent.estimation.filter.innovations import (
-    Innovation,
-    innovation_of,
-    observation_of,
-)
-from transport.agent.estimation.filter.kalman import Correction, Observation
-from transport.agent.estimation.filter.manifold import Manifold
 from transport.agent.estimation.filter.silent_agents import SilentTeam
 from transport.agent.estimation.filter.unknown_forces import COUNT, Situation, UnknownForces
 from transport.model import state
@@ -52,9 +53,6 @@ from transport.protocol.scenario.setup.team_run import TeamRun
 _STEEPEST = 1.4
 _LARGEST_VARIANCE = 1e4
 _CERTAIN = 1e-3  # standard deviation of an entry that a failure sets, SI
-# Squared innovation per measurement, in units of its covariance, beyond which measurements deny an
-# estimate. Gusts and masses that the model does not know stay below 15.
-_LARGEST_NIS = 100.0
 
 
 class TeamFilter:
@@ -184,7 +182,7 @@ class TeamFilter:
         source = belief.source
         if not isinstance(source, Covariance):
             return True
-        is_denied = source.squared_error > _LARGEST_NIS * source.measurements
+        is_denied = deny_the_estimate(source.squared_error, source.measurements)
         return bool(source.P.diagonal().max() < _LARGEST_VARIANCE) and not is_denied
 
     def predicted_covariance(self, belief: Belief, period: FilterPeriod) -> Covariance:

@@ -248,6 +248,37 @@ def test_level_of_the_models_errors_follows_the_innovations(pull_N: float, is_ex
     assert np.trace(team.process_noise(level)) == level * np.trace(team.Q)
 
 
+@pytest.mark.parametrize(
+    ("change", "is_plausible"),
+    [
+        ({}, True),
+        ({"nis": 99.0}, True),  # docs/record/derivations.md: 100 per measurement
+        ({"nis": 101.0}, False),
+        ({"roll_rad": 1.39}, True),
+        ({"roll_rad": -1.41}, False),
+        ({"pitch_rad": 1.41}, False),
+        ({"variance": 0.9e4}, True),
+        ({"variance": 1.1e4}, False),
+        ({"height_m": np.inf}, False),
+    ],
+    ids=str,
+)
+def test_a_belief_that_no_team_in_flight_has(change: dict[str, float], is_plausible: bool) -> None:
+    """Measurements 10 standard deviations off deny it, as do bodies near Euler angles' singularity."""
+    run = moving(5, SMALL)[0].run
+    team = TeamFilter(run)
+    belief = team.first(run.hover.x)
+    x, P = belief.x.copy(), belief.covariance.P.copy()
+    x[state.THETA0.start] += change.get("roll_rad", 0.0)
+    x[state.THETA0.start + 1] += change.get("pitch_rad", 0.0)
+    x[2] += change.get("height_m", 0.0)
+    P[0, 0] = change.get("variance", P[0, 0])
+    source = replace(
+        belief.covariance, P=P, squared_error=15.0 * change.get("nis", 1.0), measurements=15
+    )
+    assert team.is_plausible(replace(belief, x=x, source=source)) is is_plausible
+
+
 def test_pose_and_covariance_are_told_in_full() -> None:
     """The numbers for the log are pose, covariance, and innovation of the last tick."""
     belief = filtered(in_time(1, 1), 1, 3)[-1]
