@@ -37,7 +37,7 @@ from transport.log.run_log import LogTail, read_log
 from transport.protocol.network.parent import PARENT_PIPE
 from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE
 from transport.scene.history import RunHistory
-from transport.scene.scene import SceneBuilder
+from transport.scene.scene_at_tick import SceneBuilder
 from transport.viewer.viewer import Viewer, open_viewer
 
 # A climb of half a metre moves the payload by at least this, m.

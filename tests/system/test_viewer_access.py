@@ -21,7 +21,7 @@ from tests.support.logs import record_run
 from transport.flight.live import LiveRun
 from transport.log.run_log import LogTail
 from transport.scene.history import RunHistory
-from transport.scene.scene import SceneBuilder
+from transport.scene.scene_at_tick import SceneBuilder
 from transport.viewer.viewer import Viewer
 
 Sent = list[tuple[str, dict[str, Any]]]

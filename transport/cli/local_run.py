@@ -16,7 +16,7 @@ from transport.cli.options import RUNS
 from transport.cli.output import Format, fail
 from transport.flight.local_processes import Child, ToStart, start_children
 from transport.flight.run_execution import simulate
-from transport.flight.run_files import new_folder
+from transport.log.run_folder import new_folder
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors_and_exit_codes import EXIT_INTERRUPTED
 from transport.viewer.server import require_viser

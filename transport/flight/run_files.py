@@ -1,4 +1,4 @@
-"""Folders of runs: their names, their content before the run begins, and the metadata of a log."""
+"""Folder and secret of a run before it begins, and the metadata of its log."""
 
 import os
 import platform
@@ -10,7 +10,6 @@ import time
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
@@ -39,17 +38,6 @@ class RunError(TransportError, RuntimeError):
     def __init__(self, text: str, exit_code: int) -> None:
         super().__init__(text)
         self.exit_code = exit_code
-
-
-def new_folder(parent: Path, name: str) -> Path:
-    """Return the path of a new run folder, named by time and scenario."""
-    stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
-    folder = parent / f"{stamp}-{name}"
-    count = 1
-    while folder.exists():
-        count += 1
-        folder = parent / f"{stamp}-{name}-{count}"
-    return folder
 
 
 def existing(folder: Path) -> RunError:

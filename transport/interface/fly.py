@@ -16,7 +16,7 @@ from transport.flight.run_files import checked, run_header
 from transport.interface.recorded_run import Run
 from transport.interface.scenario_builder import Scenario, path_phase
 from transport.interface.setting_arguments import ArgumentError, Settings, ShortSettings, plain
-from transport.log.run_folder import open_run
+from transport.log.run_folder import RUNS, new_folder, open_run
 from transport.log.run_log import Recorded, RunLog
 from transport.protocol.scenario.files.named_files import points_of
 from transport.protocol.scenario.scenario_file import ScenarioError
@@ -27,7 +27,6 @@ from transport.protocol.wire.names import COORDINATOR
 from transport.report.report import write_report
 
 _EVERY_S = 0.1  # shortest time between two updates, wall time
-RUNS = Path("runs")
 
 
 def console(*, shown: bool) -> Console:
@@ -253,7 +252,6 @@ def _with_processes(scenario: Scenario, setup: Setup, folder: Path | None, *, sh
     # Imported when needed: a run in memory starts no process.
     from transport.flight import run_execution as processes_run
     from transport.flight.fork_server import close_fork_server
-    from transport.flight.run_files import new_folder
 
     target = new_folder(RUNS, setup.scenario.name) if folder is None else folder
     try:

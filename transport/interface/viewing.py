@@ -5,7 +5,7 @@ import threading
 
 from transport.log.run_log import RunLog
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.scene.scene import SceneBuilder
+from transport.scene.scene_at_tick import SceneBuilder
 from transport.viewer.viewer import Viewer
 
 

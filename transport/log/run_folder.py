@@ -1,7 +1,8 @@
-"""Folder of a recorded run: its log and its scenario, and the link to the newest folder."""
+"""Folder of a run: its name, its log and its scenario, and the link to the newest folder."""
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 from transport.log.missing_messages import missing
@@ -10,7 +11,7 @@ from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 
 # Folder whose runs have a link to the most recent one, and the name of the link.
-_RUNS = "runs"
+RUNS = Path("runs")
 LATEST = "latest"
 
 
@@ -52,12 +53,23 @@ def setup_of(folder: Path) -> Setup:
     return Setup.of(read_scenario(path, allow_large=True), str(path))  # its run has been allowed
 
 
+def new_folder(parent: Path, name: str) -> Path:
+    """Return the path of a new run folder, named by UTC time and scenario."""
+    stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
+    folder = parent / f"{stamp}-{name}"
+    count = 1
+    while folder.exists():
+        count += 1
+        folder = parent / f"{stamp}-{name}-{count}"
+    return folder
+
+
 def point_latest(folder: Path) -> None:
     """Point the link `latest` beside a run folder at it.
 
     Only folders in one named `runs` have the link, and nothing else of that name is replaced.
     """
-    if folder.resolve().parent.name != _RUNS or folder.name == LATEST:
+    if folder.resolve().parent.name != RUNS.name or folder.name == LATEST:
         return
 
     link = folder.parent / LATEST

@@ -18,10 +18,11 @@ from transport.log.run_folder import open_run
 from transport.model.arrays import Array
 from transport.model.state import R0
 from transport.protocol.wire.errors_and_exit_codes import TransportError
-from transport.report.drawn_parts import UP, draw_parts, frame, line
+from transport.report.drawing_by_matplotlib import UP, draw_parts, frame, line
 from transport.report.figures.style import RC, REFERENCE, scale_cost, shade_phases
-from transport.scene.drawing import Drawing
-from transport.scene.scene import Scene, SceneBuilder
+from transport.scene.drawn_paths_links_and_thrust import Drawing
+from transport.scene.frames_and_poses import poses_in_scene
+from transport.scene.scene_at_tick import Scene, SceneBuilder
 
 KINDS = (".gif", ".mp4")
 FPS = 10  # frames per second
@@ -129,7 +130,7 @@ class AnimationPage:
             artist.remove()
 
         drawing = self._drawing
-        poses = drawing.poses(scene)
+        poses = poses_in_scene(scene)
         parts = [*drawing.fixed, *drawing.moving(scene), drawing.flown(scene)]
         in_space = [part for part in parts if part.layer not in _NOT_IN_SPACE]
         from_above = [part for part in parts if part.layer not in _NOT_FROM_ABOVE]

@@ -22,10 +22,17 @@ from transport.model.physics.rotations import rotation
 from transport.model.state import StateView
 from transport.protocol.scenario.files.atomic_writing import atomic_file
 from transport.report.ros2_markers import Fields, marker_fields, point_fields, pose_fields, stamped
-from transport.scene.bodies import INERTIAL
-from transport.scene.drawing import PAYLOAD, ROOT, UPSIDE_DOWN, Drawing, tree
-from transport.scene.parts import Part, Pose
-from transport.scene.scene import SceneBuilder
+from transport.scene.drawn_paths_links_and_thrust import Drawing
+from transport.scene.frames_and_poses import (
+    INERTIAL,
+    PAYLOAD,
+    ROOT,
+    UPSIDE_DOWN,
+    poses_in_scene,
+    tree,
+)
+from transport.scene.lines_meshes_and_labels import Part, Pose
+from transport.scene.scene_at_tick import SceneBuilder
 
 _GEOMETRY = "geometry_msgs/msg"
 # Metadata record with the header of the log; another name than in a log, which a bag is not.
@@ -170,7 +177,7 @@ class Ros2Messages:
             payload_path = self._path(prediction.payload_I, at_ns)
             yield self._told(f"/agent{prediction.agent}/{PAYLOAD}/plan", payload_path)
 
-        poses = self._drawing.poses(scene)
+        poses = poses_in_scene(scene)
         transforms = [_transform(*link, at_ns) for link in tree(poses)]
         yield self._told("/tf", {"transforms": transforms})
 

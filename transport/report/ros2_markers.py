@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.scene.bodies import INERTIAL
-from transport.scene.parts import Label, LineSegments, Mesh, Part, quaternion
+from transport.scene.frames_and_poses import INERTIAL
+from transport.scene.lines_meshes_and_labels import Label, LineSegments, Mesh, Part, quaternion
 
 # Fields of a message by name.
 Fields = dict[str, Any]

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from transport.scene.parts import Colour
+from transport.scene.lines_meshes_and_labels import Colour
 
 # For colour-blind readers and print in grey (after Okabe and Ito 2008), repeated with other line
 # styles.

@@ -7,8 +7,8 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.protocol.scenario.sections.link_sections import LinkSection
-from transport.scene.parts import Colour
-from transport.scene.scene import Air, Scene
+from transport.scene.lines_meshes_and_labels import Colour
+from transport.scene.scene_at_tick import Air, Scene
 from transport.scene.uav_and_link_colours import DARK, age_colour, uav_colour
 
 _TABLE = "font-size:12px;border-collapse:collapse;font-variant-numeric:tabular-nums;margin:4px 8px"

@@ -6,8 +6,8 @@ from typing import Any
 from transport.flight.live import Commands
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import agent_name
-from transport.scene.drawing import LAYERS
-from transport.scene.scene import Scene, SceneBuilder
+from transport.scene.drawn_paths_links_and_thrust import LAYERS
+from transport.scene.scene_at_tick import Scene, SceneBuilder
 from transport.viewer import html
 from transport.viewer.link_controls import LinkControls
 from transport.viewer.playback import Playback

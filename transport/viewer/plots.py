@@ -8,7 +8,7 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.model.state import INPUTS
-from transport.scene.scene import SceneBuilder
+from transport.scene.scene_at_tick import SceneBuilder
 from transport.scene.uav_and_link_colours import uav_style
 
 # Time axis of an active run, s.

@@ -9,7 +9,7 @@ import numpy as np
 from transport.flight.live import Commands
 from transport.model.arrays import Array
 from transport.protocol.wire.names import agent_name
-from transport.scene.scene import Scene, SceneBuilder
+from transport.scene.scene_at_tick import Scene, SceneBuilder
 from transport.viewer import html
 from transport.viewer.server import NOTIFICATION_S
 

@@ -12,10 +12,22 @@ from typing import Any
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.scene.bodies import INERTIAL
-from transport.scene.drawing import ARROW_M, LAYERS, Drawing
-from transport.scene.parts import Label, LineSegments, Mesh, Part, Pose, quaternion
-from transport.scene.scene import Scene, SceneBuilder
+from transport.scene.drawn_paths_links_and_thrust import ARROW_M, LAYERS, Drawing
+from transport.scene.frames_and_poses import (
+    INERTIAL,
+    frames_off_roster,
+    poses_at_start,
+    poses_in_scene,
+)
+from transport.scene.lines_meshes_and_labels import (
+    Label,
+    LineSegments,
+    Mesh,
+    Part,
+    Pose,
+    quaternion,
+)
+from transport.scene.scene_at_tick import Scene, SceneBuilder
 from transport.scene.uav_and_link_colours import OFF_COLOUR
 from transport.viewer.camera import ASPECT, FIELD_OF_VIEW, Camera, camera_that_sees
 
@@ -54,7 +66,7 @@ class View3D:
         self._add_surroundings()
         for part in drawing.fixed:
             self._add(part)
-        self._pose_frames(drawing.poses_at_start())
+        self._pose_frames(poses_at_start(builder.setup))
         self._set_first_camera()
 
     def show_layer(self, name: str, shown: bool) -> None:
@@ -67,14 +79,14 @@ class View3D:
         self.shown = scene
         self._move_world()
 
-        self._pose_frames(self._drawing.poses(scene))
+        self._pose_frames(poses_in_scene(scene))
         for lines in (*self._drawing.moving(scene), self._drawing.flown(scene)):
             name = f"{_WORLD}/{lines.frame}/{lines.name}"
             if name in self._lines:
                 _set_lines(self._lines[name], lines)
             else:
                 self._add(lines)
-        self._mark_off(self._drawing.frames_off(scene))
+        self._mark_off(frames_off_roster(scene, self._builder.setup.owned))
 
     def _pose_frames(self, poses: Mapping[str, Pose]) -> None:
         """Move the frames, and hide those without a pose."""

@@ -19,9 +19,9 @@ from transport.flight.live import Commands, LiveRun
 from transport.flight.live import read as read_live_run
 from transport.log.run_folder import open_run, setup_of
 from transport.log.run_log import LogTail
-from transport.scene.drawing import Drawing
+from transport.scene.drawn_paths_links_and_thrust import Drawing
 from transport.scene.history import RunHistory
-from transport.scene.scene import Scene, SceneBuilder
+from transport.scene.scene_at_tick import Scene, SceneBuilder
 from transport.viewer.panel import Panel
 from transport.viewer.playback import Playback
 from transport.viewer.server import Page, start_server

@@ -20,7 +20,7 @@ from transport.report.figures.run_figures import fill
 from transport.report.figures.style import RC
 from transport.report.summary_texts import radio_text
 from transport.scene.history import RunHistory
-from transport.scene.scene import SceneBuilder
+from transport.scene.scene_at_tick import SceneBuilder
 from transport.viewer import html
 
 TICKS = 10

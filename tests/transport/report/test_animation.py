@@ -17,7 +17,7 @@ from transport.analysis.series import series_of
 from transport.cli.main import app
 from transport.log.run_folder import open_run
 from transport.report.animation import FPS, AnimationPage, animate_run
-from transport.scene.scene import SceneBuilder
+from transport.scene.scene_at_tick import SceneBuilder
 
 # Largest size of a frame with moving lines.
 LARGEST_FRAME_BYTES = 40_000

@@ -14,7 +14,7 @@ from transport.model.physics.rotations import rotation
 from transport.model.state import StateView
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import PlantState
-from transport.scene.scene import SceneBuilder
+from transport.scene.scene_at_tick import SceneBuilder
 
 pytest.importorskip("rosbags", reason="needs the extra ros2")
 from rosbags.rosbag2 import Reader

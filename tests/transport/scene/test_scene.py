@@ -13,11 +13,12 @@ from scipy.spatial import ConvexHull
 from tests.support import runs
 from tests.support.logs import record_run
 from transport.model.arrays import Array
-from transport.scene.bodies import payload_points
-from transport.scene.drawing import ARROW_M, TEAM, Drawing
+from transport.scene.drawn_paths_links_and_thrust import ARROW_M, Drawing
+from transport.scene.frames_and_poses import TEAM, poses_in_scene
 from transport.scene.history import RunHistory
-from transport.scene.parts import LineSegments, Mesh
-from transport.scene.scene import SceneBuilder
+from transport.scene.lines_meshes_and_labels import LineSegments, Mesh
+from transport.scene.payload_uav_and_obstacle_meshes import payload_points
+from transport.scene.scene_at_tick import SceneBuilder
 
 # Largest difference between the agent's prediction of a sampling period, one step of a method of
 # order 5, and the plant's motion, five such steps; and that of the announced inputs, which are
@@ -156,7 +157,7 @@ def test_bodies_are_solid(distributed: SceneBuilder) -> None:
 def test_parts_are_where_the_scene_is(distributed: SceneBuilder, tick: int) -> None:
     """In their poses rods join attachments and UAVs, predicted paths begin at the UAVs, actual paths end there."""
     drawing, scene = Drawing(distributed), distributed.at(tick)
-    poses = drawing.poses(scene)
+    poses = poses_in_scene(scene)
 
     def placed(lines: LineSegments) -> Array:
         position, R = poses[lines.frame]
@@ -190,7 +191,7 @@ def test_parts_are_where_the_scene_is(distributed: SceneBuilder, tick: int) -> N
 def test_a_link_is_drawn_as_its_half_at_the_receiver(distributed: SceneBuilder) -> None:
     """It begins at the receiver's UAV and ends halfway to the sender's."""
     drawing, scene = Drawing(distributed), distributed.at(20)
-    origin, _ = drawing.poses(scene)[TEAM]
+    origin, _ = poses_in_scene(scene)[TEAM]
     (links,) = (part for part in drawing.moving(scene) if part.name == "links")
     assert len(links.segments) == len(scene.links) == 12
     for (sender, receiver, _), (near, far) in zip(scene.links, links.segments, strict=True):
@@ -203,11 +204,11 @@ def test_a_released_uav_is_not_drawn(distributed: SceneBuilder) -> None:
     """It has neither frame nor rod nor thrust; the others keep theirs."""
     drawing = Drawing(distributed)
     scene = replace(distributed.at(20), released=(2,))
-    frames = drawing.poses(scene).keys()
+    frames = poses_in_scene(scene).keys()
     assert {"uav1", "uav3", "uav4", "rod1", "rod3", "rod4"} <= frames
     assert not {"uav2", "rod2"} & frames
 
-    origin, _ = drawing.poses(scene)[TEAM]
+    origin, _ = poses_in_scene(scene)[TEAM]
     (thrust,) = (part for part in drawing.moving(scene) if part.name == "thrust")
     feet_I = thrust.segments[::LINES_OF_ARROW, 0] + origin
     np.testing.assert_allclose(feet_I, np.delete(scene.uavs_I, 1, axis=0), atol=ROUNDING)

@@ -8,7 +8,7 @@ import pytest
 from tests.support.runs import setup
 from transport.model.arrays import Array
 from transport.scene.history import RunHistory
-from transport.scene.scene import SceneBuilder
+from transport.scene.scene_at_tick import SceneBuilder
 from transport.viewer.target_controls import TargetControls
 
 

@@ -28,8 +28,8 @@ from transport.log.run_log import LogTail
 from transport.protocol.scenario.links.link_changes import PERFECT
 from transport.protocol.wire.messages import LinkChange
 from transport.scene.history import RunHistory
-from transport.scene.parts import Label
-from transport.scene.scene import SceneBuilder
+from transport.scene.lines_meshes_and_labels import Label
+from transport.scene.scene_at_tick import SceneBuilder
 from transport.scene.uav_and_link_colours import OFF_COLOUR
 from transport.viewer import html
 from transport.viewer.camera import FIELD_OF_VIEW

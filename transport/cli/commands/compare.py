@@ -9,8 +9,7 @@ from typer import Argument, Option
 
 from transport.cli.options import FiguresOption, FormatOption, complete_run, newest_runs, run_folder
 from transport.cli.output import Format, blame, fail, rows, show
-from transport.flight.run_files import new_folder
-from transport.log.run_folder import open_run
+from transport.log.run_folder import new_folder, open_run
 from transport.protocol.scenario.files.atomic_writing import write_csv
 from transport.report.overlaid_runs import draw_compared
 from transport.report.run_comparison import ComparedRun, Row, Setting, doubts, settings_apart

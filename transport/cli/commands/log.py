@@ -172,7 +172,7 @@ def export(
         if setup is None:
             fail(f"--ros2: {file} has no scenario, or one of another version")
         from transport.report.ros2_bag import write_bag
-        from transport.scene.scene import SceneBuilder
+        from transport.scene.scene_at_tick import SceneBuilder
 
         with blame("--ros2"):
             written.append((ros2, write_bag(SceneBuilder.of(setup, log), log, ros2), "ticks"))

@@ -25,7 +25,7 @@ from transport.protocol.network.rmw_zenoh import RosNode
 from transport.protocol.wire.messages import PlantState
 from transport.protocol.wire.names import agent_name
 from transport.scene.history import RunHistory
-from transport.scene.scene import SceneBuilder
+from transport.scene.scene_at_tick import SceneBuilder
 
 if TYPE_CHECKING:
     from transport.report.ros2_bag import Ros2Messages

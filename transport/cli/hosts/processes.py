@@ -298,7 +298,7 @@ def record(
 
     from transport.cli.commands.plot import report
     from transport.flight.run_execution import observe
-    from transport.flight.run_files import new_folder
+    from transport.log.run_folder import new_folder
 
     setup = options.setup()
     place = options.place(RECORDER)

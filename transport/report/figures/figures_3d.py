@@ -13,11 +13,11 @@ from transport.model.arrays import Array
 from transport.model.physics.rotations import rotation
 from transport.model.state import StateView
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.report.drawn_parts import BRIGHTEST, UP, frame, line
+from transport.report.drawing_by_matplotlib import BRIGHTEST, UP, frame, line
 from transport.report.figures.column import draw_legend, legend_height_in
 from transport.report.figures.style import COLUMN_IN, PAYLOAD, REFERENCE
-from transport.scene.bodies import DARK_GREY, obstacles, payload_points
-from transport.scene.parts import solid
+from transport.scene.lines_meshes_and_labels import solid
+from transport.scene.payload_uav_and_obstacle_meshes import DARK_GREY, obstacles, payload_points
 from transport.scene.uav_and_link_colours import uav_marker, uav_style
 
 # Smallest distance between drawn formations, m.

@@ -8,10 +8,8 @@ import numpy as np
 from transport.model.arrays import Array
 from transport.model.physics.parameters import System, payload_half_size
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.scene.parts import Colour, Mesh, ball, disc, prism, solid
-
-# Frame of the obstacles.
-INERTIAL = "inertial"
+from transport.scene.frames_and_poses import INERTIAL
+from transport.scene.lines_meshes_and_labels import Colour, Mesh, ball, disc, prism, solid
 
 DARK_GREY: Colour = (60, 60, 60)  # payload and front rotors
 GREY: Colour = (90, 90, 90)  # rods and beams

@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection  # type: ignore[import-untyped]
 
 from transport.model.arrays import Array
-from transport.scene.parts import Label, LineSegments, Mesh, Part, Pose
+from transport.scene.lines_meshes_and_labels import Label, LineSegments, Mesh, Part, Pose
 
 UP = np.array([1.0, 1.0, -1.0])  # z points down in the data and up on paper
 BRIGHTEST = 255.0

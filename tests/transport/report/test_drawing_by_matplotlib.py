@@ -10,8 +10,17 @@ from matplotlib.figure import Figure
 
 from transport.model.arrays import Array
 from transport.model.physics.rotations import rotation
-from transport.report.drawn_parts import UP, draw_parts, frame
-from transport.scene.parts import Label, LineSegments, Mesh, Part, Pose, ball, lines, solid
+from transport.report.drawing_by_matplotlib import UP, draw_parts, frame
+from transport.scene.lines_meshes_and_labels import (
+    Label,
+    LineSegments,
+    Mesh,
+    Part,
+    Pose,
+    ball,
+    lines,
+    solid,
+)
 
 RED, GREEN, BLUE = (255, 0, 0), (0, 255, 0), (0, 0, 255)
 # Coordinates of up to 3 m in double precision.

@@ -1,52 +1,39 @@
 """Drawing of a run in moving frames, which browser, bags and figures show alike.
 
 Bodies are fixed in their frames; lines that change lie in frames that move with the team or the
-payload, as a browser draws their points later than poses. All frames are relative to the inertial
-one, z down; lengths in m.
+payload, as a browser draws their points later than poses. The frames and their poses:
+`frames_and_poses.py`; lengths in m.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.spatial.distance import pdist
-from scipy.spatial.transform import Rotation
 
 from transport.model.arrays import Array
-from transport.model.physics.rotations import rotation
-from transport.model.state import StateView
-from transport.scene.bodies import (
-    DARK_GREY,
-    GREY,
-    INERTIAL,
-    obstacles,
-    payload_points,
-    quadrotor,
-)
-from transport.scene.parts import (
+from transport.scene.frames_and_poses import GOAL, INERTIAL, LOAD, PAYLOAD, TEAM
+from transport.scene.lines_meshes_and_labels import (
     Colour,
     Label,
     LineSegments,
     Part,
-    Pose,
     ball,
     lines,
     segments,
     solid,
 )
-from transport.scene.scene import Scene, SceneBuilder
+from transport.scene.payload_uav_and_obstacle_meshes import (
+    DARK_GREY,
+    GREY,
+    obstacles,
+    payload_points,
+    quadrotor,
+)
+from transport.scene.scene_at_tick import Scene, SceneBuilder
 from transport.scene.uav_and_link_colours import age_colour, uav_colour
 
 # Layers that can be shown and hidden; parts of no layer are always shown.
 LAYERS = ("predictions", "actual paths", "reference", "links", "thrust", "names")
-
-# Frames beside the inertial one and those of each UAV and rod.
-PAYLOAD = "payload"
-TEAM = "team"
-LOAD = "load"
-GOAL = "goal"
-# ROS 2 draws z up: the inertial frame, z down, is this frame turned about x.
-ROOT = "map"
-UPSIDE_DOWN: Pose = (np.zeros(3), np.diag([1.0, -1.0, -1.0]))
 
 _REFERENCE: Colour = (150, 150, 150)
 _ACTUAL: Colour = (0, 0, 0)
@@ -101,42 +88,6 @@ class Drawing:
 
         self._targets = len(self._setup_at_start.maneuver.targets)  # that are drawn
         self.fixed: tuple[Part, ...] = tuple(self._fixed())
-
-    def poses(self, scene: Scene) -> dict[str, Pose]:
-        """Return the pose of every frame in a scene.
-
-        Parts in other frames are not to be seen in it.
-        """
-        payload = (scene.payload_I, scene.R_payload)
-        uavs = list(zip(scene.uavs_I, scene.R_uavs, strict=True))
-        poses = _team_poses(payload, uavs, scene.attachments_I)
-        for uav in scene.released:
-            del poses[f"uav{uav}"]
-            del poses[f"rod{uav}"]
-        poses[GOAL] = (scene.payload_reference_I, np.eye(3))
-        return poses
-
-    def poses_at_start(self) -> dict[str, Pose]:
-        """Return the poses of the frames in the initial state, before a run has its first tick."""
-        x = self._setup_at_start.initial_state()
-        view = StateView(x)
-        R_payload = rotation(view.Theta0)
-        attachments_I = [
-            view.r0_I + R_payload @ uav.rho for uav in self._setup_at_start.system.uavs
-        ]
-
-        uavs_I = self._setup_at_start.model.outputs(x)[: 3 * self._N].reshape(-1, 3)
-        R_uavs = [rotation(Theta) for Theta in view.Theta]
-        uavs = list(zip(uavs_I, R_uavs, strict=True))
-        return _team_poses((view.r0_I, R_payload), uavs, np.array(attachments_I))
-
-    def frames_off(self, scene: Scene) -> frozenset[str]:
-        """Return the frames of the UAVs whose agents are not on the roster in a scene."""
-        off = []
-        for agent, owned in enumerate(self._setup_at_start.owned, start=1):
-            if agent not in scene.members:
-                off += [f"uav{uav + 1}" for uav in owned]
-        return frozenset(off)
 
     def moving(self, scene: Scene) -> Iterator[LineSegments]:
         """Yield the lines of a scene except the actual paths.
@@ -253,33 +204,3 @@ class Drawing:
         outwards *= _NAME_OUTSIDE_M / np.maximum(distances, 1e-6)
         places: Array = outwards - np.array([0.0, 0.0, _NAME_ABOVE_M])
         return places
-
-
-def _team_poses(payload: Pose, uavs: Sequence[Pose], attachments_I: Array) -> dict[str, Pose]:
-    """Return the poses of the frames of payload, UAVs and rods, and of those that move along."""
-    level = np.eye(3)
-    payload_I, _ = payload
-    team_I = np.mean([position_I for position_I, _ in uavs], axis=0)
-    poses: dict[str, Pose] = {
-        INERTIAL: (np.zeros(3), level),
-        PAYLOAD: payload,
-        TEAM: (team_I, level),
-        LOAD: (payload_I, level),
-    }
-    for i, (pose, attachment_I) in enumerate(zip(uavs, attachments_I, strict=True), start=1):
-        poses[f"uav{i}"] = pose
-
-        position_I, _ = pose
-        rod_I = position_I - attachment_I
-        turn, _ = Rotation.align_vectors(rod_I[None], [[0.0, 0.0, -1.0]])
-        poses[f"rod{i}"] = (attachment_I, turn.as_matrix())
-    return poses
-
-
-def tree(poses: Mapping[str, Pose]) -> Iterator[tuple[str, str, Pose]]:
-    """Yield parent, child and pose of each frame of a scene.
-
-    The root, whose z points up, is the first.
-    """
-    yield ROOT, INERTIAL, UPSIDE_DOWN
-    yield from ((INERTIAL, name, pose) for name, pose in poses.items() if name != INERTIAL)
