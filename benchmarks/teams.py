@@ -28,8 +28,9 @@ from rich.console import Console
 from benchmarks import teams_alone
 from benchmarks.runs import origin
 from docs.tables import ROOT, completed_of, put, table
-from transport.experiments.cases import ERROR, Case, Point, Result, key_of
+from transport.experiments.cases import Case, Point, key_of
 from transport.experiments.declaration import Experiment
+from transport.experiments.simulation import ERROR, Result
 from transport.experiments.statistics import estimate
 from transport.experiments.sweep import Results, sweep
 from transport.experiments.workers import on_cores

@@ -17,7 +17,7 @@ from benchmarks.runs import origin
 from docs.tables import ROOT, put, table
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.summary_assembly import summarise
-from transport.experiments.cases import run_in_memory
+from transport.experiments.simulation import run_in_memory
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup

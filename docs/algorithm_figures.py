@@ -28,7 +28,7 @@ from transport.analysis.series import Series
 from transport.analysis.summary_assembly import summarise
 from transport.experiments.arena.arena_algorithms import entered
 from transport.experiments.arena.arena_tasks_and_networks import NETWORKS, PERFECT
-from transport.experiments.cases import run_in_memory
+from transport.experiments.simulation import run_in_memory
 from transport.flight.run_files import machine
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array

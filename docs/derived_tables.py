@@ -7,7 +7,7 @@ from readme_tables import drag, known
 from results_page import PAGE, PAPER, ranges_of_comparison, rows_of
 from tables import ROOT, table
 
-from transport.experiments.cases import Result
+from transport.experiments.simulation import Result
 
 README = ROOT / "README.md"
 

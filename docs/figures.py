@@ -29,7 +29,8 @@ from simulations import Table
 from simulations import measured as page_table
 from tables import ROOT, place, put
 
-from transport.experiments.cases import ERROR, Case, Result, simulate
+from transport.experiments.cases import Case
+from transport.experiments.simulation import ERROR, Result, simulate
 from transport.experiments.workers import map_on_cores
 from transport.flight.progress import compile_models
 from transport.protocol.scenario.sections.run_size import most_workers, size_of

@@ -20,7 +20,8 @@ from pathlib import Path
 import threadpoolctl
 from tables import ROOT, commit
 
-from transport.experiments.cases import Case, Result
+from transport.experiments.cases import Case
+from transport.experiments.simulation import Result
 from transport.flight.run_files import machine, versions
 from transport.model.kernels import compiler, native
 from transport.protocol.scenario.sections.schema import Scenario

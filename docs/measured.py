@@ -4,7 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from transport.experiments.cases import Case, Result
+from transport.experiments.cases import Case
+from transport.experiments.simulation import Result
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

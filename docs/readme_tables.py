@@ -6,8 +6,8 @@ from measured_results import AGILE, RESULTS
 from simulations import interval, values
 from tables import completed_of, table
 
-from transport.experiments.cases import Result
 from transport.experiments.information_experiment import ALL, RULES
+from transport.experiments.simulation import Result
 from transport.experiments.statistics import columns_of, with_spread
 from transport.experiments.weather_experiment import NETWORKS, NONE, PERFECT
 

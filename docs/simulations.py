@@ -9,7 +9,8 @@ from measured import Measured
 from tables import ROOT, table
 
 from transport.analysis.series import series_of
-from transport.experiments.cases import Case, Point, Result, cases_of_point
+from transport.experiments.cases import Case, Point, cases_of_point
+from transport.experiments.simulation import Result
 from transport.experiments.statistics import estimate
 from transport.log.run_log import RunLog
 from transport.protocol.scenario.scenario_file import find_scenario
@@ -30,7 +31,7 @@ class Run(NamedTuple):
         return Point({}, self.scenario, self.settings, team=team, scenario=self.scenario)
 
 
-# Results of a run, by seed. Their numbers: `transport.experiments.cases.NUMBERS` and `more`.
+# Results of a run, by seed. Their numbers: `transport.experiments.run_numbers.NUMBERS` and `more`.
 Flown = Sequence[Result]
 Cell = Callable[[Flown], str]
 

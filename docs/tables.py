@@ -12,7 +12,8 @@ ROOT = Path(__file__).resolve().parent.parent
 # Sources that decide the numbers of a simulation in memory.
 FLOWN = (
     *("model", "mpc", "protocol", "agent", "plant", "coordinator", "scenarios", "vehicles"),
-    *("transport/flight/memory.py", "transport/analysis", "transport/experiments/cases.py"),
+    *("transport/flight/memory.py", "transport/analysis"),
+    *(f"transport/experiments/{name}.py" for name in ("cases", "simulation", "run_numbers")),
 )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from transport.experiments.cases import Result, simulate
+from transport.experiments.simulation import Result, simulate
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 
 ROOT = Path(__file__).resolve().parent.parent

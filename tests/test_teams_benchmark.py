@@ -19,7 +19,8 @@ from benchmarks.teams import (
 )
 from benchmarks.teams_alone import MarginsAlone
 from benchmarks.teams_alone import cells as margin_cells
-from transport.experiments.cases import ERROR, NUMBERS, Result
+from transport.experiments.run_numbers import NUMBERS
+from transport.experiments.simulation import ERROR, Result
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.teams.drawn_team import drawn
 

@@ -8,9 +8,10 @@ import pytest
 from tests.support.results import here, kept
 from tests.support.runs import ticks
 from transport.experiments import design_experiments
-from transport.experiments.cases import cases_of, resource_use
+from transport.experiments.cases import cases_of
 from transport.experiments.declaration import EXPERIMENTS
 from transport.experiments.result_tables import WIDTH
+from transport.experiments.run_numbers import resource_use
 
 DONE, USAGE, SCENARIO = 0, 2, 3
 SIZES = EXPERIMENTS["scaling"].options["sizes"].default

@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Self
 
-from transport.experiments.cases import More, Point
+from transport.experiments.cases import Point
+from transport.experiments.run_numbers import More
 from transport.protocol.scenario.sections.scenario_keys import (
     UNITS,
     ending_of,

@@ -9,9 +9,10 @@ from itertools import product
 
 import numpy as np
 
-from transport.experiments.cases import Point, refused, resource_use
+from transport.experiments.cases import Point, refused
 from transport.experiments.declaration import NONE, Values, declared
 from transport.experiments.network_experiments import NETWORKS
+from transport.experiments.run_numbers import resource_use
 from transport.protocol.scenario.scenario_file import ScenarioError, with_settings
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.teams.team_of_any_size import given_values

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from transport.experiments.arena.arena_tasks_and_networks import TASKS
-from transport.experiments.cases import Point, check_names, key_of, refused, run_in_memory
+from transport.experiments.cases import Point, check_names, key_of, refused
 from transport.experiments.declaration import Values, declared
+from transport.experiments.simulation import run_in_memory
 from transport.experiments.weather_experiment import FORCES, SENSORS, WEATHER
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array

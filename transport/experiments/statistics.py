@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 from scipy.special import stdtrit
 
-from transport.experiments.cases import ERROR, Point, Result
+from transport.experiments.cases import Point
+from transport.experiments.simulation import ERROR, Result
 
 # Numbers of a point beside those of its runs.
 FIRST_DIVERGED = "first_lost_s"

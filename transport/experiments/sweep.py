@@ -22,9 +22,11 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from transport.experiments.cases import ERROR, NUMBERS, Case, ExperimentError, Result, refused
+from transport.experiments.cases import Case, ExperimentError, refused
 from transport.experiments.declaration import Experiment
 from transport.experiments.figures.experiment_figures import draw
+from transport.experiments.run_numbers import NUMBERS
+from transport.experiments.simulation import ERROR, Result
 from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.flight.progress import ConsoleProgress, compile_models
 from transport.flight.run_files import machine

@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from typing import TypeVar
 
-from transport.experiments.cases import Case, ExperimentError, Result, refused, simulate
+from transport.experiments.cases import Case, ExperimentError, refused
+from transport.experiments.simulation import Result, simulate
 from transport.protocol.scenario.sections.run_size import most_workers
 from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE
 

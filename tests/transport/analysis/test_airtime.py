@@ -12,7 +12,7 @@ from tests.support.own_classes import Bulky
 from tests.support.runs import recorded, setup, ticks
 from transport.analysis.airtime import radio_of
 from transport.analysis.analysed_run import AnalysedRun
-from transport.experiments.cases import run_in_memory
+from transport.experiments.simulation import run_in_memory
 from transport.log.run_folder import open_run
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Airtime

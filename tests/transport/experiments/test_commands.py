@@ -8,8 +8,8 @@ import pytest
 
 from tests.support.results import here, kept, tables
 from tests.support.runs import ticks
-from transport.experiments.cases import NUMBERS
 from transport.experiments.result_tables import WIDTH
+from transport.experiments.run_numbers import NUMBERS
 from transport.flight import memory
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Control

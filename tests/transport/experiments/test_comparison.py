@@ -14,7 +14,7 @@ import pytest
 
 from tests.support.results import here
 from tests.support.runs import ticks
-from transport.experiments.cases import NUMBERS, Case, Result, cases_of
+from transport.experiments.cases import Case, cases_of
 from transport.experiments.paper import comparison, comparison_report
 from transport.experiments.paper.comparison import (
     CENTRALIZED,
@@ -27,6 +27,8 @@ from transport.experiments.paper.comparison import (
     curves_of,
     equal_periods,
 )
+from transport.experiments.run_numbers import NUMBERS
+from transport.experiments.simulation import Result
 from transport.experiments.statistics import estimate
 from transport.experiments.sweep import Swept
 

@@ -4,37 +4,23 @@ Points that can be simulated, impairments with the stated statistics, refused op
 """
 
 import csv
-import dataclasses
 import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 
-from tests.support import log_messages, runs
 from tests.support.results import here
 from tests.support.runs import ticks
 from transport.cli.commands.experiment import EXPERIMENTS
-from transport.experiments.cases import (
-    ERROR,
-    ExperimentError,
-    Point,
-    cases_of,
-    is_random,
-    resource_use,
-    simulate,
-)
+from transport.experiments.cases import ExperimentError, Point, cases_of
 from transport.experiments.declaration import Experiment
 from transport.experiments.network_experiments import JITTER, NETWORKS
-from transport.log.run_log import Recorded, RunLog
 from transport.protocol.scenario.links.delay_jitter_and_loss import Link
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.sections.schema import Scenario
-from transport.protocol.wire.codec import encode
-from transport.protocol.wire.messages import STAGES
 
 TICKS = 3_000
 BOTH = ("paper", "resilient")
@@ -152,81 +138,6 @@ def test_information_about_the_platform_has_the_age_of_its_column() -> None:
             assert not any(delays(point))
         else:
             assert mean_age_s(point) == pytest.approx(point.labels["age_s"], rel=0.15)
-
-
-@pytest.mark.parametrize(
-    ("setting", "expected"),
-    [
-        ("links.delay_s=0.2", False),
-        ("links.distribution=normal", False),
-        ("links.jitter_s=0.01", True),
-        ("links.loss=0.01", True),
-        ("links.reorder=0.01", True),
-        ("links.duplicate=0.01", True),
-        ("links.gilbert_elliott={enter=0.1,leave=0.1}", True),
-        ("links={distribution='empirical',samples_s=[0.05,0.1]}", True),
-        ("links.override=[{from='agent1',loss=0.5}]", True),
-        ("links.change=[{at_s=1.0,loss=0.5}]", True),
-        ("plant.noise.position_m=0.01", True),
-        ("plant.wind.gust_mps=[0.0, 0.1, 0.0]", True),
-        ("plant.wind.speed_mps=[1.0, 0.0, 0.0]", False),
-    ],
-)
-def test_chance_is_seen(setting: str, expected: bool) -> None:
-    """Every setting that draws random numbers is recognised."""
-    assert is_random(read_scenario(find_scenario("paper"), [setting])) is expected
-
-
-def test_a_case_of_another_version_is_an_error() -> None:
-    """A case whose fingerprint is not that of the running package is refused, and not simulated."""
-    (case,) = cases_of(built("loss", of=("paper",), loss=[0.5]).points[:1], [], 1)
-    result = simulate(dataclasses.replace(case, key="another"))
-    assert (result.key, result.outcome, result.numbers) == ("another", ERROR, {})
-    assert "got another version" in result.reason
-
-
-def test_resources_of_a_run() -> None:
-    """Of six steps of two agents of four at three ticks of 50 ms, with four of six plans shared, in 0.3 s in all."""
-    run = runs.setup(runs.SHORT)
-    steps = [(agent, k) for k in range(3) for agent in (1, 2)]
-    reports = []
-    for total_ms, (agent, k) in enumerate(steps, start=1):
-        times_ms = np.full(len(STAGES), 100.0)
-        times_ms[STAGES.index("total")] = total_ms
-        reports.append(log_messages.report(run, agent, k, times_ms=times_ms))
-    plans = [
-        msgspec.structs.replace(runs.plan(run, agent, k), shared=number < 4)
-        for number, (agent, k) in enumerate(steps)
-    ]
-    sent = [runs.tick(0), *plans, *reports, runs.end(2)]
-    times_ns = [10**9, *([1_100_000_000] * 12), 1_300_000_000]
-    log = RunLog(
-        header={},
-        messages=tuple(
-            Recorded(message=message, received_ns=at_ns)
-            for message, at_ns in zip(sent, times_ns, strict=True)
-        ),
-        cut="",
-    )
-    shared_bytes = sum(len(encode(plan)) for plan in plans[:4])
-    assert resource_use(run, None, log) == pytest.approx({
-        "plans_per_tick": 4.0,  # 4 plans for 3 others each, in 3 ticks
-        "plan_bytes_per_s": 3 * shared_bytes / 0.15,
-        "cpu_step_p50_ms": 3.5,
-        "cpu_step_p99_ms": 5.95,
-        "cpu_team_tick_ms": 7.0,
-        "cpu_flight_s_per_s": 2.0,
-    })  # fmt: skip
-    assert resource_use(run, None, RunLog(header={}, messages=(), cut="")) == {}
-
-
-def test_fingerprints_tell_results_apart() -> None:
-    """The key changes with a setting and with the seed, and not with the address the processes listen on."""
-    points = built("loss", of=("paper",), loss=[0.5]).points[1:2]
-    first, second = cases_of(points, [], 2)
-    assert first.key != second.key
-    assert cases_of(points, ["network.base_port=9000"], 1)[0].key == first.key
-    assert cases_of(points, ["controller.horizon=19"], 1)[0].key != first.key
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.6])

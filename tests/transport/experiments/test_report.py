@@ -14,10 +14,12 @@ from rich.console import Console
 
 from tests.support.figure_texts import problems
 from transport.cli.commands.experiment import EXPERIMENTS
-from transport.experiments.cases import ERROR, NUMBERS, Point, Result
+from transport.experiments.cases import Point
 from transport.experiments.declaration import Experiment
 from transport.experiments.figures.experiment_figures import draw, fill
 from transport.experiments.result_tables import WIDTH, table_of
+from transport.experiments.run_numbers import NUMBERS
+from transport.experiments.simulation import ERROR, Result
 from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.report.figures.style import COLUMN_IN, RC, SMALL

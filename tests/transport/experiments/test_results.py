@@ -8,7 +8,9 @@ from pathlib import Path
 import orjson
 import pytest
 
-from transport.experiments.cases import ERROR, NUMBERS, ExperimentError, Result
+from transport.experiments.cases import ExperimentError
+from transport.experiments.run_numbers import NUMBERS
+from transport.experiments.simulation import ERROR, Result
 from transport.experiments.sweep import Results
 from transport.protocol.wire.errors_and_exit_codes import EXIT_USAGE
 

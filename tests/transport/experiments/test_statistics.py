@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from transport.experiments.cases import ERROR, NUMBERS, Point, Result
+from transport.experiments.cases import Point
 from transport.experiments.result_tables import Column
+from transport.experiments.run_numbers import NUMBERS
+from transport.experiments.simulation import ERROR, Result
 from transport.experiments.statistics import COST_RATIO, estimate, statistics_of
 
 BASELINE = Point(scenario="a", labels={"delay_s": 0.0}, text="0 ms", baseline=True)

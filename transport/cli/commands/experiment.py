@@ -26,11 +26,12 @@ from transport.experiments import (
     radio_experiment,
     weather_experiment,
 )
-from transport.experiments.cases import Case, Result, cases_of, refused
+from transport.experiments.cases import Case, cases_of, refused
 from transport.experiments.conclusions import conclusions
 from transport.experiments.declaration import EXPERIMENTS, Experiment, Values
 from transport.experiments.paper import comparison, comparison_report
 from transport.experiments.result_tables import TITLE, WIDTH, table_of
+from transport.experiments.simulation import Result
 from transport.experiments.statistics import PointStatistics
 from transport.experiments.sweep import Results, Swept, sweep, write_markdown
 from transport.experiments.workers import check_cluster, on_cluster, on_cores

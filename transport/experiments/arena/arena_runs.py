@@ -9,16 +9,10 @@ import numpy as np
 from transport.analysis.cost_and_tracking_metrics import SWING_S
 from transport.experiments.arena.arena_algorithms import REFERENCE, Algorithm, algorithms_of
 from transport.experiments.arena.arena_tasks_and_networks import NETWORKS, PERFECT, SCENARIO, TASKS
-from transport.experiments.cases import (
-    Case,
-    Point,
-    Result,
-    cases_of_point,
-    check,
-    refused,
-    resource_use,
-)
+from transport.experiments.cases import Case, Point, cases_of_point, check, refused
 from transport.experiments.declaration import Experiment
+from transport.experiments.run_numbers import resource_use
+from transport.experiments.simulation import Result
 from transport.log.run_log import RunLog
 from transport.model.state import R0
 from transport.protocol.scenario.scenario_file import find_scenario

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from transport.analysis.series import series_of
-from transport.experiments.cases import run_in_memory
 from transport.experiments.paper import comparison
 from transport.experiments.paper.comparison import (
     AGENT,
@@ -24,6 +23,7 @@ from transport.experiments.paper.comparison import (
     Cell,
     ComparisonCurve,
 )
+from transport.experiments.simulation import run_in_memory
 from transport.experiments.statistics import COST_RATIO
 from transport.experiments.sweep import Swept
 from transport.model.arrays import Array

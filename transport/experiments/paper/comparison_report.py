@@ -8,14 +8,15 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from transport.experiments.cases import Case, cases_of, resource_use
-from transport.experiments.cases import simulate as simulate_here
+from transport.experiments.cases import Case, cases_of
 from transport.experiments.declaration import Experiment
 from transport.experiments.paper import comparison
 from transport.experiments.paper.comparison import CENTRALIZED, Cell, ComparisonCurve
 from transport.experiments.paper.comparison_figures import draw_costs, draw_maneuver
 from transport.experiments.paper.equal_terms import ranges, sentence
 from transport.experiments.result_tables import SPREAD, Column, console_table
+from transport.experiments.run_numbers import resource_use
+from transport.experiments.simulation import simulate as simulate_here
 from transport.experiments.statistics import COST_RATIO
 from transport.experiments.sweep import Results, Simulate, Swept, sweep, write_markdown
 from transport.protocol.scenario.files.atomic_writing import write_csv
