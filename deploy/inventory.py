@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from transport.model.section import Section
-from transport.protocol.network.mesh import DEFAULT_BASE_PORT
+from transport.protocol.network.endpoints import DEFAULT_BASE_PORT
 from transport.protocol.scenario.scenario_file import read_tree
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError, validated
 from transport.protocol.wire.errors_and_exit_codes import TransportError

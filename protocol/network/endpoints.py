@@ -8,6 +8,8 @@ from typing import Literal
 
 from transport.protocol.network.security import Security, SecurityError
 
+DEFAULT_BASE_PORT = 7447  # of processes started by hand: the first of their consecutive TCP ports
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Endpoints:

@@ -4,13 +4,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from transport.protocol.network.endpoints import Endpoints
+from transport.protocol.network.endpoints import DEFAULT_BASE_PORT, Endpoints
 from transport.protocol.network.security import Security
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.wire.key_expressions import RECORDER
 from transport.protocol.wire.names import COORDINATOR, PLANT, agent_name, vehicle_name
-
-DEFAULT_BASE_PORT = 7447
 
 
 def process_names(scenario: Scenario) -> list[str]:

@@ -116,9 +116,7 @@ class _Window:
 
         is_unicast = self._parameters.unicast and frame.receivers
         for receiver in frame.receivers if is_unicast else (BROADCAST,):
-            if len(station.queue) < self._parameters.queue_length:
-                station.queue.append(Pending(frame, receiver))
-            else:
+            if not station.enqueue(Pending(frame, receiver), self._parameters.queue_length):
                 lost = frame.receivers if receiver == BROADCAST else (receiver,)
                 self.outcomes.extend(
                     [FrameOutcome(frame, loser, FrameResult.QUEUE, now) for loser in lost]

@@ -71,6 +71,20 @@ class Station:
             self.transmissions,
         )
 
+    def enqueue(self, newest: Pending, most: int) -> bool:
+        """Append a frame unless the queue is full; return whether it was appended.
+
+        A full queue keeps its frames and drops the newest.
+
+        Args:
+            newest: The frame.
+            most: Length of a full queue, with the frame on the air.
+        """
+        if len(self.queue) >= most:
+            return False
+        self.queue.append(newest)
+        return True
+
     def count_from(self) -> int:
         """Return the instant from which idle slots count: DIFS, or EIFS, behind the activity."""
         busy_until = self.busy_until
