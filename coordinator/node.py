@@ -134,10 +134,7 @@ class CoordinatorNode:
     @property
     def wake_ns(self) -> int | None:
         """Time of the next poll, ns: end of a timeout, or opening of the next tick; None without."""
-        state = self._machine.state
-        if state is State.OPEN:
-            return self._open.wake_ns(self._roster.members)
-        match state:
+        match self._machine.state:
             case State.WAITING | State.STOPPED:
                 return None
             case State.PREPARING if self._fleet is not None:

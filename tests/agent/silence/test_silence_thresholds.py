@@ -71,17 +71,18 @@ def test_a_lost_heartbeat_is_no_silence() -> None:
     assert shared.uninformed == pytest.approx(plain.uninformed + 2.0 / PERIOD_S)
 
 
-@given(st.lists(st.integers(1, 300), min_size=1, max_size=200))
-def test_usual_age_is_the_least_recent_one(ages: list[int]) -> None:
-    """The usual age is the smallest in its window, and the mean one that of the last second."""
-    rule = RULES[0]
-    information = InformationAges((2,), rule.window, rule.recent)
-    for count, age in enumerate(ages, start=1):
-        information.observe(2, age)
-        known = ages[:count]
-        recent = known[-rule.recent :]
-        assert information.usual(2) == min(known[-rule.window :])
-        assert information.mean(2) == sum(recent) / len(recent)
+@given(st.lists(st.integers(1, 9), min_size=1, max_size=60), st.integers(1, 8), st.integers(1, 8))
+def test_usual_age_is_the_least_recent_one(ages: list[int], window: int, recent: int) -> None:
+    """The usual age is the smallest in its window, and the mean one that of the last ticks; 1 before any."""
+    information = InformationAges((2,), window, recent)
+    for _ in range(2):  # as from the start once the agent starts anew
+        assert (information.usual(2), information.mean(2)) == (1, 1.0)
+        for count, age in enumerate(ages, start=1):
+            information.observe(2, age)
+            known = ages[:count]
+            assert information.usual(2) == min(known[-window:])
+            assert information.mean(2) == sum(known[-recent:]) / len(known[-recent:])
+        information.forget(2)
 
 
 @pytest.mark.parametrize("rule", RULES)
