@@ -16,11 +16,11 @@ from tables import ROOT
 from transport.cli.commands.experiment import EXPERIMENTS as DECLARED
 from transport.cli.commands.experiment import ExperimentOptions
 from transport.experiments.cases import Case
-from transport.experiments.conclusions import conclusions
 from transport.experiments.declaration import Experiment
 from transport.experiments.paper import comparison_report
 from transport.experiments.paper.comparison import DECLARED as COMPARISON
 from transport.experiments.paper.comparison_report import ComparisonOptions, ComparisonPlan
+from transport.experiments.result_sentences import conclusions
 from transport.experiments.result_tables import table_of
 from transport.experiments.simulation import Result
 from transport.experiments.sweep import Swept, markdown

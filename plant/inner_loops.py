@@ -13,7 +13,7 @@ from transport.plant.plant_run import PlantRun
 # These start processes, so they are imported by runs with a firmware or autopilots only.
 _FIRMWARE = "transport.plant.firmware.betaflight"
 _AUTOPILOTS = "transport.plant.autopilot.autopilot_processes"
-_BETAFLIGHTS = "transport.plant.autopilot.betaflights"
+_BETAFLIGHTS = "transport.plant.autopilot.betaflight_over_msp"
 # Longest time between two evaluations of an inner loop, s.
 INNER_STEP_S = 1e-3
 

@@ -1,4 +1,4 @@
-"""What ArduPilot and PX4 do differently with the same messages: modes, parameters, health.
+"""What ArduPilot and PX4 do differently with the same messages: modes, parameters, health; and the throttle of both.
 
 ArduCopter 4.7-dev has been flown in the loop (docs/flight.md); PX4 follows its documentation.
 """
@@ -35,6 +35,20 @@ class Parameter:
             is_met=is_met,
             reason=self.reason,
         )
+
+
+# With the parameters below, the throttle of a message is a force as a share of the largest one: the
+# autopilot itself takes the root for its outputs.
+
+
+def throttle_of(thrust_N: float, largest_N: float) -> float:
+    """Return the throttle of a setpoint, 0 to 1, with which a vehicle makes a thrust."""
+    return min(max(thrust_N / largest_N, 0.0), 1.0)
+
+
+def thrust_of(throttle: float, largest_N: float) -> float:
+    """Return the thrust of a throttle that an autopilot tells, N."""
+    return throttle * largest_N
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,7 +31,7 @@ class AutopilotState:
         takes_setpoints: Whether it is in the mode in which it obeys `command`.
         is_healthy: Whether its estimate of position and velocity is valid.
         battery: Share of the battery that is left; -1 where it is not known.
-        thrust: Thrust that it commands at the moment, as a share of the largest; -1 where it is not known.
+        thrust_N: Thrust that it commands at the moment; None where it is not known.
         mode: Name of its mode, for people.
         says: The last text that it sent, for people.
     """
@@ -44,7 +44,7 @@ class AutopilotState:
     takes_setpoints: bool
     is_healthy: bool
     battery: float
-    thrust: float
+    thrust_N: float | None
     mode: str
     says: str
 

@@ -155,7 +155,7 @@ class BetaflightAutopilot:
             takes_setpoints=not flags & _FAILED_RECEIVER,
             is_healthy=sensed is not None,
             battery=-1.0,
-            thrust=-1.0,
+            thrust_N=None,
             mode="armed" if armed else "not armed",
             says=", ".join(reasons),
         )

@@ -14,7 +14,7 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.protocol.network.mavlink import MavlinkLink, messages
-from transport.vehicle.ardupilot_and_px4 import Dialect, Parameter
+from transport.vehicle.ardupilot_and_px4 import Dialect, Parameter, throttle_of, thrust_of
 from transport.vehicle.autopilot import AutopilotState, Finding
 
 _AUTOPILOT = 1  # component of every autopilot
@@ -146,7 +146,9 @@ class MavlinkAutopilot:
             armed=bool(heartbeat.base_mode & messages().MAV_MODE_FLAG_SAFETY_ARMED),
             takes_setpoints=self._dialect.is_guided(heartbeat.custom_mode),
             is_healthy=health is not None and self._dialect.is_healthy(health),
-            thrust=-1.0 if target is None else float(target.thrust),
+            thrust_N=None
+            if target is None
+            else thrust_of(float(target.thrust), self._settings.thrust_N),
             battery=-1.0 if remaining < 0 else remaining / 100.0,
             mode=self._dialect.mode_name(heartbeat.custom_mode),
             says=says,
@@ -244,9 +246,8 @@ class MavlinkAutopilot:
         return found
 
     def command(self, thrust_N: float, rates_rads: Array, since_s: float) -> None:
-        """Send a setpoint: thrust as a share of the largest, body rates, the attitude ignored."""
+        """Send a setpoint: thrust and body rates, the attitude ignored."""
         m = messages()
-        share = min(max(thrust_N / self._settings.thrust_N, 0.0), 1.0)
         self._send(
             m.MAVLink_set_attitude_target_message(
                 round(since_s * 1e3) & 0xFFFFFFFF,
@@ -255,7 +256,7 @@ class MavlinkAutopilot:
                 m.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE,
                 [1.0, 0.0, 0.0, 0.0],
                 *(float(rate) for rate in rates_rads),
-                share,
+                throttle_of(thrust_N, self._settings.thrust_N),
             )
         )
 

@@ -41,7 +41,7 @@ from transport.protocol.wire.messages import (
 from transport.protocol.wire.names import vehicle_name
 from transport.vehicle.autopilot import Autopilot, AutopilotState
 from transport.vehicle.law_by_autopilot_state import OwnLaw
-from transport.vehicle.setpoints import BEFORE_ANY_PLAN, NONE, OWN_LAW, Plans
+from transport.vehicle.plan_in_force import BEFORE_ANY_PLAN, NONE, OWN_LAW, Plans
 
 # Weight of the newest thrust in the mean thrust of a hover: the mean is over about a second of turns.
 _FRESH = 0.02
@@ -108,7 +108,6 @@ class VehicleNode(Participant):
         fail_safe = setup.whole_team().law.fail_safe
         self._plans_in_force = Plans(fail_safe.played(setup.settings.horizon, self._period_s))
         self._hover: Array = setup.hover.u[state.input_slice(uav - 1)]
-        self._largest_N = self._vehicles.thrust_N or setup.settings.limits.thrust_N[1]
         self._setup = setup
         super().__init__(setup.rules, vehicle_name(uav), incarnation, after=1)
 
@@ -266,11 +265,10 @@ class VehicleNode(Participant):
         is_hovering = told.armed and told.takes_setpoints and not self._stands
         if not is_hovering or not self._vehicles.hover_share:
             return ""
-        if told.thrust < 0.0:
+        if told.thrust_N is None:
             return _NO_THRUST
-        thrust_N = told.thrust * self._largest_N
-        before_N = thrust_N if self._hover_N is None else self._hover_N
-        self._hover_N = before_N + _FRESH * (thrust_N - before_N)
+        before_N = told.thrust_N if self._hover_N is None else self._hover_N
+        self._hover_N = before_N + _FRESH * (told.thrust_N - before_N)
 
         weight_N = float(self._hover[0])
         if abs(self._hover_N - weight_N) <= self._vehicles.hover_share * weight_N:
@@ -284,13 +282,12 @@ class VehicleNode(Participant):
         """Return that the thrust on the stand does not carry the UAV yet, empty if it does or is never told."""
         if not self._autopilot.tells_thrust:
             return ""
-        if told.thrust < 0.0:
+        if told.thrust_N is None:
             return _NO_THRUST
-        carried_N = told.thrust * self._largest_N
         weight_N = float(self._hover[0])
-        if carried_N >= _CARRIES * weight_N:
+        if told.thrust_N >= _CARRIES * weight_N:
             return ""
-        return f"its motors are on their way: {carried_N:.1f} N of {weight_N:.1f} N"
+        return f"its motors are on their way: {told.thrust_N:.1f} N of {weight_N:.1f} N"
 
     def _fly(self, told: AutopilotState | None, ticking: Ticking, now_ns: int) -> Sequence[Message]:
         """Measure at a tick that has come, and send a setpoint that is due."""

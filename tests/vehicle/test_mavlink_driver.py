@@ -15,7 +15,7 @@ from transport.mpc.settings_period_horizon_weights import Limits
 from transport.protocol.network.mavlink import Endpoint, MavlinkLink, messages
 from transport.protocol.scenario.sections.vehicles_section import VehiclesSection
 from transport.vehicle.autopilot import Autopilot
-from transport.vehicle.start import LinkOptions, open_autopilot
+from transport.vehicle.link_opening_and_check import LinkOptions, open_autopilot
 
 LARGEST_N = 30.0
 ORIGIN = (47.0, 8.0, 400.0)
@@ -112,7 +112,12 @@ def test_measurements_are_in_the_common_frame(flight: Flight) -> None:
     flight.in_mode(GUIDED, ARMED)
     state = flight.driver.state()
     assert state is not None
-    assert (state.sensed, state.battery, state.thrust, state.is_healthy) == (None, -1, -1, False)
+    assert (state.sensed, state.battery, state.thrust_N, state.is_healthy) == (
+        None,
+        -1,
+        None,
+        False,
+    )
     m = messages()
     flight.tell(
         *motion(),
@@ -132,8 +137,8 @@ def test_measurements_are_in_the_common_frame(flight: Flight) -> None:
     np.testing.assert_allclose(state.sensed[6:12], [0.01, 0.02, 0.03, 0.4, 0.5, 0.6], atol=1e-6)
     force = 9.80665 * np.array([0.01, -0.02, -1.0])
     np.testing.assert_allclose(state.sensed[12:], force, atol=1e-9)
-    told = state.position_s, state.armed, state.is_healthy, state.battery, state.thrust
-    assert told == (2.5, True, True, 0.85, 0.25)
+    told = state.position_s, state.armed, state.is_healthy, state.battery, state.thrust_N
+    assert told == (2.5, True, True, 0.85, 0.25 * LARGEST_N)
     assert (state.mode, state.says) == ("GUIDED", "a warning")
     assert 0 < state.position_ns <= time.monotonic_ns()
     assert "10.00 m" not in str(flight.driver.findings())  # away by its three distances

@@ -27,7 +27,7 @@ from transport.protocol.wire.messages import (
 )
 from transport.vehicle.autopilot import AutopilotState, Finding
 from transport.vehicle.node import Conduct, VehicleNode
-from transport.vehicle.setpoints import Plans, interpolated
+from transport.vehicle.plan_in_force import Plans, interpolated
 
 SCENARIO = Path(__file__).resolve().parents[2] / "scenarios" / "flight.toml"
 MS, S = 10**6, 10**9
@@ -60,7 +60,7 @@ class Recording:
             takes_setpoints=True,
             is_healthy=True,
             battery=0.9,
-            thrust=float(setup.hover.u[4 * (UAV - 1)]) / 34.2,  # vehicles.thrust_N
+            thrust_N=float(setup.hover.u[4 * (UAV - 1)]),
             mode="GUIDED",
             says="",
         )
@@ -330,8 +330,8 @@ def test_a_jump_of_the_estimate_is_taken_out() -> None:
     ("change", "problem"),
     [
         ({"battery": 0.1}, "battery: expected at least 25%, got 10%"),
-        ({"thrust": 0.3}, "thrust of its hover: expected 27.0 N [+]- 15%, .*, got 10.3 N"),
-        ({"thrust": -1.0}, "does not tell its thrust"),
+        ({"thrust_N": 10.3}, "thrust of its hover: expected 27.0 N [+]- 15%, .*, got 10.3 N"),
+        ({"thrust_N": None}, "does not tell its thrust"),
         ({"is_healthy": False, "says": "EKF"}, "no valid estimate of its position: EKF"),
         ({"armed": False, "says": "Arm: throttle"}, "not armed in the mode of setpoints"),
     ],
@@ -373,17 +373,17 @@ def test_on_a_stand_it_arms_and_lifts() -> None:
     run.until(-1.3)
     assert run.autopilot.commands == []
     # It has not told its thrust yet.
-    run.autopilot.told = replace(run.autopilot.told, armed=True, thrust=-1.0)
+    run.autopilot.told = replace(run.autopilot.told, armed=True, thrust_N=None)
     run.until(-1.2)
     assert run.statuses()[-1].phase == "checking"
     assert "does not tell its thrust" in run.statuses()[-1].problem
     # ArduCopter takes two seconds from arming to thrust.
-    run.autopilot.told = replace(run.autopilot.told, thrust=0.0)
+    run.autopilot.told = replace(run.autopilot.told, thrust_N=0.0)
     run.until(-1.0)
     assert {c[1] for c in run.autopilot.commands} == {run.setup.hover.u[4]}
     assert run.statuses()[-1].phase == "checking"
     assert "0.0 N of 27.0 N" in run.statuses()[-1].problem
-    run.autopilot.told = replace(run.autopilot.told, thrust=0.79)
+    run.autopilot.told = replace(run.autopilot.told, thrust_N=27.0)
     run.until(-0.5)
     assert run.statuses()[-1].phase == "ready"
 

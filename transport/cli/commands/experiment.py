@@ -27,9 +27,9 @@ from transport.experiments import (
     weather_experiment,
 )
 from transport.experiments.cases import Case, cases_of, refused
-from transport.experiments.conclusions import conclusions
 from transport.experiments.declaration import EXPERIMENTS, Experiment, Values
 from transport.experiments.paper import comparison, comparison_report
+from transport.experiments.result_sentences import conclusions
 from transport.experiments.result_tables import TITLE, WIDTH, table_of
 from transport.experiments.simulation import Result
 from transport.experiments.statistics import PointStatistics

@@ -204,7 +204,7 @@ def _plant_node(setup: Setup, incarnation: int) -> "PlantNode":
         return PlantNode(run, incarnation)
 
     from transport.plant.autopilot.autopilot_processes import Autopilots
-    from transport.plant.autopilot.betaflights import Betaflights
+    from transport.plant.autopilot.betaflight_over_msp import Betaflights
     from transport.plant.autopilot.node import AutopilotBank, PlayedPlant
     from transport.protocol.scenario.sections.vehicles_section import DEFAULT_VEHICLE_PORT
 
@@ -256,8 +256,12 @@ def vehicle(
 
     Example: transport vehicle --uav 2 --autopilot ardupilot --link udp:127.0.0.1:14550
     """
+    from transport.vehicle.link_opening_and_check import (
+        LinkOptions,
+        check_autopilot,
+        open_autopilot,
+    )
     from transport.vehicle.node import Conduct, VehicleNode
-    from transport.vehicle.start import LinkOptions, check_autopilot, open_autopilot
 
     setup = options.setup() if check else options.compiled_setup()
     if uav > setup.system.N:

@@ -1,4 +1,4 @@
-"""Setpoints of one UAV: from fresh plans, interpolated in time, else from its own law."""
+"""The plan of one UAV that is in force at a time, by which its setpoints are interpolated."""
 
 from dataclasses import dataclass
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import pytest
 
 from transport.experiments.cases import Point
-from transport.experiments.conclusions import conclusions
+from transport.experiments.result_sentences import conclusions
 from transport.experiments.statistics import Estimate, PointStatistics
 
 RUNS = 3

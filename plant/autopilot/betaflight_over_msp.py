@@ -1,8 +1,8 @@
 """Betaflights on their real links, one for each UAV, in lockstep with the physics: an `AutopilotBank`.
 
-The firmwares run in virtual time as those of `plant.inner_loop`, but their receivers are MSP on a TCP port, where
-the process of the UAV speaks to them as to a flight controller on a serial line. A motion capture tells each
-process position, velocity and attitude over UDP.
+The firmwares run in virtual time as those of `plant.firmware.betaflight`, but their receivers are MSP
+on a TCP port, where the process of the UAV speaks to them as to a flight controller on a serial line.
+A motion capture tells each process position, velocity and attitude over UDP.
 """
 
 import math
