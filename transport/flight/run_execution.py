@@ -16,7 +16,7 @@ from transport.flight.local_processes import (
     keys_setting,
     reserved_ports,
 )
-from transport.flight.priority import below_the_team
+from transport.flight.observer_priority import below_the_team
 from transport.flight.progress import RunProgress, compile_models
 from transport.flight.recorder import Recorder
 from transport.flight.run_files import (

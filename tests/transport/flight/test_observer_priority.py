@@ -7,7 +7,7 @@ import pytest
 
 PROGRAM = """
 import os, sys, threading
-from transport.flight.priority import below_the_team
+from transport.flight.observer_priority import below_the_team
 
 try:
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(2))
