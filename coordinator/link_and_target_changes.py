@@ -59,9 +59,12 @@ class Changes:
             if not self.told.add(change) or not isinstance(change, Target):
                 continue
             self._planner.follow(change)
+            is_scripted = any(tick == change.tick for tick, _ in self._scripted)
             # The script was followed until then.
             while self._scripted and self._scripted[0][0] <= change.tick:
                 self._scripted.popleft()
+            if change.lands and not is_scripted:
+                self._scripted.clear()
 
     @property
     def landing(self) -> Target | None:
@@ -84,15 +87,24 @@ class Changes:
     def _scripted_target(self, wanted: Any, tick: int) -> Sequence[Message]:
         """Return the messages of a target without a request that awaits an answer."""
         try:
-            return self.target(wanted, tick)
+            return self._target(wanted, tick)
         except RequestError as error:
             return [self._roster.report(f"target refused: {error}", tick)]
 
-    def target(self, wanted: Any, tick: int) -> list[Target | Roster]:
-        """Return the messages of a target, of the script or of a request, that holds from a tick on.
+    def target(self, wanted: Any, tick: int) -> Sequence[Target | Roster]:
+        """Return the messages of a target that was not scripted, which holds from a tick on.
+
+        No scripted target follows a landing: it would lead the team up again.
 
         Raises: RequestError: the team cannot reach it.
         """
+        messages = self._target(wanted, tick)
+        if self.landing is not None:
+            self._scripted.clear()
+        return messages
+
+    def _target(self, wanted: Any, tick: int) -> list[Target | Roster]:
+        """Return the messages of a target. Raises: RequestError."""
         if len(self.told.targets) == MAX_TARGETS:
             raise RequestError(f"expected at most {MAX_TARGETS} targets in a run")
         number = len(self.told.targets) + 1

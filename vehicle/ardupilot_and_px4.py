@@ -117,6 +117,12 @@ def ardupilot(setpoint_timeout_s: float) -> Dialect:
             Parameter(name="MOT_SPIN_MIN", value=0, reason="no thrust is added to a setpoint's"),
             Parameter(name="MOT_SPIN_MAX", value=1, reason="full throttle is the largest thrust"),
             Parameter(name="ATC_ANGLE_BOOST", value=0, reason="thrust is not raised with the tilt"),
+            Parameter(
+                name="EK3_POS_I_GATE",
+                value=200,
+                reason="a sudden shift of the satellite position is refused, not blended in",
+                is_most=True,
+            ),
         ),
         guided=(1, 4, 0),
         hold=(1, 17, 0),

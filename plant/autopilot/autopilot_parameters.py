@@ -27,6 +27,7 @@ _ALWAYS = {
     "MOT_HOVER_LEARN": 0.0,
     "MOT_SPOOL_TIME": 0.25,
     "ATC_ANGLE_BOOST": 0.0,
+    "EK3_POS_I_GATE": 200.0,
     "ATC_RAT_YAW_FLTE": 0.0,
     "ATC_RAT_RLL_FLTT": 0.0,
     "ATC_RAT_PIT_FLTT": 0.0,

@@ -66,6 +66,7 @@ _DEFAULTS = {
     "MOT_SPIN_MAX": 0.95,
     "MOT_THST_HOVER": 0.35,
     "ATC_ANGLE_BOOST": 1.0,
+    "EK3_POS_I_GATE": 500.0,
     "ATC_ANG_RLL_P": 4.5,
     "ATC_ANG_PIT_P": 4.5,
     "ATC_ANG_YAW_P": 4.5,

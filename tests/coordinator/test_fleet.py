@@ -295,6 +295,35 @@ def test_an_abort_is_the_fastest_landing(low_run: Setup) -> None:
     assert node.finished.reason == "aborted by a person at t = 0.05 s"
 
 
+@pytest.mark.parametrize("is_back", [False, True])
+def test_no_scripted_target_follows_a_landing(*, is_back: bool) -> None:
+    """It would lead a team up again that a person has landed, also one of a coordinator that has returned."""
+    settings = (
+        "maneuver.start_m=[0,0,-1.3]",
+        "maneuver.phase=[{name='hover',duration_s=30,displacement_m=[0,0,0]}]",
+        "maneuver.target=[{at_s=10.0,points_m=[[0.5,0.0,-1.3]]}]",
+        PATIENT,
+    )
+    scripted = Setup.of(read_scenario(SCENARIO, settings), str(SCENARIO))
+    node = flying(scripted)
+    landing = asked(node, "target", land=True)[1][0]
+    assert isinstance(landing, Target)
+    if is_back:
+        node = coordinator_of(scripted, 1, wall_offset_ns=WALL_NS)
+        ready(node)
+        start_ns = NOW_NS + WALL_NS - 8 * S
+        knows = status(scripted, 3, phase="flying", tick=159, start_ns=start_ns, told=[landing])
+        node.receive(knows, NOW_NS + 2 * MS)
+    said: list[Message] = []
+    while node.tick < 250:
+        assert node.wake_ns is not None
+        said += node.poll(node.wake_ns)
+    assert {told.number for told in said if isinstance(told, Target)} <= {landing.number}
+    asked(node, "release")
+    assert node.finished is not None
+    assert node.finished.outcome == "completed"
+
+
 def test_a_low_battery_lands_the_team_once(low_run: Setup) -> None:
     """One UAV below `vehicles.battery_land` brings all down, by one message; a fuller one nothing."""
     node = flying(low_run)

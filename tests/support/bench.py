@@ -18,6 +18,7 @@ FITTING = {
     "MOT_SPIN_MIN": 0.0,
     "MOT_SPIN_MAX": 1.0,
     "ATC_ANGLE_BOOST": 0.0,
+    "EK3_POS_I_GATE": 200.0,
 }
 STEP_S = 1 / 400
 _SERVO = struct.Struct("<HHI16H")

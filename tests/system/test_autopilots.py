@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -16,7 +17,15 @@ import pytest
 
 from tests.plant.test_betaflight import installed
 from tests.support.bench import Bench
-from tests.support.commands import free_base, processes_of, settings, start, transport, wait_for
+from tests.support.commands import (
+    PATIENCE_S,
+    free_base,
+    processes_of,
+    settings,
+    start,
+    transport,
+    wait_for,
+)
 from tests.support.live_log import LiveLog
 from tests.support.relay import Relay
 from tests.support.runs import SCENARIOS
@@ -52,6 +61,13 @@ FAILURES = (
 )
 RETURNS_S = 240.0  # of wall time: ArduCopter's start, and 7 s at a quarter of real time
 LATE_M = 0.10  # payload error on a late network, rms
+# `transport` on a host whose clock is 50 ms ahead.
+AHEAD = """
+import runpy, time
+actual = time.time_ns
+time.time_ns = lambda: actual() + 50_000_000
+runpy.run_module("transport", run_name="__main__")
+"""
 TIMEOUT_S = 0.5  # `vehicles.setpoint_timeout_s`
 NO_ARDUCOPTER = "ARDUCOPTER does not name ArduCopter's simulator program"
 PROGRAMS = [
@@ -201,6 +217,16 @@ def test_betaflight_over_its_links(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert back[-1].plan_tick >= 0
 
 
+def by_hand(port: int) -> dict[str, list[str]]:
+    """Commands of plant, agents and vehicles by name, whose autopilots call ports from one on."""
+    commands = {"plant": ["plant"]}
+    for n in range(1, 5):
+        link = f"udp:127.0.0.1:{port + n - 1}"
+        commands[f"agent{n}"] = ["agent", "--id", str(n)]
+        commands[f"vehicle{n}"] = ["vehicle", "--stands", "--uav", str(n), "--link", link]
+    return commands
+
+
 @pytest.mark.slow
 def test_a_recorder_is_started_again(tmp_path: Path) -> None:
     """Of processes started by hand the recorder ends and returns: the others fly on, and the new log has the path."""
@@ -209,15 +235,7 @@ def test_a_recorder_is_started_again(tmp_path: Path) -> None:
     common = ["--run", "by-hand", "--scenario", "flight", "--join-timeout", "100"]
     options = [*common, *settings(*given)]
     record = ("record", "--no-figures", "--out")
-    roles = [
-        ["coordinator", "--observer", "recorder"],
-        ["plant"],
-        *(["agent", "--id", str(n)] for n in range(1, 5)),
-        *(
-            ["vehicle", "--stands", "--uav", str(n), "--link", f"udp:127.0.0.1:{port + n - 1}"]
-            for n in range(1, 5)
-        ),
-    ]
+    roles = [["coordinator", "--observer", "recorder"], *by_hand(port).values()]
     first = start(*record, "first", *options, cwd=tmp_path)
     started = [first, *(start(*role, *options, cwd=tmp_path) for role in roles)]
     try:
@@ -233,6 +251,38 @@ def test_a_recorder_is_started_again(tmp_path: Path) -> None:
         assert [target.number for target in after.of(Target)] == [1]
         assert any("recorder has returned" in roster.reason for roster in after.of(Roster))
         assert after.of(VehicleStatus)[-1].tick > before.of(VehicleStatus)[-1].tick
+    finally:
+        for process in started:
+            process.kill()
+            process.communicate()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_a_clock_that_is_off_is_refused(program: str, tmp_path: Path) -> None:
+    """The team does not start with a vehicle whose clock is 50 ms ahead: its offset is told, and all end."""
+    port, base = free_udp_ports(4), free_base()
+    ready_s = 30.0 if program == "stand_in" else 120.0
+    given = (
+        f"plant.autopilot={program}",
+        f"vehicles.ready_s={ready_s}",
+        f"network.base_port={base}",
+        f"network.vehicle_port={port}",
+    )
+    common = ["--run", "clocks", "--scenario", "flight", "--join-timeout", "100"]
+    options = [*common, *settings(*given)]
+    roles = by_hand(port)
+    ahead = [sys.executable, "-c", AHEAD, *roles.pop("vehicle3"), *options]
+    coordinator = start("coordinator", *options, cwd=tmp_path)
+    started = [coordinator, *(start(*role, *options, cwd=tmp_path) for role in roles.values())]
+    started.append(subprocess.Popen(ahead, cwd=tmp_path, stderr=subprocess.PIPE, text=True))
+    try:
+        _, errors = coordinator.communicate(timeout=ready_s + PATIENCE_S)
+        assert coordinator.returncode == 4
+        refusal = re.search(r"vehicle3: clock: expected .*, got (.*) ms \+- (.*) ms", errors)
+        assert refusal is not None, errors
+        assert float(refusal[1]) == pytest.approx(50.0, abs=float(refusal[2]) + 1.0)
+        assert all(process.wait(timeout=30.0) is not None for process in started)
     finally:
         for process in started:
             process.kill()
@@ -278,8 +328,11 @@ class Flown:
         return any(text in roster.reason for roster in self._log.of(Roster))
 
 
-def meet_failures(team: Flown, relay: Relay) -> None:
-    """Stop an agent and a vehicle, silence a link, let an estimate jump; the team is as before after each."""
+def meet_failures(team: Flown, relay: Relay, jump: tuple[str, float]) -> None:
+    """Stop an agent and a vehicle, silence a link, let an estimate jump by 2 m; the team is as before after each.
+
+    `jump` is the parameter of an autopilot that lets its estimate jump, and its value.
+    """
     succeed("fault", "stop", "agent2")
     assert wait_for(lambda: team.follows(2, -3) and team.newest(2).plan_tick == -2)  # type: ignore[union-attr]
     now = team.flies(10)
@@ -299,7 +352,7 @@ def meet_failures(team: Flown, relay: Relay) -> None:
     assert wait_for(lambda: team.follows(1, now))
 
     before = team.newest(4).position  # type: ignore[union-attr]
-    relay.set_parameter(4, "STAND_JUMP", 2.0)
+    relay.set_parameter(4, *jump)
     assert wait_for(lambda: "jumped by" in team.newest(4).problem)  # type: ignore[union-attr]
     now = team.flies(10)
     assert np.linalg.norm(team.newest(4).position - before) < 0.5  # type: ignore[union-attr]
@@ -328,7 +381,7 @@ def test_each_failure_is_handled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
             assert wait_for((tmp_path / "runs" / "failures" / "run.mcap").exists)
             assert wait_for(lambda: team.follows(2, 10)), run.communicate(timeout=10)
 
-            meet_failures(team, relay)
+            meet_failures(team, relay, ("STAND_JUMP", 2.0))
 
             relay.set_parameter(1, "STAND_BATTERY", 10.0)
             assert wait_for(lambda: team.says("battery of UAV1 at 10%: the team lands"))

@@ -134,8 +134,8 @@ def land(
     """Let the team of an active run come down, and rest.
 
     From the next tick on the reference leaves its path and leads down to the ground, where the payload
-    is or at a place to which it goes first. A landing that cannot be flown before the end of the run is
-    refused with the reason.
+    is or at a place to which it goes first; targets of the scenario no longer hold. A landing that
+    cannot be flown before the end of the run is refused with the reason.
 
     Exit codes: 0 accepted; 2 refused; 4 no answer.
 
