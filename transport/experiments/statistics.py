@@ -146,6 +146,11 @@ class PointStatistics:
         return row
 
 
+def values_of(measured: Iterable[PointStatistics], column: str) -> list[str | float]:
+    """Return the values of a column of points, each once, in their order."""
+    return list(dict.fromkeys(one.point.labels[column] for one in measured))
+
+
 def bars_in_words(measured: Iterable[PointStatistics], names: Sequence[str]) -> str:
     """Return what the error bars of some numbers are; empty without any."""
     values = [one.estimate(name) for one in measured for name in names]

@@ -141,6 +141,6 @@ def _draw_bars(axes: Axes, result: HoverMargins, names: Sequence[str]) -> None:
         ends = [_ends(name, margins_by_name[name]) for name in names if name in margins_by_name]
         lower, upper = np.array(ends).reshape(-1, 2).T
         places = np.arange(len(ends)) + 0.36 * (index - 0.5)
-        axes.barh(places, upper - lower, 0.32, lower, color=CURVES[index][0], label=actuation)
+        axes.barh(places, upper - lower, 0.32, lower, color=CURVES[index].colour, label=actuation)
     axes.set_yticks(np.arange(len(names)), [LABELS[name].split(",")[0] for name in names])
     axes.invert_yaxis()

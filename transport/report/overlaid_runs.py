@@ -18,10 +18,10 @@ from transport.report.figures.style import (
     LINES,
     RC,
     line_width,
+    looks_of,
     save,
     scale_cost,
     shade_phases,
-    styles_of,
 )
 from transport.report.run_comparison import ComparedRun
 
@@ -87,10 +87,11 @@ def _styles(labels: Sequence[str]) -> list[dict[str, Any]]:
     Labels that begin with the same name, up to a comma, have one colour, lighter for the later ones.
     """
     names = [label.partition(",")[0] for label in labels]
-    looks = styles_of(list(dict.fromkeys(names)))
+    looks = looks_of(list(dict.fromkeys(names)))
     styles: list[dict[str, Any]] = []
     for i, (label, name) in enumerate(zip(labels, names, strict=True)):
-        colour, _, dashes = looks[name]
+        colour = looks[name].colour
+        dashes = looks[name].line
         if name in names[:i]:
             red, green, blue = (_LIGHT + (1.0 - _LIGHT) * part for part in to_rgb(colour))
             colour = to_hex((red, green, blue))

@@ -1,5 +1,6 @@
 """The arena: its combinations, entries of the user, tables, and resumption."""
 
+from dataclasses import replace
 from importlib import import_module
 from itertools import product
 from pathlib import Path
@@ -16,7 +17,7 @@ from tests.support.results import here
 from transport.agent.user_class.run_for_user import Run
 from transport.experiments.arena.arena_algorithms import BUILT_IN, REFERENCE, Entry, entered
 from transport.experiments.arena.arena_report import ArenaResult
-from transport.experiments.arena.arena_runs import arena
+from transport.experiments.arena.arena_runs import FROM_GOAL, VIOLATION, arena, judged
 from transport.experiments.arena.arena_tasks_and_networks import (
     NETWORK_TEXTS,
     NETWORKS,
@@ -26,7 +27,8 @@ from transport.experiments.arena.arena_tasks_and_networks import (
     Task,
 )
 from transport.experiments.cases import Case, ExperimentError, Point
-from transport.experiments.statistics import PointStatistics
+from transport.experiments.simulation import Result
+from transport.experiments.statistics import Estimate, PointStatistics
 from transport.interface.setting_arguments import ArgumentError
 from transport.model import state
 from transport.model.arrays import Array
@@ -347,6 +349,61 @@ def test_tasks_that_all_complete_on_all_networks_are_one_row(seed: int) -> None:
     rest = [task for task in tasks if task not in expected]
     summary = [f"every one, on {', '.join(rest)}"] if rest else []
     assert [*table.columns[0].cells] == [*algorithms, *summary]
+
+
+def test_each_measure_has_its_number_in_its_unit() -> None:
+    """Costs over the reference's, errors in cm, distances in m, plans in kB/s, airtime in %, steps in ms.
+
+    A cell tells how many runs complete, when the first of the others ends, and how many raised an error.
+    """
+    numbers = {
+        "cost_mean": 0.004,
+        "payload_rms_m": 0.0123,
+        "separation_min_m": 0.41234,
+        VIOLATION: 0.345,
+        "plan_bytes_per_s": 2340.0,
+        "airtime_share": 0.256,
+        "cpu_step_p50_ms": 1.234,
+    }
+    estimates = {name: Estimate(one, None, 1, one, one) for name, one in numbers.items()}
+    labels = {"task": "a", "network": "late", "algorithm": "one"}
+    point = PointStatistics(
+        point=Point(labels, ""),
+        runs=4,
+        completed=2,
+        errors=1,
+        diverged_s=(1.25, 3.0),
+        numbers=estimates,
+        cost_ratio=1.5,
+    )
+    refused = replace(point, point=Point({**labels, "task": "b"}, ""))
+    arena_runs: Any = SimpleNamespace(algorithms={"one": None}, refused={1: "why"})
+    swept: Any = SimpleNamespace(measured=[point, refused])
+
+    rows = [
+        next(iter(column.cells))
+        for table in ArenaResult(arena_runs, swept).tables()
+        for column in table.columns[2:]
+    ]
+    assert rows[::2] == ["2/4 1.2 s 1!", "1.50", "1.2", "0.412", "0.34", "2.3", "25.6", "1.23"]
+    assert set(rows[1::2]) == {"no"}
+
+
+@pytest.mark.parametrize(
+    ("outcome", "from_goal_m", "expected"),
+    [
+        ("completed", 0.5, "completed"),
+        ("completed", 0.51, "missed"),
+        ("completed", None, "completed"),
+        ("diverged", 9.0, "diverged"),
+    ],
+)
+def test_a_payload_half_a_meter_from_its_goal_has_arrived(
+    outcome: str, from_goal_m: float | None, expected: str
+) -> None:
+    """A completed run whose payload ends further away has missed; others keep their outcome."""
+    result = Result(key="k", outcome=outcome, reason="", numbers={FROM_GOAL: from_goal_m})
+    assert judged(result).outcome == expected
 
 
 @pytest.mark.usefixtures("short_tasks")

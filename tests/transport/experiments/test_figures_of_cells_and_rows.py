@@ -11,9 +11,9 @@ from matplotlib.patches import Rectangle
 
 from transport.experiments.cases import Point
 from transport.experiments.declaration import Axis
+from transport.experiments.figures.colour_scale import scale_of
 from transport.experiments.figures.figure_arena import CellLayout, draw_arena, draw_measure
 from transport.experiments.figures.figure_maps import draw_maps
-from transport.experiments.figures.figure_parts import scale_of
 from transport.experiments.figures.figure_variants import draw_tracking, draw_variants
 from transport.experiments.figures.figure_weather import draw_weather
 from transport.experiments.statistics import Estimate, PointStatistics

@@ -36,8 +36,8 @@ from transport.report.figures.style import (
     SMALL,
     label_decades,
     line_width,
+    looks_of,
     shade_phases,
-    styles_of,
 )
 from transport.report.report import write_report
 from transport.scene.uav_and_link_colours import uav_marker, uav_style
@@ -309,20 +309,20 @@ def test_every_other_phase_is_shaded() -> None:
 def test_nine_names_beside_known_ones_differ() -> None:
     """Nine other names and a known one have ten styles."""
     names = ["paper", *(f"m{i}" for i in range(9))]
-    assert len(set(styles_of(names).values())) == 10
+    assert len(set(looks_of(names).values())) == 10
 
 
 def test_controllers_and_networks_have_their_own_style() -> None:
     """A name has the same style in every figure, and no other name of a figure its colour and marker."""
-    together = styles_of(
+    together = looks_of(
         ["alone", "mine", "precise", "paper", "resilient", "centralized_lq", "yours"]
     )
-    assert styles_of(["mine", "paper"])["paper"] == together["paper"]
-    assert styles_of(["late", "perfect"])["perfect"] == styles_of(["perfect"])["perfect"]
+    assert looks_of(["mine", "paper"])["paper"] == together["paper"]
+    assert looks_of(["late", "perfect"])["perfect"] == looks_of(["perfect"])["perfect"]
     assert len({style[:2] for style in together.values()}) == len(together)
 
     pairs = [f"{rate} Mb/s, {way}" for rate in (6, 24) for way in ("slots", "none", "on change")]
-    styles = styles_of(pairs)
+    styles = looks_of(pairs)
     assert len(set(styles.values())) == len(pairs)
     assert {style[0] for name, style in styles.items() if name.startswith("6 ")} == {
         styles[pairs[0]][0]

@@ -1,6 +1,6 @@
 """Report of the arena: a table for each axis, one file with results and versions, and the figure."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -39,47 +39,69 @@ _TITLE_WIDTH = 60  # characters, of the longest title
 _ENDED = "ended"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ArenaAxis:
-    """A measure of the arena, with a table of its own."""
+    """A measure of the arena, with a table of its own, and a figure on request."""
 
     title: str
-    number: str  # empty for the share of completed runs
-    factor: float = 1.0
+    number: str
+    drawn: str  # name and unit in a figure
+    factor: float = 1.0  # from the number to the unit
     digits: int = 2
-    drawn: str = ""  # name and unit in a figure
+
+    def text(self, one: PointStatistics) -> str:
+        """Return the mean of a point, with interval or range if there are several runs."""
+        if self.number != COST_RATIO and self.number not in one.numbers:
+            return _MISSING
+        value = one.estimate(self.number)
+        return _MISSING if value is None else value.scaled(self.factor).text(self.digits)
 
 
-AXES: Sequence[ArenaAxis] = (
-    ArenaAxis("Completed runs; earliest end of the others", ""),
-    ArenaAxis(
-        f"Mean cost over that of `{REFERENCE}` on a perfect network",
-        COST_RATIO,
+# Measures by name.
+MEASURES: Mapping[str, ArenaAxis] = {
+    "cost": ArenaAxis(
+        title=f"Mean cost over that of `{REFERENCE}` on a perfect network",
+        number=COST_RATIO,
         drawn="cost over centralized",
     ),
-    ArenaAxis("Payload error, cm rms", "payload_rms_m", 100.0, 1, "payload error, cm rms"),
-    ArenaAxis("Smallest distance of two UAVs, m", "separation_min_m", 1.0, 3, "distance, m"),
-    ArenaAxis("Largest violation of the shared constraint, N", VIOLATION, 1.0, 2, "violation, N"),
-    ArenaAxis("Plans of the team to each other, kB/s", "plan_bytes_per_s", 1e-3, 1, "plans, kB/s"),
-    ArenaAxis(
-        "Airtime of the radio, %, 20 % of it traffic of others",
-        "airtime_share",
-        100.0,
-        1,
-        "airtime, %",
+    "error": ArenaAxis(
+        title="Payload error, cm rms",
+        number="payload_rms_m",
+        drawn="payload error, cm rms",
+        factor=100.0,
+        digits=1,
     ),
-    ArenaAxis(
-        "Processor time of an agent's step, ms, median", "cpu_step_p50_ms", 1.0, 2, "step, ms"
+    "distance": ArenaAxis(
+        title="Smallest distance of two UAVs, m",
+        number="separation_min_m",
+        drawn="distance, m",
+        digits=3,
     ),
-)
-# Measures that have a figure on request, by name.
-MEASURES: Mapping[str, ArenaAxis] = dict(
-    zip(
-        ("cost", "error", "distance", "violation", "plans", "airtime", "step"),
-        AXES[1:],
-        strict=True,
-    )
-)
+    "violation": ArenaAxis(
+        title="Largest violation of the shared constraint, N",
+        number=VIOLATION,
+        drawn="violation, N",
+    ),
+    "plans": ArenaAxis(
+        title="Plans of the team to each other, kB/s",
+        number="plan_bytes_per_s",
+        drawn="plans, kB/s",
+        factor=1e-3,
+        digits=1,
+    ),
+    "airtime": ArenaAxis(
+        title="Airtime of the radio, %, 20 % of it traffic of others",
+        number="airtime_share",
+        drawn="airtime, %",
+        factor=100.0,
+        digits=1,
+    ),
+    "step": ArenaAxis(
+        title="Processor time of an agent's step, ms, median",
+        number="cpu_step_p50_ms",
+        drawn="step, ms",
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -115,46 +137,41 @@ class ArenaResult:
         return [task for task in self.tasks if task in missed] or self.tasks
 
     def tables(self) -> list[Table]:
-        """Return a table for each axis that has numbers."""
-        tables = [self._table(axis) for axis in AXES]
-        return [table for table in tables if table is not None]
+        """Return the table of completed runs, and one for each measure of which a point has a number."""
+        shown = self.tasks_that_tell_apart
+        completed = self._table(
+            "Completed runs; earliest end of the others", shown, _completed_in_words
+        )
+        others = [task for task in self.tasks if task not in shown]
+        if others:
+            completed.add_row(f"every one, on {', '.join(others)}", "every one", "all complete")
 
-    def _table(self, axis: ArenaAxis) -> Table | None:
-        """Return the table of an axis: a row for each algorithm, in each cell a line per network."""
-        table = Table(box=None, title=axis.title, padding=(0, 1, 0, 0), min_width=_TITLE_WIDTH)
+        flown = [one for one, refused in self.by_place.values() if not refused]
+        measures = [
+            self._table(axis.title, self.tasks, axis.text)
+            for axis in MEASURES.values()
+            if any(axis.text(one) != _MISSING for one in flown)
+        ]
+        return [completed, *measures]
+
+    def _table(
+        self, title: str, tasks: Sequence[str], text: Callable[[PointStatistics], str]
+    ) -> Table:
+        """Return a table of some tasks: a row for each algorithm, in each cell a line for each network."""
+        table = Table(box=None, title=title, padding=(0, 1, 0, 0), min_width=_TITLE_WIDTH)
         table.title_justify = "left"
-        tasks = self.tasks if axis.number else self.tasks_that_tell_apart
         for heading in ("algorithm", "network", *tasks):
             table.add_column(heading, no_wrap=True)
 
-        is_empty = True
         for algorithm in self.arena.algorithms:
-            networks = list(
-                dict.fromkeys(net for _, net, name in self.by_place if name == algorithm)
-            )
+            own_networks = [net for _, net, name in self.by_place if name == algorithm]
+            networks = list(dict.fromkeys(own_networks))
             cells = []
             for task in tasks:
-                texts = [self._text(axis, (task, net, algorithm)) for net in networks]
-                is_empty = is_empty and all(text in (_MISSING, _REFUSED) for text in texts)
-                cells.append("\n".join(texts))
-            table.add_row(algorithm, "\n".join(networks), *cells)
-        if not axis.number and len(tasks) < len(self.tasks):
-            others = [task for task in self.tasks if task not in tasks]
-            table.add_row(f"every one, on {', '.join(others)}", "every one", "all complete")
-        return None if is_empty else table
-
-    def _text(self, axis: ArenaAxis, place: tuple[str, str, str]) -> str:
-        """Return the cell of a point: mean, with interval or range if there are several runs."""
-        one, refused = self.by_place[place]
-        if refused:
-            return _REFUSED
-        if not axis.number:
-            end = f" {min(one.diverged_s):.1f} s" if one.diverged_s else ""
-            return f"{one.completed}/{one.runs}{end}" + f" {one.errors}!" * bool(one.errors)
-        if axis.number != COST_RATIO and axis.number not in one.numbers:
-            return _MISSING
-        value = one.estimate(axis.number)
-        return _MISSING if value is None else value.scaled(axis.factor).text(axis.digits)
+                points = [self.by_place[task, net, algorithm] for net in networks]
+                cells.append([_REFUSED if refused else text(one) for one, refused in points])
+            table.add_row(algorithm, *map("\n".join, [networks, *cells]))
+        return table
 
     def sentences(self) -> list[str]:
         """Return what was tuned for each algorithm, and what cannot be flown and why."""
@@ -255,6 +272,13 @@ def conduct(
     with Results(NAME, folder) as results:
         swept = sweep(made.experiment, made.cases, simulate, results, console)
     return ArenaResult(made, replace(swept, results=[*map(judged, swept.results)]))
+
+
+def _completed_in_words(one: PointStatistics) -> str:
+    """Return how many runs complete, when the first of the others ends, and how many raised an error."""
+    end = f" {min(one.diverged_s):.1f} s" if one.diverged_s else ""
+    errors = f" {one.errors}!" if one.errors else ""
+    return f"{one.completed}/{one.runs}{end}{errors}"
 
 
 def _row(one: PointStatistics, refused: str) -> dict[str, Any]:

@@ -4,9 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from transport.experiments.declaration import NONE, Experiment, axis
-from transport.experiments.figures.figure_parts import mark_style, values_of
-from transport.experiments.statistics import PointStatistics
-from transport.report.figures.style import MARKER, styles_of
+from transport.experiments.statistics import PointStatistics, values_of
+from transport.report.figures.style import MARKER, Look, looks_of
 
 Scenarios = Mapping[str, Sequence[PointStatistics]]
 
@@ -29,7 +28,7 @@ def curves_of(
     A scenario has a colour, and a value in the column of the curves a marker and a line; with a single scenario
     each value has a colour of its own.
     """
-    for scenario, look in styles_of(list(scenarios)).items():
+    for scenario, look in looks_of(list(scenarios)).items():
         points = scenarios[scenario]
         if experiment.curves is None:
             style = {**_style(look, joined=joined), "label": scenario}
@@ -37,11 +36,11 @@ def curves_of(
             continue
 
         values = _named_values(experiment, points)
-        for name, (own_colour, marker, line) in styles_of(list(values)).items():
-            is_single = len(scenarios) == 1
-            colour = own_colour if is_single else look[0]
+        is_single = len(scenarios) == 1
+        for name, own_look in looks_of(list(values)).items():
+            shown = own_look if is_single else own_look._replace(colour=look.colour)
             label = name if is_single else f"{scenario}, {name}"
-            style = {**_style((colour, marker, line), joined=joined), "label": label}
+            style = {**_style(shown, joined=joined), "label": label}
             yield DrawnCurve(scenario, points_on(experiment, points, values[name]), style)
 
 
@@ -74,9 +73,9 @@ def points_on(
     return list(last_at.values())
 
 
-def _style(look: tuple[str, str, str], *, joined: bool) -> dict[str, Any]:
-    """Return the style of a curve with a colour, marker and line."""
-    return mark_style(look, look[2] if joined else "")
+def _style(look: Look, *, joined: bool) -> dict[str, Any]:
+    """Return the style of a curve, joined by its line or by none."""
+    return look.style(look.line if joined else "")
 
 
 def nest(curves: Sequence[DrawnCurve]) -> None:

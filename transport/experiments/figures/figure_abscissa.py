@@ -8,8 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import NullLocator
 
 from transport.experiments.declaration import Axis, Experiment, axis
-from transport.experiments.figures.figure_parts import values_of
-from transport.experiments.statistics import PointStatistics
+from transport.experiments.statistics import PointStatistics, values_of
 
 # More values than this get round ticks instead of one each, and no line between them.
 _MOST_TICKS = 10

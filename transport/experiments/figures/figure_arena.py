@@ -8,21 +8,17 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import NullLocator
 
 from transport.experiments.arena.arena_tasks_and_networks import NETWORKS
-from transport.experiments.figures.figure_parts import (
-    draw_colour_bar,
-    mark_style,
-    scale_of,
-    values_of,
-)
-from transport.experiments.statistics import COST_RATIO, PointStatistics
+from transport.experiments.figures.colour_scale import draw_colour_bar, scale_of
+from transport.experiments.statistics import COST_RATIO, PointStatistics, values_of
 from transport.report.figures.column import Room, column_panels, head, in_rows, text_width_in
-from transport.report.figures.style import styles_of
+from transport.report.figures.style import Look, looks_of
 
 # Height of a row, of the matrix at least so that numbers of a scale are apart, and room around it, inches.
 _ROW_IN = 0.27
@@ -48,7 +44,7 @@ _NONE_COMPLETES: Any = {
 # Fill of a mark by what completes, and its text in the legend.
 _ALL, _SOME, _NONE = "full", "left", "none"
 _FILLS = {_ALL: "all complete", _SOME: "some do", _NONE: "none does"}
-_GREY = ("#555555", "o", "")
+_GREY = Look("#555555", "o", "none")
 
 _NAMES = {"none": "no network"}  # of networks in the legend
 
@@ -89,14 +85,14 @@ def draw_arena(figure: Figure, measured: Sequence[PointStatistics]) -> None:
     A place without mark was not flown.
     """
     layout = _layout(measured)
-    looks = styles_of(layout.networks)
+    looks = looks_of(layout.networks)
     panel = _matrix(figure, measured, legend=_legend(looks))
     for one, (column, row) in _places(measured, layout):
         if one.runs:
             panel.plot([column], [row], **_mark(looks[_network(one)], _fill(one)))
 
 
-def _legend(looks: Mapping[str, tuple[str, str, str]]) -> list[Line2D]:
+def _legend(looks: Mapping[str, Look]) -> list[Line2D]:
     """Return the legend: networks in its first rows, fills in the last."""
     networks = [
         Line2D([], [], label=_NAMES.get(name, name), **_mark(look, _ALL))
@@ -113,9 +109,9 @@ def _fill(one: PointStatistics) -> str:
     return _SOME if one.completed else _NONE
 
 
-def _mark(look: tuple[str, str, str], fill: str) -> dict[str, Any]:
+def _mark(look: Look, fill: str) -> dict[str, Any]:
     """Return the style of a mark with a fill."""
-    return {**mark_style(look), "markeredgewidth": 0.6, "fillstyle": fill}
+    return {**look.style(), "markeredgewidth": 0.6, "fillstyle": fill}
 
 
 def draw_measure(
@@ -126,23 +122,26 @@ def draw_measure(
     A logarithmic scale has no zero: a point whose mean is 0 has no tile, as one without the number.
     """
     layout = _layout(measured)
-    numbers = {id(one): factor * (_mean(one, number) or 0.0) for one in measured}
-    scale = scale_of(list(numbers.values()))
-    colours = ScalarMappable(scale)
+    values = [factor * (_mean(one, number) or 0.0) for one in measured]
+    scale = scale_of(values)
+    colours = ScalarMappable(scale).to_rgba(np.array(values))
 
     panel = _matrix(figure, measured, right_in=_RIGHT_OF_SCALE_IN)
     head(panel, f"{title}{_order_in_words(layout)}", legend=False)
-    for one, place in _places(measured, layout):
-        value = numbers[id(one)]
+    places = _places(measured, layout)
+    for (one, place), value, colour in zip(places, values, colours, strict=True):
         if value > 0.0:
-            (colour,) = colours.to_rgba(np.array([value]))
             _draw_tile(panel, place, layout, {"color": colour, "linewidth": 0.0})
         elif one.runs and not one.completed:
             _draw_tile(panel, place, layout, _NONE_COMPLETES)
+    _draw_scale(figure, panel, scale, values)
 
+
+def _draw_scale(figure: Figure, panel: Axes, scale: LogNorm, values: Sequence[float]) -> None:
+    """Draw the colour bar of a matrix, with the smallest and largest value and their geometric mean."""
     bar = draw_colour_bar(figure, [panel], scale)
     bar.ax.yaxis.set_minor_locator(NullLocator())
-    shown = [value for value in numbers.values() if value > 0.0] or [1.0]
+    shown = [value for value in values if value > 0.0] or [1.0]
     low, high = min(shown), max(shown)
     ticks = list(dict.fromkeys([low, math.sqrt(low * high), high]))
     bar.set_ticks(ticks, labels=[f"{tick:.3g}" for tick in ticks])

@@ -118,23 +118,24 @@ def draw_curves(figure: Figure, experiment: Experiment, scenarios: Scenarios) ->
     if x.is_growth:
         nest(curves)
 
-    shown = _PANELS[experiment.drawn_as]
+    numbers = _PANELS[experiment.drawn_as]
     ends_s = [time_s for one in measured for time_s in one.diverged_s]
-    heights_in = [_FLAT_PANEL_IN if _is_flat(one, curves) else _PANEL_IN for one in shown]
-    panels = _panels(
+    heights_in = [_FLAT_PANEL_IN if _is_flat(one, curves) else _PANEL_IN for one in numbers]
+    rows = _panels(
         figure,
-        [*([_PANEL_IN] if ends_s else []), *heights_in],
+        [_PANEL_IN, *heights_in] if ends_s else heights_in,
         columns,
         legend=_legend(experiment, curves, columns),
-        labels=[x.axis.title, bars_in_words(measured, [one.number for one in shown])],
+        labels=[x.axis.title, bars_in_words(measured, [one.number for one in numbers])],
     )
+
     contents = [_Content.of([one for one in curves if one.scenario in own], x) for own in columns]
-    for row in panels:
+    for row in rows:
         for panel, content in zip(row, contents, strict=True):
             x.apply(panel, len(content.curves))
     if ends_s:
-        _draw_row_of_ends(panels.pop(0), contents, _NEVER * max(ends_s))
-    for row, number in zip(panels, shown, strict=True):
+        _draw_row_of_ends(rows[0], contents, _NEVER * max(ends_s))
+    for row, number in zip(rows[-len(numbers) :], numbers, strict=True):
         _draw_row(row, contents, number, is_growth=x.is_growth)
 
 

@@ -1,7 +1,7 @@
 """Maps of two quantities, one for each scenario: a number as colour and text, and completed runs."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from transport.experiments.declaration import Axis
-from transport.experiments.figures.figure_parts import draw_colour_bar, scale_of, values_of
-from transport.experiments.statistics import PointStatistics
+from transport.experiments.figures.colour_scale import draw_colour_bar, scale_of
+from transport.experiments.statistics import PointStatistics, values_of
 from transport.model.arrays import Array
 from transport.report.figures.column import Room, column_panels, head
 from transport.report.figures.style import POINTS_PER_IN, SMALL, TEXT, label_decades
@@ -58,22 +58,17 @@ def draw_maps(
     along = _Side(x, _in_order(values_of(measured, x.label)))
     up = _Side(y, _in_order(values_of(measured, y.label)))
 
-    row_in = _NAMED_ROW_IN if up.is_named else _ROW_IN
-    heights_in = [max(row_in * len(up.values), _LEAST_IN)] * len(scenarios)
+    row_in = _ROW_IN
     room = Room(right_in=_RIGHT_IN, top_in=_ABOVE_IN)
     if up.is_named:
-        room = Room(
-            left_in=_NAMES_IN, right_in=_RIGHT_IN, top_in=_ABOVE_IN, bottom_in=_BELOW_NAMES_IN
-        )
+        row_in = _NAMED_ROW_IN
+        room = replace(room, left_in=_NAMES_IN, bottom_in=_BELOW_NAMES_IN)
+    heights_in = [max(row_in * len(up.values), _LEAST_IN)] * len(scenarios)
     panels = column_panels(figure, heights_in, x_label=x.title, room=room)
     for panel, (scenario, own) in zip(panels, scenarios.items(), strict=True):
         _draw_map(panel, own, (along, up), numbers)
         head(panel, scenario, legend=False)
-
-    bar = draw_colour_bar(figure, panels, numbers.scale)
-    label_decades(bar.ax.yaxis)
-    above = panels[0].get_position().y1 + _ABOVE_BAR_PT / POINTS_PER_IN / figure.get_figheight()
-    figure.text(_NAME_RIGHT, above, shown.title, ha="right", va="bottom", fontsize=TEXT)
+    _draw_scale(figure, panels, numbers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +101,15 @@ class _Side:
             value if isinstance(value, str) else f"{self.axis.factor * value:g}"
             for value in self.values
         ]
+
+
+def _draw_scale(figure: Figure, panels: Sequence[Axes], numbers: _Numbers) -> None:
+    """Draw the colour bar of all maps, with the name of their number above it."""
+    bar = draw_colour_bar(figure, panels, numbers.scale)
+    label_decades(bar.ax.yaxis)
+    above = panels[0].get_position().y1 + _ABOVE_BAR_PT / POINTS_PER_IN / figure.get_figheight()
+    title = numbers.shown.title
+    figure.text(_NAME_RIGHT, above, title, ha="right", va="bottom", fontsize=TEXT)
 
 
 def _in_order(values: Sequence[str | float]) -> list[str | float]:

@@ -13,15 +13,14 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import ScaledTranslation
 
 from transport.experiments.declaration import Axis, axis
-from transport.experiments.figures.figure_parts import mark_style, values_of
-from transport.experiments.statistics import PointStatistics
+from transport.experiments.statistics import PointStatistics, values_of
 from transport.report.figures.column import Room, column_panels, head, text_width_in
 from transport.report.figures.style import (
     DIVERGED,
     REFERENCE,
     SMALL,
     label_decades,
-    styles_of,
+    looks_of,
 )
 
 # Height of a row, room around and between panels, distance of the marks of diverged runs, inches.
@@ -104,15 +103,16 @@ def draw_tracking(figure: Figure, measured: Sequence[PointStatistics], x: Axis, 
     cases = [str(case) for case in values_of(measured, rows)]
     styles = _marks([x.text(value) for value in values_of(measured, x.label)])
     marks = []
-    for row, case in enumerate(cases):
-        for one in (one for one in measured if str(one.point.labels[rows]) == case):
-            value = x.text(one.point.labels[x.label])
-            marks.append(_Mark(one, row + _beside(list(styles), value), styles[value]))
+    for one in measured:
+        case = str(one.point.labels[rows])
+        value = x.text(one.point.labels[x.label])
+        row = cases.index(case) + _beside(list(styles), value)
+        marks.append(_Mark(one, row, styles[value]))
 
     for panel, strip in zip(_panels_beside(figure, cases, styles), _STRIPS, strict=True):
-        ends = [_draw_in_strip(panel, strip, mark) for mark in marks]
         head(panel, strip.title, legend=False)
-        panel.set_xlim(0.0, _ABOVE_HIGHEST * max(ends, default=0.0) or 1.0)
+        highest = max(_draw_in_strip(panel, strip, mark) for mark in marks)
+        panel.set_xlim(0.0, _ABOVE_HIGHEST * highest or 1.0)
         panel.set_ylim(len(cases) - 0.5, -0.5)
         panel.xaxis.set_major_locator(MaxNLocator(_MOST_NUMBERS, steps=[1, 2, 5, 10]))
 
@@ -170,7 +170,7 @@ def _span(measured: Sequence[PointStatistics]) -> tuple[float, float]:
 
 def _marks(names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return the style of the marks of each name, such as a network."""
-    return {name: mark_style(look) for name, look in styles_of(names).items()}
+    return {name: look.style() for name, look in looks_of(names).items()}
 
 
 def _draw_points(

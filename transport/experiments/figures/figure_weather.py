@@ -9,11 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from transport.experiments.figures.figure_parts import mark_style, values_of
-from transport.experiments.statistics import PointStatistics, bars_in_words
+from transport.experiments.statistics import PointStatistics, bars_in_words, values_of
 from transport.experiments.weather_experiment import NETWORKS
 from transport.report.figures.column import Room, column_panels, head
-from transport.report.figures.style import DIVERGED, styles_of
+from transport.report.figures.style import DIVERGED, looks_of
 
 # Height of a panel, and room around it, inches.
 _PANEL_IN = 0.62
@@ -32,7 +31,7 @@ def draw_weather(figure: Figure, scenarios: Mapping[str, Sequence[PointStatistic
     """
     measured = [statistics for own in scenarios.values() for statistics in own]
     air = values_of(measured, "weather")
-    styles = {name: mark_style(look, look[2]) for name, look in styles_of(list(scenarios)).items()}
+    styles = {name: look.style(look.line) for name, look in looks_of(list(scenarios)).items()}
     panels = column_panels(
         figure,
         [_PANEL_IN] * len(air),

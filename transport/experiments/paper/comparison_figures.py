@@ -31,20 +31,20 @@ from transport.protocol.scenario.setup.run_setup import Setup
 from transport.report.figures.column import Room, column_panels, head
 from transport.report.figures.style import (
     DIVERGED,
-    MARKER,
     RC,
     REFERENCE,
     SMALL,
     TEXT,
+    Look,
     label_decades,
+    looks_of,
     save,
-    styles_of,
 )
 from transport.report.overlaid_runs import fill_overlaid
 
 # Colour of each controller; marker and line of a horizon with as many steps and of one with as many
 # seconds.
-_COLOURS = {name: look[0] for name, look in styles_of([CENTRALIZED, PAPER, CLOSED_LOOP]).items()}
+_COLOURS = {name: look.colour for name, look in looks_of([CENTRALIZED, PAPER, CLOSED_LOOP]).items()}
 _SHAPES = {STEPS: ("o", "-"), SECONDS: ("D", "--")}
 
 # Height of a panel, and room about it, in.
@@ -119,12 +119,7 @@ def _legend(reference: Cell) -> list[Line2D]:
 def _style(controller: str, kept: str) -> dict[str, Any]:
     """Return the style of a curve."""
     marker, line = _SHAPES[kept]
-    return {
-        "color": _COLOURS[controller],
-        "marker": marker,
-        "linestyle": line,
-        "markersize": MARKER,
-    }
+    return Look(_COLOURS[controller], marker, line).style(line)
 
 
 def _draw_curve(panel: Axes, curve: ComparisonCurve, budget: str) -> None:

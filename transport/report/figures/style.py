@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib import rc_params_from_file
@@ -41,25 +41,43 @@ _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")
 LINES = ("-", "--", "-.", ":")
 
 
-def _curve(i: int) -> tuple[str, str, str]:
-    """Return colour, marker and line style of curve i; another line where colours repeat."""
-    cycle, colour = divmod(i, len(_COLOURS))
-    return _COLOURS[colour], _MARKERS[i], LINES[(i + cycle) % len(LINES)]
-
-
-# Colour, marker and line style of ten curves.
-CURVES = tuple(_curve(i) for i in range(len(_MARKERS)))
 MARKER = 3.2  # size, points
-# Colour, marker and line of what many figures show, the same in each, by name: controllers and networks.
+
+
+class Look(NamedTuple):
+    """Colour, marker and line of a curve, or of the marks of a name."""
+
+    colour: str
+    marker: str
+    line: str
+
+    def style(self, line: str = "none") -> dict[str, Any]:
+        """Return the style of its marks in matplotlib, joined by a line or by none."""
+        return {
+            "color": self.colour,
+            "marker": self.marker,
+            "markersize": MARKER,
+            "linestyle": line,
+        }
+
+
+def _curve(i: int) -> Look:
+    """Return the look of curve i; another line where colours repeat."""
+    cycle, colour = divmod(i, len(_COLOURS))
+    return Look(_COLOURS[colour], _MARKERS[i], LINES[(i + cycle) % len(LINES)])
+
+
+CURVES = tuple(_curve(i) for i in range(len(_MARKERS)))  # looks of ten curves
+# Looks of what many figures show, the same in each, by name: controllers and networks.
 _KNOWN = {
-    "centralized": ("#000000", "D", "-"),
-    "centralized_lq": ("#CC79A7", "v", ":"),
-    "paper": ("#004488", "o", "-"),
-    "paper's algorithm": ("#004488", "o", "-"),
-    "resilient": ("#D55E00", "s", "--"),
-    "closed loop": ("#D55E00", "s", "--"),
-    "precise": ("#56B4E9", "^", "-."),
-    "alone": ("#117733", "P", ":"),
+    "centralized": Look("#000000", "D", "-"),
+    "centralized_lq": Look("#CC79A7", "v", ":"),
+    "paper": Look("#004488", "o", "-"),
+    "paper's algorithm": Look("#004488", "o", "-"),
+    "resilient": Look("#D55E00", "s", "--"),
+    "closed loop": Look("#D55E00", "s", "--"),
+    "precise": Look("#56B4E9", "^", "-."),
+    "alone": Look("#117733", "P", ":"),
     "perfect": CURVES[0],
     "late": CURVES[1],
     "200 ms delay": CURVES[1],
@@ -83,8 +101,8 @@ _LETTER = 0.62
 LEAST_COST = 1e-6
 
 
-def styles_of(names: Sequence[str]) -> dict[str, tuple[str, str, str]]:
-    """Return colour, marker and line of each of names: known ones have always the same.
+def looks_of(names: Sequence[str]) -> dict[str, Look]:
+    """Return the look of each of names: known ones have always the same.
 
     Others have the rest of the ten curves, and repeat them after that: nine beside `paper` differ.
     Of more names than colours, all of which have parts between commas, the first part has a colour, and
@@ -96,13 +114,13 @@ def styles_of(names: Sequence[str]) -> dict[str, tuple[str, str, str]]:
         shapes = list(dict.fromkeys(others for _, others in parts))
         if len(colours) <= len(_COLOURS):
             return {
-                name: (_COLOURS[colours.index(first)], *CURVES[shapes.index(others)][1:])
+                name: CURVES[shapes.index(others)]._replace(colour=_COLOURS[colours.index(first)])
                 for name, (first, others) in zip(names, parts, strict=True)
             }
 
-    taken = [_KNOWN[name] for name in names if name in _KNOWN]
-    looks = {(colour, marker) for colour, marker, _ in taken}
-    free = itertools.cycle(style for style in CURVES if style[:2] not in looks)
+    known = [_KNOWN[name] for name in names if name in _KNOWN]
+    taken = {(look.colour, look.marker) for look in known}
+    free = itertools.cycle(look for look in CURVES if (look.colour, look.marker) not in taken)
     return {name: _KNOWN[name] if name in _KNOWN else next(free) for name in names}
 
 

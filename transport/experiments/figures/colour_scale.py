@@ -1,7 +1,6 @@
-"""Parts that the figures of experiments share: values of a column, the style of marks, colours of numbers."""
+"""Colours of numbers: a logarithmic scale, and its bar beside the panels."""
 
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -9,26 +8,13 @@ from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from transport.experiments.statistics import PointStatistics
-from transport.report.figures.style import COLUMN_IN, MARKER
+from transport.report.figures.style import COLUMN_IN
 
 # Distance of the colour bar from the panels, and its width, inches.
 _BAR_GAP_IN = 0.08
 _BAR_IN = 0.09
-_LEAST_SPAN = (
-    1.001  # ratio of the ends of a scale, at least: that of equal numbers has a length, too
-)
-
-
-def values_of(measured: Iterable[PointStatistics], column: str) -> list[str | float]:
-    """Return the values of a column of points, each once, in their order."""
-    return list(dict.fromkeys(one.point.labels[column] for one in measured))
-
-
-def mark_style(look: tuple[str, str, str], line: str = "none") -> dict[str, Any]:
-    """Return the style of marks with the colour and marker of a look, joined by a line or by none."""
-    colour, marker, _ = look
-    return {"color": colour, "marker": marker, "markersize": MARKER, "linestyle": line}
+# Ratio of the ends of a scale, at least: that of equal numbers has a length, too.
+_LEAST_SPAN = 1.001
 
 
 def scale_of(numbers: Sequence[float], most_decades: float | None = None) -> LogNorm:
