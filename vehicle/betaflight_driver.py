@@ -35,7 +35,9 @@ _IDLE_NS = 20_000_000  # between two frames of a receiver that does not fly
 # to the outputs (`plant.firmware.betaflight`).
 _LOW_US, _MIDDLE_US, _HIGH_US = 1000, 1500, 2000
 _TRUNCATED_US = 1.9
-_ACTUAL = 3  # type of rates whose largest one is the setting times 10 deg/s
+_ACTUAL = 3  # type of rates whose largest one is the setting times this unit
+_RATE_UNIT_DEG_S = 10.0
+_ROUNDING = 1e-6  # of limits in the units of settings
 _AUTO_LANDING = 0  # procedure of the fail-safe
 _UNARMED_HELD_NS = 500_000_000  # of a low switch, before it arms
 _GRAVITY = 9.80665
@@ -167,14 +169,14 @@ class BetaflightAutopilot:
         rates = answers[_RC_TUNING]
         failsafe = answers[_FAILSAFE]
         motors = answers[_ADVANCED]
-        least_deg = math.degrees(max(self._settings.rates_rads))
+        least_deg_s = np.degrees(self._settings.rates_rads)
         most_tenths = 10.0 * self._settings.setpoint_timeout_s
         is_known = bool(answers[_RX_CONFIG] and motors)
         return [
             _finding(
                 "rates",
-                f"ACTUAL, linear, {least_deg:.0f} deg/s or more",
-                _rates_fit(rates, least_deg) if rates else None,
+                f"ACTUAL, linear, at least {_by_axis(least_deg_s)}",
+                _rates_fit(rates, least_deg_s) if rates else None,
                 "channels are body rates",
             ),
             _finding(
@@ -242,8 +244,7 @@ class BetaflightAutopilot:
         output = math.sqrt(min(max(thrust_N / self._settings.thrust_N, 0.0), 1.0))
         above = max((output - idle) / (1.0 - idle), 0.0)
         throttle_us = least_us + (_HIGH_US - least_us) * above + _TRUNCATED_US
-        largest_rads = np.radians(10.0 * np.array([tuning[2], tuning[3], tuning[4]]))
-        shares = np.clip(rates_rads / largest_rads, -1.0, 1.0)
+        shares = np.clip(np.degrees(rates_rads) / _largest_deg_s(tuning), -1.0, 1.0)
         self._send_channels(throttle_us, shares.tolist(), is_on=True)
 
     def _send_channels(self, throttle_us: float, shares: Sequence[float], *, is_on: bool) -> None:
@@ -306,7 +307,7 @@ def _procedure_fits(failsafe: bytes) -> tuple[bool, str]:
 def _delay_fits(failsafe: bytes, most_tenths: float) -> tuple[bool, str]:
     """Return whether the fail-safe begins in time, and its delay in words; tenths of a second."""
     delay = failsafe[0]
-    return delay <= most_tenths + 1e-6, str(delay)
+    return delay <= most_tenths + _ROUNDING, str(delay)
 
 
 def _gyro_fits(advanced: bytes) -> tuple[bool, str]:
@@ -315,14 +316,28 @@ def _gyro_fits(advanced: bytes) -> tuple[bool, str]:
     return not is_high, "ON" if is_high else "OFF"
 
 
-def _rates_fit(data: bytes, least_deg: float) -> tuple[bool, str]:
-    """Return whether full sticks are body rates, linear and large enough; and the rates in words."""
-    centre, most = (data[0], data[12], data[11]), (data[2], data[3], data[4])
-    expo = (data[1], data[13], data[10])
-    kind = data[22]
+def _largest_deg_s(rc_tuning: bytes) -> Array:
+    """Return the rates of full sticks about roll, pitch and yaw, (3,)."""
+    return _RATE_UNIT_DEG_S * np.array([rc_tuning[2], rc_tuning[3], rc_tuning[4]])
+
+
+def _rates_fit(rc_tuning: bytes, least_deg_s: Array) -> tuple[bool, str]:
+    """Return whether full sticks are body rates, linear and large enough about each axis; and the rates in words."""
+    centre = rc_tuning[0], rc_tuning[12], rc_tuning[11]
+    most = rc_tuning[2], rc_tuning[3], rc_tuning[4]
+    expo = rc_tuning[1], rc_tuning[13], rc_tuning[10]
+    kind = rc_tuning[22]
+    largest_deg_s = _largest_deg_s(rc_tuning)
     is_linear = centre == most and not any(expo)
-    got = f"type {kind}, {'linear' if is_linear else 'not linear'}, {10 * min(most)} deg/s"
-    return kind == _ACTUAL and is_linear and 10.0 * max(most) >= least_deg, got
+    are_enough = bool((largest_deg_s >= least_deg_s - _ROUNDING).all())
+    linear = "linear" if is_linear else "not linear"
+    got = f"type {kind}, {linear}, {_by_axis(largest_deg_s)}"
+    return kind == _ACTUAL and is_linear and are_enough, got
+
+
+def _by_axis(deg_s: Array) -> str:
+    """Return rates about roll, pitch and yaw in words."""
+    return "{:.0f}, {:.0f}, {:.0f} deg/s".format(*deg_s)
 
 
 def _unit_of(imu: bytes) -> float:

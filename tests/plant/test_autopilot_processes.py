@@ -1,6 +1,9 @@
-"""The physics side of ArduPilot's JSON interface: each step of an autopilot is answered once."""
+"""The physics side of ArduPilot's JSON interface, and the options with which autopilots start."""
 
+import json
+import math
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +11,7 @@ import pytest
 
 from transport.flight.roles import plant_run
 from transport.model.state import INPUTS, SENSED
-from transport.plant.autopilot.autopilot_processes import PROGRAM, Autopilots
+from transport.plant.autopilot.autopilot_processes import FOLDER, PROGRAM, Autopilots
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 
@@ -16,28 +19,79 @@ SCENARIO = Path(__file__).resolve().parents[2] / "scenarios" / "flight.toml"
 LARGEST_N = 34.2  # four rotors of 8.55 N at a pulse of 2 ms
 # As ArduCopter does it: from a port that it has not told, every packet again, as if the physics were late.
 COPTER = f"""#!{sys.executable}
-import socket, struct, sys
+import json, pathlib, socket, struct, sys
+pathlib.Path("options.json").write_text(json.dumps(sys.argv[1:]))
 there = "127.0.0.1", int(sys.argv[sys.argv.index("--sim-port-out") + 1])
 physics = socket.socket(type=socket.SOCK_DGRAM)
 for number in range(10):
     pulses = [1000 + 100 * number] * 4 + [0] * 12
     for again in range(2):
         physics.sendto(struct.pack("<HHI16H", 18458, 400, number, *pulses), there)
-    physics.recv(4096)
+    packet = physics.recv(4096)
+pathlib.Path("packet.json").write_bytes(packet)
+print("\\nno more steps", flush=True)
+sys.exit(3)
 """
+STEPS = 10
+HOME = "vehicles.origin=[46.5,7.5,400.0]"
+Start = Callable[[str], Autopilots]
 
 
-def test_each_step_is_answered_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Motors act on the pulses of the newest step, also after packets that came twice."""
-    program = tmp_path / "copter"
-    program.write_text(COPTER)
-    program.chmod(0o755)
-    monkeypatch.setenv(PROGRAM, str(program))
-    scenario = read_scenario(SCENARIO, ("plant.autopilot=ardupilot",))
-    bank = Autopilots(plant_run(Setup.of(scenario, str(SCENARIO))), 14550)
+@pytest.fixture
+def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Start:
+    """Return how the autopilots start as a program, in folders below that of the test."""
+    monkeypatch.setenv(FOLDER, str(tmp_path))
 
-    for number in range(10):
+    def started(text: str) -> Autopilots:
+        program = tmp_path / "copter"
+        program.write_text(text)
+        program.chmod(0o755)
+        monkeypatch.setenv(PROGRAM, str(program))
+        scenario = read_scenario(SCENARIO, ("plant.autopilot=ardupilot", HOME))
+        return Autopilots(plant_run(Setup.of(scenario, str(SCENARIO))), 14550)
+
+    return started
+
+
+def test_each_step_is_answered_once(start: Start, tmp_path: Path) -> None:
+    """Motors act on the pulses of the newest step, also after packets that came twice; an end is told."""
+    bank = start(COPTER)
+    sensed = np.arange(4.0 * SENSED) / 100.0
+    for number in range(STEPS):
         thrusts_N = bank.inputs()[::INPUTS]
         np.testing.assert_allclose(thrusts_N, LARGEST_N * (0.1 * number) ** 2, atol=1e-9)
-        bank.sense(number * bank.step_s, np.zeros(4 * SENSED))
+        bank.sense(number * bank.step_s, sensed)
     assert bank.failure == ""
+    assert not bank.inputs().any()
+    assert bank.failure == "the autopilot of UAV1 ended with code 3: no more steps"
+
+    told = json.loads((tmp_path / "uav3" / "packet.json").read_bytes())
+    own = sensed[2 * SENSED : 3 * SENSED]
+    assert told["timestamp"] == pytest.approx((STEPS - 1) * bank.step_s)
+    assert [*told["position"], *told["velocity"]] == pytest.approx(own[:6], abs=1e-5)
+    assert [*told["imu"]["gyro"], *told["imu"]["accel_body"]] == pytest.approx(own[9:], abs=1e-5)
+    w, x, y, z = told["quaternion"]
+    turned = [
+        math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        math.asin(2.0 * (w * y - z * x)),
+        math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+    ]
+    assert turned == pytest.approx(own[6:9], abs=1e-5)
+
+
+def test_each_autopilot_has_its_own_link_and_number(start: Start, tmp_path: Path) -> None:
+    """UAV i has system i and the i-th port, sensors from a port of its own, and parameters in its folder."""
+    bank = start(COPTER)
+    bank.inputs()
+    ports = set()
+    for i in range(4):
+        words = json.loads((tmp_path / f"uav{i + 1}" / "options.json").read_text())
+        options = dict(zip(words[1::2], words[2::2], strict=True))
+        assert words[0] == "--wipe"
+        numbers = options["-I"], options["--sysid"], options["--serial1"]
+        assert numbers == (str(i), str(i + 1), f"udpclient:127.0.0.1:{14550 + i}")
+        assert options["--home"] == "46.5,7.5,400.0,0"
+        ports.add(options["--sim-port-out"])
+        lines = (tmp_path / f"uav{i + 1}" / options["--defaults"]).read_text().splitlines()
+        assert "GUID_OPTIONS 8" in lines
+    assert len(ports) == 4

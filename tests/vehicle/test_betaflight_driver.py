@@ -22,6 +22,12 @@ NOTHING_AGAINST, RECEIVER_LOST = 0, 0b100
 ARMED = 1
 
 
+def rates(*, roll: int, pitch: int, yaw: int, throttle_limit: int = 0) -> bytes:
+    """Return MSP_RC_TUNING: type ACTUAL, linear, in 10 deg/s, no expo of the throttle."""
+    about = bytes([roll, 0, roll, pitch, yaw, 0, 50, 0, 0, 0, 0, yaw, pitch, 0, throttle_limit])
+    return about + bytes(7) + bytes([3])
+
+
 class Firmware:
     """Answers of a firmware over TCP; its flags and settings are those of a test.
 
@@ -36,12 +42,8 @@ class Firmware:
         self.flags, self.modes = NOTHING_AGAINST, 0
         self.channels: tuple[int, ...] = ()
         self.frames = 0
-        rate = 18  # 180 deg/s
         self.answers = {
-            # Rates: ACTUAL, linear, no expo of the throttle and no limit.
-            111: bytes([rate, 0, rate, rate, rate, 0, 50, 0, 0, 0, 0, rate, rate, 0, 0, 100])
-            + bytes(6)
-            + bytes([3]),
+            111: rates(roll=18, pitch=20, yaw=6),
             44: struct.pack("<BHHH", 0, 1900, 1500, 1050),
             75: struct.pack("<BBHBHB", 5, 60, 1480, 0, 100, 0),
             90: struct.pack("<BBBBHH", 1, 1, 0, 0, 480, 550) + bytes(8),
@@ -119,6 +121,8 @@ def test_settings_are_checked(firmware: Firmware, driver: BetaflightAutopilot) -
 
     other = Firmware()
     other.answers[75] = struct.pack("<BBHBHB", 15, 60, 1480, 0, 100, 1)
+    other.answers[111] = rates(roll=18, pitch=17, yaw=18, throttle_limit=1)
+    other.answers[90] = struct.pack("<BBBBHH", 1, 1, 0, 0, 480, 550) + bytes([0, 0, 0, 1] * 2)
     settings = BetaflightSettings(thrust_N=LARGEST_N, rates_rads=RATES, setpoint_timeout_s=0.5)
     pose = MavlinkLink(Endpoint(False, "127.0.0.1", free_udp_port()), (255, 191), 1)
     made = BetaflightAutopilot(MspLink(f"tcp:127.0.0.1:{other.port}"), pose, settings)
@@ -126,8 +130,12 @@ def test_settings_are_checked(firmware: Firmware, driver: BetaflightAutopilot) -
     unmet = [str(finding) for finding in made.findings() if not finding.is_met]
     made.close()
     assert unmet == [
+        "rates: expected ACTUAL, linear, at least 172, 172, 57 deg/s, got type 3, linear, "
+        "180, 170, 180 deg/s (channels are body rates)",
+        "throttle: expected no expo, no limit, got expo 0, limit 1 (thrust follows the channel)",
         "failsafe_procedure: expected AUTO-LAND, got DROP (it levels without setpoints)",
         "failsafe_delay: expected at most 5, got 15 (tenths of a second until then)",
+        "gyro_high_fsr: expected OFF, got ON (unit of the body rates)",
     ]
 
 
@@ -152,10 +160,10 @@ def test_it_arms_once_nothing_is_against_it(
 
 
 def test_thrust_and_rates_become_channels(firmware: Firmware, driver: BetaflightAutopilot) -> None:
-    """The output of a rotor is the root of the share of thrust, above idle; full sticks are 180 deg/s."""
+    """The output of a rotor is the root of the share of thrust, above idle; full sticks are 180, 200 and 60 deg/s."""
     assert wait_for(lambda: all(finding.got for finding in driver.findings()))
     share = 0.64
-    driver.command(share * LARGEST_N, np.radians([90.0, 90.0, -180.0]), 0.0)
+    driver.command(share * LARGEST_N, np.radians([90.0, 100.0, -60.0]), 0.0)
     assert wait_for(lambda: firmware.frames == 1)
     roll, pitch, throttle, yaw, switch, *_ = firmware.channels
     assert (roll, pitch, yaw, switch) == (1750, 1250, 1000, 2000)
