@@ -65,7 +65,7 @@ class Betaflights:
             MavlinkLink(Endpoint(True, _LOCAL, port + i), (i + 1, _CAMERA), 0)
             for i in range(len(rotors))
         ]
-        weakref.finalize(self, _end, self._processes)
+        weakref.finalize(self, _end, self._processes, self._poses)
         try:
             self._start(setup, port)
         except (FirmwareError, OSError) as error:
@@ -170,6 +170,8 @@ def version(setup: PlantRun) -> str:
     return f"betaflight on its links, {executable().name}"
 
 
-def _end(processes: list[Process]) -> None:
+def _end(processes: Sequence[Process], poses: Sequence[MavlinkLink]) -> None:
     for process in processes:
         process.end()
+    for link in poses:
+        link.close()

@@ -167,6 +167,7 @@ class Packets:
         self.started.append(self)
         self.sensors: Sequence[float] = ()
         self.channels: Sequence[int] | None = None
+        self.all_channels: list[Sequence[int] | None] = []
         self.given: tuple[float, ...] = (0.5, 0.5, 0.5, 0.5)
         self.exchanges = 0
 
@@ -180,9 +181,10 @@ class Packets:
             raise process.FirmwareError("a firmware has not answered")
         return self.given
 
-    def give(self, sensors: Sequence[float], channels: Sequence[int] | None = None) -> None:
+    def give(self, sensors: Sequence[float] = (), channels: Sequence[int] | None = None) -> None:
         """Keep measurements and channels."""
         self.sensors, self.channels = sensors, channels
+        self.all_channels.append(channels)
 
     def end(self) -> None:
         """End."""
@@ -195,6 +197,40 @@ def packets(monkeypatch: pytest.MonkeyPatch) -> list[Packets]:
     monkeypatch.setattr(betaflight, "Process", Packets)
     monkeypatch.setattr(betaflight, "eeprom_after", lambda *_: b"")
     return Packets.started
+
+
+def test_the_receiver_begins_low_then_arms_then_lifts(packets: list[Packets]) -> None:
+    """The firmware arms if the receiver begins 1.5 to 2 s after its start, with a low throttle for 0.7 s.
+
+    At tick 0 the throttle has been that of hover for some time.
+    """
+    Betaflight(plant_run(setup()), STEP_S)
+    silent = [0] * 16
+    for each in packets:
+        seconds = STEP_S * np.arange(len(each.all_channels))
+        given = np.array([silent if one is None else one for one in each.all_channels])
+        throttle, switch = given[:, 2], given[:, 4]
+        is_heard = throttle > 0
+        first_s, arms_s, lifts_s = (
+            seconds[np.argmax(begins)] for begins in (is_heard, switch == 2000, throttle > IDLE_US)
+        )
+        assert 1.5 <= first_s <= 2.0
+        assert arms_s >= first_s + 0.7
+        assert lifts_s > arms_s
+        assert seconds[-1] > lifts_s + 0.5
+        assert (throttle[is_heard & (seconds < lifts_s)] == 1000).all()
+        assert (switch[is_heard & (seconds < arms_s)] == 1000).all()
+        assert (given[is_heard][:, [0, 1, 3]] == 1500).all()
+
+
+def test_a_firmware_that_does_not_arm_is_named(
+    packets: list[Packets], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One whose motors do not turn at tick 0, by the number of its UAV."""
+    idle = lambda each: (0.5, 0.0, 0.5, 0.5) if each is packets[2] else each.given  # noqa: E731
+    monkeypatch.setattr(Packets, "outputs", idle)
+    with pytest.raises(ScenarioError, match="the firmware of UAV3 does not arm"):
+        Betaflight(plant_run(setup()), STEP_S)
 
 
 # Right wing down and nose to the right are sticks to the right; nose up is a stick pulled back.
