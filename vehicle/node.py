@@ -40,16 +40,14 @@ from transport.protocol.wire.messages import (
 )
 from transport.protocol.wire.names import vehicle_name
 from transport.vehicle.autopilot import Autopilot, AutopilotState
+from transport.vehicle.checks_before_flight import ChecksBeforeFlight
 from transport.vehicle.law_by_autopilot_state import OwnLaw
+from transport.vehicle.measurements_at_ticks import TickMeasurements
 from transport.vehicle.plan_in_force import BEFORE_ANY_PLAN, NONE, OWN_LAW, Plans
 
-# Weight of the newest thrust in the mean thrust of a hover: the mean is over about a second of turns.
-_FRESH = 0.02
-_CARRIES = 0.95  # share of the thrust of hover from which on the UAV may leave its stand
 _TURN_NS = 20_000_000  # time between two turns before tick 0, ns of wall time
 _TELL_NS = 200_000_000  # time between two statuses there and after the flight, ns of wall time
 _NO_PLACE = np.zeros(3)
-_NO_THRUST = "the autopilot does not tell its thrust (ATTITUDE_TARGET)"
 
 
 class VehiclePhase(Enum):
@@ -108,6 +106,11 @@ class VehicleNode(Participant):
         fail_safe = setup.whole_team().law.fail_safe
         self._plans_in_force = Plans(fail_safe.played(setup.settings.horizon, self._period_s))
         self._hover: Array = setup.hover.u[state.input_slice(uav - 1)]
+        weight_N = float(self._hover[0])
+        self._checks = ChecksBeforeFlight(
+            self._vehicles, autopilot, weight_N, stands=conduct.stands
+        )
+        self._measurements = TickMeasurements(self._vehicles, setup.rules.clock.speed)
         self._setup = setup
         super().__init__(setup.rules, vehicle_name(uav), incarnation, after=1)
 
@@ -124,16 +127,12 @@ class VehicleNode(Participant):
         self._applied: list[Array] = []  # inputs of the setpoints since the last tick
         # Of the law alone at this tick; None: a plan is fresh.
         self._own_inputs: Array | None = None
-        self._shift_I = np.zeros(3)  # sum of the jumps of the estimate, taken out of positions, m
-        # Newest position by the autopilot, (3,), m, and its time by the autopilot's clock, s.
-        self._last: tuple[Array, float] | None = None
         self._source = BEFORE_ANY_PLAN
         self._answered_tick = -1  # newest plan whose first setpoint has been sent
         # From a usable plan to its first setpoint, since the last status; -1: none.
         self._latency_s = -1.0
         self._late_s = 0.0  # largest lateness of a setpoint since the last status
         self._problem = ""  # why the UAV may not fly, or what is wrong in flight
-        self._hover_N: float | None = None  # mean of the autopilot's own thrust before tick 0
 
     @property
     def wake_ns(self) -> int:
@@ -223,7 +222,7 @@ class VehicleNode(Participant):
 
     def _prepare(self, told: AutopilotState | None, now_ns: int) -> Sequence[Message]:
         """Check the autopilot, and on a stand arm it and give it the thrust of hover."""
-        self._problem = self._lacks(told)
+        self._problem = self._checks.problem(told)
         self.phase = VehiclePhase.SILENT if told is None else VehiclePhase.CHECKING
         if told is not None and not self._problem:
             if not (told.armed and told.takes_setpoints):
@@ -232,7 +231,7 @@ class VehicleNode(Participant):
                 )
             elif self._stands:
                 self._autopilot.command(float(self._hover[0]), np.zeros(3), 0.0)
-                self._problem = self._rising(told)
+                self._problem = self._checks.rising(told)
             self.phase = VehiclePhase.CHECKING if self._problem else VehiclePhase.READY
 
         self._wakes_ns = now_ns + _TURN_NS
@@ -245,49 +244,6 @@ class VehicleNode(Participant):
             self._autopilot.arm()
         # The coordinator speaks first, once all processes listen, the recorder too.
         return [self._status(told, 0, -1.0, now_ns)] if self._heard[0] else []
-
-    def _lacks(self, told: AutopilotState | None) -> str:
-        """Return why the UAV may not fly, empty if it may."""
-        if told is None:
-            return self._autopilot.silence()
-        unmet = [str(finding) for finding in self._autopilot.findings() if not finding.is_met]
-        if unmet:
-            return "; ".join(unmet)
-        if told.sensed is None or not told.is_healthy:
-            return f"the autopilot has no valid estimate of its position: {told.says}".strip(": ")
-        if 0.0 <= told.battery < self._vehicles.battery:
-            wanted = f"expected at least {self._vehicles.battery:.0%}"
-            return f"battery: {wanted}, got {told.battery:.0%}"
-        return self._misloaded(told)
-
-    def _misloaded(self, told: AutopilotState) -> str:
-        """Return how the thrust of a hover by the autopilot differs from the weight that is carried."""
-        is_hovering = told.armed and told.takes_setpoints and not self._stands
-        if not is_hovering or not self._vehicles.hover_share:
-            return ""
-        if told.thrust_N is None:
-            return _NO_THRUST
-        before_N = told.thrust_N if self._hover_N is None else self._hover_N
-        self._hover_N = before_N + _FRESH * (told.thrust_N - before_N)
-
-        weight_N = float(self._hover[0])
-        if abs(self._hover_N - weight_N) <= self._vehicles.hover_share * weight_N:
-            return ""
-        expected = f"expected {weight_N:.1f} N +- {self._vehicles.hover_share:.0%}"
-        why = "as it carries itself and its part of the load"
-        got = f"got {self._hover_N:.1f} N; see masses, vehicles.thrust_N and the curve of throttle"
-        return f"thrust of its hover: {expected}, {why}, {got}"
-
-    def _rising(self, told: AutopilotState) -> str:
-        """Return that the thrust on the stand does not carry the UAV yet, empty if it does or is never told."""
-        if not self._autopilot.tells_thrust:
-            return ""
-        if told.thrust_N is None:
-            return _NO_THRUST
-        weight_N = float(self._hover[0])
-        if told.thrust_N >= _CARRIES * weight_N:
-            return ""
-        return f"its motors are on their way: {told.thrust_N:.1f} N of {weight_N:.1f} N"
 
     def _fly(self, told: AutopilotState | None, ticking: Ticking, now_ns: int) -> Sequence[Message]:
         """Measure at a tick that has come, and send a setpoint that is due."""
@@ -330,7 +286,8 @@ class VehicleNode(Participant):
         self, told: AutopilotState | None, tick: int, ticking: Ticking, now_ns: int
     ) -> list[Message]:
         """Return the measurement of a tick, if the autopilot has a valid one, and the status."""
-        sensed, age_s = self._sensed(told, ticking.due_ns(tick))
+        sensed, age_s = self._measurements.at(told, ticking.due_ns(tick))
+        self._problem = self._measurements.problem
         if told is not None and not self._problem and not (told.armed and told.takes_setpoints):
             by = "disarmed" if not told.armed else f"mode {told.mode}"
             self._problem = f"its setpoints have no effect: {by}"
@@ -368,52 +325,6 @@ class VehicleNode(Participant):
             inputs=applied[None],
         )
 
-    def _sensed(self, told: AutopilotState | None, at_ns: int) -> tuple[Array | None, float]:
-        """Return the measurements at an instant, (15,), and their age, s; None without valid ones.
-
-        Position and attitude go on at their rates from their arrival to the instant.
-        """
-        if told is None or told.sensed is None:
-            self._problem = "no state from the autopilot"
-            return None, -1.0
-        speed = self._setup.rules.clock.speed
-        moved_s = speed * (at_ns - told.position_ns) / 1e9
-        turned_s = speed * (at_ns - told.attitude_ns) / 1e9
-        age_s = max(moved_s, turned_s)
-        if age_s > self._vehicles.stale_s:
-            self._problem = f"state of the autopilot {age_s:.2f} s old"
-            return None, age_s
-        if not told.is_healthy:
-            self._problem = f"the autopilot's estimate is not valid: {told.says}".strip(": ")
-            return None, age_s
-        self._problem = ""
-
-        sensed = told.sensed.copy()
-        self._note_jump(sensed, told.position_s)
-        sensed[state.POSITION] += self._shift_I + moved_s * sensed[state.VELOCITY]
-        sensed[state.THETA] += turned_s * sensed[state.OMEGA]
-        return sensed, max(age_s, 0.0)
-
-    def _note_jump(self, sensed: Array, at_s: float) -> None:
-        """Take a change of the position that is no motion out of it, and all positions after it.
-
-        at_s: Time of the measurements by the autopilot's clock: that of their arrival tells nothing
-            about a motion after this process was stopped, or the link silent.
-        """
-        place = sensed[state.POSITION].copy()
-        if self._last is not None:
-            passed_s = at_s - self._last[1]
-            moved = passed_s * sensed[state.VELOCITY]
-            jump = place - self._last[0] - moved
-            # After a silence a UAV may have moved that far: its velocity then says nothing about it.
-            is_next = 0.0 <= passed_s <= self._vehicles.stale_s
-            if is_next and np.linalg.norm(jump) > self._vehicles.jump_m:
-                self._shift_I = self._shift_I - jump
-        if self._shift_I.any():
-            far_m = float(np.linalg.norm(self._shift_I))
-            self._problem = f"the autopilot's position has jumped by {far_m:.1f} m"
-        self._last = place, at_s
-
     def _command(self, ticking: Ticking, now_ns: int) -> None:
         """Send the setpoint of an instant, if there is one."""
         ticks = ticking.ticks(now_ns)
@@ -445,7 +356,7 @@ class VehicleNode(Participant):
         has_place = told is not None and told.sensed is not None
         position = _NO_PLACE
         if told is not None and told.sensed is not None:
-            position = told.sensed[state.POSITION] + self._shift_I
+            position = told.sensed[state.POSITION] + self._measurements.shift_I
         return self._out.stamp(
             VehicleStatus,
             tick=tick,

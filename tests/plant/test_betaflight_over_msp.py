@@ -13,8 +13,8 @@ from tests.support.bench import free_udp_port
 from transport.flight.roles import plant_run
 from transport.model.physics.rotations import rotation
 from transport.model.state import SENSED
-from transport.plant.autopilot import betaflights
-from transport.plant.autopilot.betaflights import Betaflights
+from transport.plant.autopilot import betaflight_over_msp
+from transport.plant.autopilot.betaflight_over_msp import Betaflights
 from transport.plant.firmware.tuning import rotors_of
 from transport.plant.plant_run import PlantRun
 from transport.plant.rotors_and_motors import Rotors
@@ -43,8 +43,8 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[Sequence[str]]:
         return b""
 
     monkeypatch.setattr(Packets, "started", [])
-    monkeypatch.setattr(betaflights, "Process", Packets)
-    monkeypatch.setattr(betaflights, "eeprom_after", settings)
+    monkeypatch.setattr(betaflight_over_msp, "Process", Packets)
+    monkeypatch.setattr(betaflight_over_msp, "eeprom_after", settings)
     return lines
 
 
