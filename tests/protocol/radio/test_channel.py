@@ -208,6 +208,51 @@ def test_unicast_to_a_silent_receiver_exhausts_the_attempts() -> None:
     assert counts.transmissions == 5
 
 
+def test_the_contention_window_doubles_up_to_its_largest_and_begins_anew() -> None:
+    """It is 2 w + 1 behind each attempt, and the smallest behind the last one (IEEE 802.11-2020, 10.3.4)."""
+    channel = Channel(parameters(unicast=True, attempts=9))
+    state = ChannelState.idle(2, OFDM)
+    frames = [Frame(MS, 0, 0, 1500, (1,))]
+    windows = []
+    for until_ns in range(2 * MS, 200 * MS, MS):
+        state, *_ = channel.advance(state, equal_powers(2, SILENT_MW), frames, until_ns)
+        frames = []
+        windows.append(state.stations[0].window)
+    assert list(dict.fromkeys(windows)) == [15, 31, 63, 127, 255, 511, 1023]
+    assert windows[-1] == 15
+
+
+def test_an_acknowledgement_is_awaited_for_sifs_a_slot_and_a_preamble() -> None:
+    """The only attempt is lost at the timeout of its acknowledgement (IEEE 802.11-2020, 10.3.2.11)."""
+    frame = Frame(MS, 0, 0, 1500, (1,))
+    powers = equal_powers(2, SILENT_MW)
+    [outcome], _ = run(parameters(unicast=True, attempts=1), powers, [frame], SECOND_NS)
+    timeout_ns = OFDM.sifs_ns + OFDM.slot_ns + OFDM.preamble_ns
+    assert outcome.delay_ns == OFDM.difs_ns + AIRTIME_NS + timeout_ns
+
+
+@pytest.mark.parametrize(("heard_db", "acknowledgement_mbps"), [(50.0, 24.0), (12.0, 6.0)])
+def test_a_third_station_keeps_quiet_for_an_acknowledgement(
+    heard_db: float, acknowledgement_mbps: float
+) -> None:
+    """For SIFS and its airtime: at its rate if the frame is decoded, else at the lowest one (EIFS)."""
+    rate_mbps = 54.0
+    powers = equal_powers(3)
+    powers[0][2] = NOISE_MW * 10.0 ** (heard_db / 10.0)
+    powers[1][2] = powers[2][1] = SILENT_MW
+    airtime_ns = OFDM.message_airtime_ns(1500, rate_mbps)
+    frames = [Frame(MS, 0, 0, 1500, (1,)), Frame(MS + airtime_ns // 2, 2, 0, 1500, (0,))]
+    quiet_ns = OFDM.sifs_ns + OFDM.acknowledgement_airtime_ns(acknowledgement_mbps) + OFDM.difs_ns
+
+    slots = set()
+    for seed in range(100):
+        given = parameters(unicast=True, rate_mbps=rate_mbps, seed=seed)
+        (first, second), _ = run(given, powers, frames, SECOND_NS)
+        assert first.result is second.result is FrameResult.DELIVERED
+        slots.add((second.time_ns - airtime_ns - quiet_ns - first.time_ns) / OFDM.slot_ns)
+    assert slots == set(range(OFDM.cw_min + 1))
+
+
 def test_a_lost_acknowledgement_delivers_once() -> None:
     """A receiver that is heard badly reports its frame once, however often it is repeated."""
     powers = [[SILENT_MW, NEAR_MW], [SILENT_MW, SILENT_MW]]
