@@ -11,15 +11,8 @@ from transport.coordinator.team_view import TargetPlanner
 from transport.protocol.admission.told_changes import ToldChanges, changes_in
 from transport.protocol.scenario.links.link_changes import changed_in_words, link_change, words_of
 from transport.protocol.scenario.sections.scenario_errors import RequestError
-from transport.protocol.wire.messages import (
-    MAX_TARGETS,
-    MAX_TEXT,
-    LinkChange,
-    Message,
-    Roster,
-    Target,
-    VehicleStatus,
-)
+from transport.protocol.wire.message_form import MAX_TARGETS, MAX_TEXT
+from transport.protocol.wire.messages import LinkChange, Message, Roster, Target, VehicleStatus
 from transport.protocol.wire.names import PLANT
 from transport.protocol.wire.node_interface import Outbox
 

@@ -4,7 +4,8 @@ from collections import Counter, defaultdict
 
 from transport.protocol.scenario.setup.collisions import Contacts
 from transport.protocol.wire.errors_and_exit_codes import EXIT_COLLIDED, EXIT_DIVERGED, EXIT_FAILED
-from transport.protocol.wire.messages import MAX_TEXT, Plan, PlantState
+from transport.protocol.wire.message_form import MAX_TEXT
+from transport.protocol.wire.messages import Plan, PlantState
 from transport.protocol.wire.names import agent_names
 
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.plant.plant_run import HiddenObstacle
-from transport.protocol.wire.messages import ENDLESS_M, MAX_SOLIDS, SOLID
+from transport.protocol.wire.message_form import ENDLESS_M, MAX_SOLIDS
+from transport.protocol.wire.messages import SOLID
 
 
 def seen_from(places_I: Array, hidden: Sequence[HiddenObstacle]) -> Array:

@@ -29,7 +29,8 @@ from transport.protocol.scenario.sections.path_instants import (
 )
 from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.scenario.targets.target_timing import straight, way_through
-from transport.protocol.wire.messages import ENDLESS_M, MAX_POINTS, Measurement, Target
+from transport.protocol.wire.message_form import ENDLESS_M
+from transport.protocol.wire.messages import MAX_POINTS, Measurement, Target
 from transport.protocol.wire.names import agent_name
 
 # Distances beyond the margins that a way keeps: of the rest before an obstacle, and of the outline that

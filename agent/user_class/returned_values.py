@@ -10,7 +10,8 @@ import numpy as np
 from transport.agent.user_class.run_for_user import Run
 from transport.model.arrays import Array
 from transport.protocol.scenario.user_class.user_errors import OwnClassError, real_array
-from transport.protocol.wire.messages import MAX_NAME, MAX_NAMES, PlanStatus
+from transport.protocol.wire.message_form import MAX_NAME, MAX_NAMES
+from transport.protocol.wire.messages import PlanStatus
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

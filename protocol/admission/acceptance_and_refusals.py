@@ -19,19 +19,12 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from transport.protocol.admission.plausibility import check_plausible
+from transport.protocol.wire.bundles import Bundle
 from transport.protocol.wire.codec import Header, decode, header_of
 from transport.protocol.wire.errors_and_exit_codes import MessageError, Reason
 from transport.protocol.wire.key_expressions import Keys, matches
-from transport.protocol.wire.messages import (
-    MAX_KEY,
-    MAX_TEXT,
-    Bundle,
-    LinkChange,
-    Message,
-    Plan,
-    Rejected,
-    Target,
-)
+from transport.protocol.wire.message_form import MAX_KEY, MAX_TEXT
+from transport.protocol.wire.messages import LinkChange, Message, Plan, Rejected, Target
 from transport.protocol.wire.names import (
     AGENT,
     COORDINATOR,

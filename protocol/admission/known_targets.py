@@ -10,7 +10,8 @@ from transport.protocol.admission.targets_in_plans import Place, is_of_sight, pl
 from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.errors_and_exit_codes import MessageError
-from transport.protocol.wire.messages import MAX_CARRIED, MAX_TARGETS, MAX_TICK, Target
+from transport.protocol.wire.message_form import MAX_CARRIED, MAX_TARGETS
+from transport.protocol.wire.messages import MAX_TICK, Target
 
 # No team flies faster: a target that takes the payload there at more is an error, not a motion, m/s.
 _FASTEST_MPS = 100.0

@@ -9,9 +9,8 @@ from transport.model.arrays import Array
 from transport.protocol.admission.targets_in_plans import check_carried
 from transport.protocol.admission.told_changes import changes_in
 from transport.protocol.wire.errors_and_exit_codes import MessageError
+from transport.protocol.wire.message_form import ENDLESS_M, MAX_SOLIDS
 from transport.protocol.wire.messages import (
-    ENDLESS_M,
-    MAX_SOLIDS,
     ActualInputs,
     Airtime,
     Measurement,

@@ -12,7 +12,8 @@ import numpy as np
 from transport.model.state import LARGEST
 from transport.protocol.wire.codec import decode
 from transport.protocol.wire.errors_and_exit_codes import MessageError
-from transport.protocol.wire.messages import MAX_TARGETS, Plan, Target
+from transport.protocol.wire.message_form import MAX_TARGETS
+from transport.protocol.wire.messages import Plan, Target
 from transport.protocol.wire.names import AGENT, COORDINATOR, agent_name, role_of
 from transport.protocol.wire.node_interface import RunShape
 

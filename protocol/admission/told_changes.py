@@ -9,13 +9,8 @@ import math
 
 from transport.protocol.wire.codec import decode, encode
 from transport.protocol.wire.errors_and_exit_codes import MessageError
-from transport.protocol.wire.messages import (
-    MAX_CARRIED,
-    LinkChange,
-    Schedule,
-    Target,
-    VehicleStatus,
-)
+from transport.protocol.wire.message_form import MAX_CARRIED
+from transport.protocol.wire.messages import LinkChange, Schedule, Target, VehicleStatus
 from transport.protocol.wire.names import COORDINATOR
 
 _RECENT_NS = 1_000_000_000

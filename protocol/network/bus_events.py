@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 from transport.protocol.admission.acceptance_and_refusals import Sample
 from transport.protocol.network.endpoints import Endpoints
-from transport.protocol.wire.messages import Bundle, Event
+from transport.protocol.wire.bundles import Bundle
+from transport.protocol.wire.messages import Event
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ receives two.
 from collections.abc import Callable, Mapping, Set
 
 from transport.protocol.wire import messages as wire
+from transport.protocol.wire.bundles import Answer, Bundle, Instant, Record, Relay
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.names import AGENT, COORDINATOR, PLANT
@@ -37,7 +38,7 @@ class Exchange:
         self._kept: list[Entry] = []
         self._tick = 0  # of the newest message kept
 
-    def received(self, event: wire.Event, bundle: wire.Bundle | None) -> None:
+    def received(self, event: wire.Event, bundle: Bundle | None) -> None:
         """Note an event that the node has accepted, and the bundle it came in."""
 
     def send(self, message: wire.Message) -> None:
@@ -61,7 +62,7 @@ class Exchange:
         """Send the bundle if it need not wait: all messages received together are handled."""
         self.flush()
 
-    def _send_bundle(self, kind: type[wire.Bundle], entries: list[Entry], **fields: int) -> None:
+    def _send_bundle(self, kind: type[Bundle], entries: list[Entry], **fields: int) -> None:
         """Send entries in a bundle, if there are any; forget the messages kept."""
         self._kept = []
         if entries:
@@ -77,7 +78,7 @@ class _AgentExchange(Exchange):
 
     def flush(self) -> None:
         agent = int(self._out.sender.removeprefix(AGENT))
-        self._send_bundle(wire.Answer, self._kept, agent=agent)
+        self._send_bundle(Answer, self._kept, agent=agent)
 
 
 class _PlantExchange(Exchange):
@@ -88,7 +89,7 @@ class _PlantExchange(Exchange):
     # Accepted plans, and reports of the radio, for the agents since the last measurement.
     _shared: tuple[Entry, ...] = ()
 
-    def received(self, event: wire.Event, bundle: wire.Bundle | None) -> None:
+    def received(self, event: wire.Event, bundle: Bundle | None) -> None:
         if bundle is None or not isinstance(event, wire.Plan | wire.Airtime):
             return
         if isinstance(event, wire.Airtime) or event.shared:
@@ -100,9 +101,9 @@ class _PlantExchange(Exchange):
         recorded = self._kept
         measured = [entry for entry in recorded if entry[0].startswith(wire.Measurement.kind)]
         if measured:
-            self._send_bundle(wire.Instant, [*self._shared, *measured])
+            self._send_bundle(Instant, [*self._shared, *measured])
             self._shared = ()
-        self._send_bundle(wire.Record, recorded)
+        self._send_bundle(Record, recorded)
 
 
 class _CoordinatorExchange(Exchange):
@@ -110,11 +111,11 @@ class _CoordinatorExchange(Exchange):
 
     bundled = (wire.Airtime, wire.Tick)
 
-    _answers: Mapping[int, wire.Answer] = {}  # accepted answers, by agent
+    _answers: Mapping[int, Answer] = {}  # accepted answers, by agent
     _awaited: Set[int] = frozenset()  # agents that are to answer the open tick
 
-    def received(self, event: wire.Event, bundle: wire.Bundle | None) -> None:
-        if isinstance(event, wire.Plan) and isinstance(bundle, wire.Answer):
+    def received(self, event: wire.Event, bundle: Bundle | None) -> None:
+        if isinstance(event, wire.Plan) and isinstance(bundle, Answer):
             self._awaited -= {event.agent}
             self._answers = {**self._answers, event.agent: bundle}
             self._tick = bundle.tick
@@ -137,7 +138,7 @@ class _CoordinatorExchange(Exchange):
                 if answer.may_carry(key):
                     entries.append((key, part))
         self._answers = {}
-        self._send_bundle(wire.Relay, [*entries, *self._kept])
+        self._send_bundle(Relay, [*entries, *self._kept])
 
     def settle(self) -> None:
         if not self._awaited:

@@ -23,6 +23,7 @@ from transport.protocol.network.parent import PARENT_PIPE, ending_signals
 from transport.protocol.scenario.faults.faults_by_tick import Fault, due
 from transport.protocol.scenario.setup.run_rules import RunRules
 from transport.protocol.wire import messages as wire
+from transport.protocol.wire.bundles import Bundle
 from transport.protocol.wire.errors_and_exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE
 from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.names import COORDINATOR, VEHICLE, role_of
@@ -195,7 +196,7 @@ def _answer(
     bus: Bus,
     exchange: Exchange,
     event: wire.Event | None,
-    bundle: wire.Bundle | None,
+    bundle: Bundle | None,
 ) -> Sequence[wire.Message]:
     """Return the messages of a node after an event, or after the time for which it waited.
 

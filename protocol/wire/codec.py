@@ -15,8 +15,9 @@ import msgspec
 import numpy as np
 
 from transport.model.arrays import Array
+from transport.protocol.wire.bundles import BUNDLES
 from transport.protocol.wire.errors_and_exit_codes import MessageError, Reason
-from transport.protocol.wire.messages import BUNDLES, KINDS, Message, Plan
+from transport.protocol.wire.messages import KINDS, Message, Plan
 from transport.protocol.wire.names import is_name
 
 VERSION = 7

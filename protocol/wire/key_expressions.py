@@ -6,8 +6,9 @@ Those of messages follow from the `Route` of their class.
 import re
 from dataclasses import dataclass
 
+from transport.protocol.wire.bundles import BUNDLES
 from transport.protocol.wire.errors_and_exit_codes import MessageError, TransportError
-from transport.protocol.wire.messages import BUNDLES, KINDS, Message
+from transport.protocol.wire.messages import KINDS, Message
 from transport.protocol.wire.names import (
     AGENT,
     COORDINATOR,
@@ -17,9 +18,7 @@ from transport.protocol.wire.names import (
     ROUTER,
     VEHICLE,
     WATCHER,
-    agent_name,
     role_of,
-    vehicle_name,
 )
 
 __all__ = [
@@ -176,17 +175,21 @@ class Keys:
             text = f"{message.kind} of {sender} under the key {key}"
             raise MessageError("wrong_sender", text, sender)
 
-        owner = message.route.sender
-        if owner == AGENT:
-            agent: int = getattr(message, "agent")  # noqa: B009  # messages of agents have the field
-            owner = agent_name(agent)
-        if owner == VEHICLE:
-            owner = vehicle_name(getattr(message, "uav"))  # noqa: B009  # as do those of vehicles
-        if message.route.by_vehicles and role_of(sender) == VEHICLE:
-            owner = vehicle_name(getattr(message, "agent"))  # noqa: B009
+        owner = self._owner(message)
         if owner not in (None, sender):  # without an owner the key ends with the sender
             text = f"{message.kind} from {sender}, expected it from {owner}"
             raise MessageError("wrong_sender", text, sender)
+
+    @staticmethod
+    def _owner(message: Message) -> str | None:
+        """Return the process that alone may send a message; None for one of any process."""
+        route = message.route
+        role = route.sender
+        if route.by_vehicles and role_of(message.sender) == VEHICLE:
+            role = VEHICLE
+        if role in (AGENT, VEHICLE):
+            return f"{role}{getattr(message, route.number)}"
+        return role
 
 
 def matches(expression: str, key: str) -> bool:

@@ -7,7 +7,8 @@ from tests.support.coordinator_clock import at_last_tick, coordinator, tell
 from tests.support.runs import ALL, plan, plant_state, setup, ticks
 from transport.coordinator.outcome import FailedSteps
 from transport.protocol.wire.errors_and_exit_codes import EXIT_FAILED
-from transport.protocol.wire.messages import MAX_TEXT, Control
+from transport.protocol.wire.message_form import MAX_TEXT
+from transport.protocol.wire.messages import Control
 
 TWENTY = 20  # steps, so that one failure is the default share
 

@@ -15,9 +15,10 @@ import zenoh
 
 from tests.support.garbage import Garbage
 from transport.analysis.steps import WALL_CLOCK
+from transport.protocol.wire.bundles import Bundle
 from transport.protocol.wire.codec import decode
 from transport.protocol.wire.key_expressions import Keys
-from transport.protocol.wire.messages import Bundle, Plan
+from transport.protocol.wire.messages import Plan
 
 # Messages at a time, and time between, s: below the rate at which receivers slow a sender down for
 # good.

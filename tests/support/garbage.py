@@ -12,19 +12,15 @@ import msgpack
 import numpy as np
 from msgspec.structs import replace
 
+from transport.protocol.wire.bundles import Answer, Bundle, Instant, Record, Relay
 from transport.protocol.wire.codec import VERSION, decode, encode
 from transport.protocol.wire.key_expressions import Keys, matches
 from transport.protocol.wire.messages import (
-    Answer,
-    Bundle,
-    Instant,
     Measurement,
     Message,
     Plan,
     PlantState,
-    Record,
     Rejected,
-    Relay,
     Roster,
     StepReport,
     Tick,

@@ -15,9 +15,9 @@ from hypothesis.extra import numpy as arrays
 from hypothesis.strategies import DrawFn, SearchStrategy
 from msgspec import inspect
 
+from transport.protocol.wire.bundles import BUNDLES
 from transport.protocol.wire.codec import CLASSES, VERSION
 from transport.protocol.wire.messages import (
-    BUNDLES,
     KINDS,
     Control,
     FaultNote,

@@ -19,9 +19,10 @@ from transport.protocol.network.bus import Bus
 from transport.protocol.network.bus_events import BusOptions, Place
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.security import Security, access_control
+from transport.protocol.wire.bundles import BUNDLES
 from transport.protocol.wire.codec import VERSION, encode
 from transport.protocol.wire.key_expressions import ACTING, OPERATOR, ROUTER, WATCHER, Keys
-from transport.protocol.wire.messages import BUNDLES, KINDS, Message, Plan
+from transport.protocol.wire.messages import KINDS, Message, Plan
 from transport.protocol.wire.names import agent_name, vehicle_name
 
 KEYS = Keys("guarded")

@@ -27,6 +27,7 @@ from transport.protocol.network.bus_events import (
 from transport.protocol.network.session import BusError
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire import messages as wire
+from transport.protocol.wire.bundles import BUNDLES, Record, Relay
 from transport.protocol.wire.codec import Header, decode, encode
 from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.key_expressions import RECORDER, Keys
@@ -36,10 +37,10 @@ from transport.protocol.wire.node_interface import Outbox, end_without_coordinat
 # Kinds of messages that the recorder reads; of the others it reads the header. One that is read is
 # recorded if it passes the gate, the others as they came.
 _READ = (wire.Roster, wire.LinkChange, wire.Target, wire.Control, wire.Rejected)
-_UNREAD = {kind for kind, cls in {**wire.KINDS, **wire.BUNDLES}.items() if cls not in _READ}
+_UNREAD = {kind for kind, cls in {**wire.KINDS, **BUNDLES}.items() if cls not in _READ}
 # Kinds among the unread ones that tell of the newest tick, and of the plant's state.
-_TELL_TICK = (wire.Tick.kind, wire.Relay.kind)
-_TELL_STATE = (wire.PlantState.kind, wire.Record.kind)
+_TELL_TICK = (wire.Tick.kind, Relay.kind)
+_TELL_STATE = (wire.PlantState.kind, Record.kind)
 
 # Messages of the plant kept to find its newest state in: not every record has one, and one may be
 # garbled.
@@ -131,7 +132,7 @@ class Recorder:
             with suppress(MessageError):  # garbled or forged
                 message = decode(data)
                 parts = [message]
-                if isinstance(message, wire.Record):
+                if isinstance(message, Record):
                     parts = [decode(part) for part in message.parts]
                 for part in parts:
                     if isinstance(part, wire.PlantState):

@@ -12,6 +12,7 @@ from transport.protocol.scenario.targets.planned_run import PlannedRun
 from transport.protocol.scenario.targets.target_checks import target_fields
 from transport.protocol.scenario.targets.target_timing import spline, straight
 from transport.protocol.wire import messages
+from transport.protocol.wire.message_form import MAX_TARGETS
 from transport.protocol.wire.names import COORDINATOR
 from transport.protocol.wire.node_interface import Outbox
 
@@ -71,10 +72,8 @@ def check_scripted(setup: PlannedRun) -> None:
     Raises: RequestError: one cannot.
     """
     timed = scripted(setup)
-    if len(timed) > messages.MAX_TARGETS:
-        raise RequestError(
-            f"expected at most {messages.MAX_TARGETS} targets in a run, got {len(timed)}"
-        )
+    if len(timed) > MAX_TARGETS:
+        raise RequestError(f"expected at most {MAX_TARGETS} targets in a run, got {len(timed)}")
 
     out = Outbox(COORDINATOR, 0)
     timing = TargetTiming(setup)

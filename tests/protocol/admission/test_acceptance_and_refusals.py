@@ -8,18 +8,11 @@ from tests.support import runs
 from tests.support.messages import changed, sample
 from tests.support.runs import setup, ticks
 from transport.protocol.admission.acceptance_and_refusals import Gate
+from transport.protocol.wire.bundles import Answer, Bundle, Relay
 from transport.protocol.wire.codec import MAX_BYTES, encode
 from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.key_expressions import Keys
-from transport.protocol.wire.messages import (
-    Answer,
-    Bundle,
-    LinkChange,
-    Message,
-    Plan,
-    Relay,
-    Target,
-)
+from transport.protocol.wire.messages import LinkChange, Message, Plan, Target
 from transport.protocol.wire.node_interface import Outbox
 
 RUN = setup("controller.horizon=5", ticks(60))

@@ -5,9 +5,10 @@ from typing import Any
 
 from tests.support import log_messages, runs
 from transport.protocol.network.exchange import exchange_of
+from transport.protocol.wire.bundles import Answer, Bundle, Relay
 from transport.protocol.wire.codec import decode, encode
 from transport.protocol.wire.key_expressions import Keys
-from transport.protocol.wire.messages import Answer, Bundle, Message, Relay
+from transport.protocol.wire.messages import Message
 from transport.protocol.wire.node_interface import Outbox
 
 RUN = runs.ready("resilient")

@@ -22,7 +22,8 @@ from transport.protocol.scenario.sections.scenario_errors import (
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.targets.target_checks import target_fields
 from transport.protocol.scenario.targets.target_timing import straight
-from transport.protocol.wire.messages import MAX_TARGETS, Request
+from transport.protocol.wire.message_form import MAX_TARGETS
+from transport.protocol.wire.messages import Request
 
 # Memory that the refusal of a target may take. Two million sampling instants of the path took 500 MB.
 MOST_BYTES = 20e6

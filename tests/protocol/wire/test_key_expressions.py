@@ -3,24 +3,20 @@
 import pytest
 
 from tests.support.messages import sample
+from transport.protocol.wire.bundles import BUNDLES, Answer, Instant, Record, Relay
 from transport.protocol.wire.errors_and_exit_codes import MessageError, TransportError
 from transport.protocol.wire.key_expressions import Keys, Token, matches
 from transport.protocol.wire.messages import (
-    BUNDLES,
     KINDS,
     ActualInputs,
-    Answer,
     Control,
     FaultNote,
-    Instant,
     LinkChange,
     Measurement,
     Message,
     Plan,
     PlantState,
-    Record,
     Rejected,
-    Relay,
     Roster,
     StepReport,
     Tick,
