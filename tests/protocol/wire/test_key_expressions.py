@@ -9,23 +9,32 @@ from transport.protocol.wire.key_expressions import Keys, Token, matches
 from transport.protocol.wire.messages import (
     KINDS,
     ActualInputs,
+    Airtime,
     Control,
     FaultNote,
     LinkChange,
     Measurement,
     Message,
+    Note,
     Plan,
     PlantState,
     Rejected,
     Roster,
+    Schedule,
     StepReport,
+    Target,
     Tick,
-    agent_name,
+    VehicleStatus,
 )
+from transport.protocol.wire.names import agent_name, vehicle_name
 
 KEYS = Keys("run-1")
 AGENTS = (1, 2, 12, 123)  # ids that begin with each other
-NAMES = ("coordinator", "plant", "recorder", *[agent_name(agent) for agent in AGENTS])
+NAMES = (
+    *("coordinator", "plant", "recorder", "watcher"),
+    *map(agent_name, AGENTS),
+    *map(vehicle_name, AGENTS),
+)
 
 OWNERS = {
     "tick": "coordinator",
@@ -35,8 +44,14 @@ OWNERS = {
     "measurement": "plant",
     "plant_state": "plant",
     "fault": "recorder",
+    "target": "coordinator",
+    "airtime": "coordinator",
+    "schedule": "coordinator",
+    "vehicle": "vehicle2",
+    "actual_inputs": "plant",
     "plan": "agent2",
     "report": "agent2",
+    "note": "agent2",
     "rejected": "agent2",
     "answer": "agent2",
     "relay": "coordinator",
@@ -57,24 +72,35 @@ def listeners(message: Message) -> set[str]:
     return hearing - {message.sender}
 
 
+ALL_AGENTS = {agent_name(agent) for agent in AGENTS}
+ALL_VEHICLES = {vehicle_name(uav) for uav in AGENTS}
+READERS = {"recorder", "watcher"}
+ALL_BUT_COORDINATOR = {"plant", *READERS, *ALL_AGENTS, *ALL_VEHICLES}
+
+
 @pytest.mark.parametrize(
     ("kind", "expected"),
     [
-        (Tick, {"plant", "recorder"}),
-        (Roster, {"plant", "recorder", "agent1", "agent2", "agent12", "agent123"}),
-        (LinkChange, {"plant", "recorder", "agent1", "agent2", "agent12", "agent123"}),
+        (Tick, {"plant", *READERS}),
+        (Roster, ALL_BUT_COORDINATOR),
+        (LinkChange, ALL_BUT_COORDINATOR),
+        (Target, ALL_BUT_COORDINATOR),
         (FaultNote, set()),
-        (Control, {"plant", "recorder", "agent1", "agent2", "agent12", "agent123"}),
+        (Control, ALL_BUT_COORDINATOR),
+        (Airtime, {"plant", *READERS, *ALL_AGENTS}),
+        (Schedule, {"plant", *READERS, *ALL_VEHICLES}),
+        (VehicleStatus, {"coordinator", "plant", *READERS, *ALL_VEHICLES} - {"vehicle2"}),
         (Measurement, {"agent2", "recorder"}),
-        (Plan, {"coordinator", "plant", "recorder", "agent1", "agent12", "agent123"}),
-        (StepReport, {"recorder"}),
-        (Rejected, {"recorder"}),
-        (PlantState, {"coordinator", "recorder"}),
+        (Plan, {"coordinator", "plant", "recorder", "vehicle2", *ALL_AGENTS} - {"agent2"}),
+        (StepReport, READERS),
+        (Note, READERS),
+        (Rejected, READERS),
+        (PlantState, {"coordinator", *READERS}),
         (ActualInputs, {"recorder"}),
         (Answer, {"coordinator"}),
-        (Relay, {"plant", "recorder"}),
-        (Instant, {"agent1", "agent2", "agent12", "agent123"}),
-        (Record, {"coordinator", "recorder"}),
+        (Relay, {"plant", *READERS}),
+        (Instant, ALL_AGENTS),
+        (Record, {"coordinator", *READERS}),
     ],
 )
 def test_receivers(kind: type[Message], expected: set[str]) -> None:
@@ -83,6 +109,23 @@ def test_receivers(kind: type[Message], expected: set[str]) -> None:
     The recorder receives every message that is sent.
     """
     assert listeners(sample(kind)) == expected
+
+
+def test_unshared_plans_reach_no_other_agent() -> None:
+    """They go to the coordinator, the plant and the vehicle of their agent."""
+    reached = listeners(sample(Plan, shared=False))
+    assert reached == {"coordinator", "plant", "recorder", "vehicle2"}
+
+
+@pytest.mark.parametrize("kind", ALL_KINDS.values())
+def test_only_the_owner_of_a_message_may_publish_under_its_key(kind: type[Message]) -> None:
+    """Access rights follow; measurements may come from the process of the UAV, and notes of the log from none."""
+    key = KEYS.of(sample(kind))
+    may = {name for name in NAMES if any(matches(one, key) for one in KEYS.publications(name))}
+    owners = {OWNERS[kind.kind]}
+    if kind is Measurement:
+        owners.add("vehicle2")
+    assert may == owners - {"recorder"}
 
 
 def test_keys_are_as_documented() -> None:
@@ -112,11 +155,15 @@ def test_keys_are_as_documented() -> None:
 def test_forged_senders_are_refused(kind: type[Message]) -> None:
     """A message that claims any other sender than its key's owner is refused; the text names both."""
     for name in NAMES:
-        if name == OWNERS[kind.kind]:
-            continue
         message = sample(kind, sender=name)
+        owner = OWNERS[kind.kind]
+        if kind is Measurement and name in ALL_VEHICLES:
+            owner = "vehicle2"  # in place of the plant
+        if name == owner:
+            KEYS.check_sender(KEYS.of(message), message)
+            continue
         with pytest.raises(
-            MessageError, match=f"{kind.kind} from {name}, expected it from {OWNERS[kind.kind]}"
+            MessageError, match=f"{kind.kind} from {name}, expected it from {owner}"
         ):
             KEYS.check_sender(KEYS.of(message), message)
 
