@@ -21,9 +21,9 @@ from transport.experiments.paper import comparison_report
 from transport.experiments.paper.comparison import DECLARED as COMPARISON
 from transport.experiments.paper.comparison_report import ComparisonOptions, ComparisonPlan
 from transport.experiments.result_sentences import conclusions
-from transport.experiments.result_tables import table_of
+from transport.experiments.result_tables import markdown, table_of
 from transport.experiments.simulation import Result
-from transport.experiments.sweep import Swept, markdown
+from transport.experiments.sweep import Swept
 
 IMAGES = ROOT / "docs" / "images"
 PAGE = ROOT / "docs" / "record" / "results.md"

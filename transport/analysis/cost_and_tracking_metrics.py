@@ -1,4 +1,4 @@
-"""Numbers of the flight in a summary: cost, tracking, distances, cables, estimates and targets."""
+"""Numbers of the flight in a summary: cost, tracking, distances, cables and targets."""
 
 import math
 from itertools import zip_longest
@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from transport.analysis.distances_and_violations import limits_reached
-from transport.analysis.estimates import estimates_of
 from transport.analysis.events import TIME_DIGITS
 from transport.analysis.numbers_for_json import finite, largest
 from transport.analysis.series import Series
@@ -23,10 +22,6 @@ from transport.protocol.wire import messages
 SETTLED_S = 2.0
 # Tolerance of times, s: a tick times the sampling period has rounding errors.
 _ROUNDING_S = 1e-9
-# Probabilities at the ends of the band in which a single NEES of a consistent filter lies. There is
-# none for the mean: values of successive ticks and of several agents are correlated.
-_BAND = (0.025, 0.975)
-
 # End of the run in which the swing is measured, s: longer than the 3.6 s period of a pendulum of
 # 3.2 m, and shorter than the last hover of the paper's maneuver, 5 s.
 SWING_S = 4.0
@@ -138,38 +133,6 @@ def _slack_ticks(tensions_N: Array) -> Array:
         ends = np.flatnonzero(change < 0.0)
         lengths.append(ends - begins)
     return np.concatenate(lengths)
-
-
-def consistency(series: Series, log: RunLog) -> dict[str, Any] | None:
-    """Return errors of the estimates and how they match their covariance, as JSON data.
-
-    NEES and NIS are squared errors in units of the covariance (docs/equations.md, after (64)).
-    None without estimates.
-    """
-    estimates = estimates_of(series, log)
-    if estimates is None:
-        return None
-    from scipy.special import gammaincinv  # 0.1 s of a run, most of which have no covariance
-
-    # NEES = e^T P^-1 e, with the error e = true - estimated.
-    error = estimates.true - estimates.pose
-    weighted = np.linalg.solve(estimates.P, error[:, :, None])[:, :, 0]
-    nees = np.einsum("ki,ki->k", error, weighted)
-    # Chi-square with n degrees of freedom:  P(nees <= b) = gammainc(n / 2, b / 2).
-    band = 2.0 * gammaincinv(error.shape[1] / 2, _BAND)
-
-    # NIS = sum nu^T S^-1 nu / number of measurements, with the innovations nu of (64).
-    measurements = estimates.measurements.sum()
-    nis = estimates.squared_innovation.sum() / measurements if measurements else None
-    squares = (error**2).reshape(-1, 2, 3).sum(axis=2)
-    position_m, attitude_rad = np.sqrt(squares.mean(axis=0))
-    return {
-        "position_rms_m": float(position_m),
-        "attitude_rms_deg": float(np.degrees(attitude_rad)),
-        "nees": float(nees.mean()),
-        "nees_band": band.tolist(),
-        "nis": None if nis is None else float(nis),
-    }
 
 
 def targets(setup: Setup, series: Series, log: RunLog) -> list[dict[str, Any]]:

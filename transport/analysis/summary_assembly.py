@@ -17,10 +17,10 @@ from transport.analysis.communication_metrics import (
 )
 from transport.analysis.cost_and_tracking_metrics import (
     cables,
-    consistency,
     cost_and_tracking,
     targets,
 )
+from transport.analysis.estimates import consistency
 from transport.analysis.events import TIME_DIGITS, events
 from transport.analysis.numbers_for_json import percentiles
 from transport.analysis.series import Series

@@ -1,6 +1,7 @@
-"""Tables of results for the console: columns by the kind of experiment, and cells of means with their spread."""
+"""Tables of results, for the console and in Markdown: columns by the kind of experiment, means with their spread."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from rich.table import Table
@@ -13,6 +14,8 @@ from transport.experiments.statistics import (
     PointStatistics,
     with_spread,
 )
+from transport.flight.run_files import machine
+from transport.protocol.scenario.files.atomic_writing import write_whole
 
 # Most characters in a line of a table.
 WIDTH = 160
@@ -139,3 +142,31 @@ def console_table(
         done = f"{row['completed']}/{row['flights']}{errors}"
         table.add_row(*texts, done, *(column.cell(row) for column in columns))
     return table
+
+
+def markdown_of(table: Table) -> list[str]:
+    """Return the lines of a table in Markdown; a line break within a cell stays one."""
+    headings = [" ".join(str(column.header).split()) for column in table.columns]
+    rows = zip(*(column.cells for column in table.columns), strict=True)
+    texts = [[str(cell).replace("\n", "<br>") for cell in row] for row in rows]
+    cells = [headings, ["---"] * len(headings), *texts]
+    return [f"| {' | '.join(row)} |" for row in cells]
+
+
+def write_markdown(
+    folder: Path, sentences: Sequence[str], table: Table, files: Sequence[Path]
+) -> list[str]:
+    """Write sentences, table and machine to report.md.
+
+    Returns: Lines for the console, with the files.
+    """
+    file = folder / "report.md"
+    origin = f"machine: {machine()}"
+    text = f"{markdown(sentences, table)}\n*{origin}*\n"
+    write_whole(file, text.encode())
+    return ["", *sentences, "", origin, *(f" {path}" for path in (*files, file))]
+
+
+def markdown(sentences: Sequence[str], table: Table) -> str:
+    """Return sentences and table as Markdown, which ends with a line end."""
+    return "\n".join([*(f"- {sentence}" for sentence in sentences), "", *markdown_of(table), ""])

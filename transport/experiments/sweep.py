@@ -20,7 +20,6 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
-from rich.table import Table
 
 from transport.experiments.cases import Case, ExperimentError, refused
 from transport.experiments.declaration import Experiment
@@ -29,7 +28,6 @@ from transport.experiments.run_numbers import NUMBERS
 from transport.experiments.simulation import ERROR, Result
 from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.flight.progress import ConsoleProgress, compile_models
-from transport.flight.run_files import machine
 from transport.protocol.scenario.files.atomic_writing import PARTIAL, Lines, write_csv, write_whole
 from transport.protocol.wire.errors_and_exit_codes import EXIT_FAILED, TransportError
 
@@ -231,34 +229,6 @@ def sweep(
         raise
 
     return Swept(experiment=experiment, cases=cases, results=[results[case.key] for case in cases])
-
-
-def markdown_of(table: Table) -> list[str]:
-    """Return the lines of a table in Markdown; a line break within a cell stays one."""
-    headings = [" ".join(str(column.header).split()) for column in table.columns]
-    rows = zip(*(column.cells for column in table.columns), strict=True)
-    texts = [[str(cell).replace("\n", "<br>") for cell in row] for row in rows]
-    cells = [headings, ["---"] * len(headings), *texts]
-    return [f"| {' | '.join(row)} |" for row in cells]
-
-
-def write_markdown(
-    folder: Path, sentences: Sequence[str], table: Table, files: Sequence[Path]
-) -> list[str]:
-    """Write sentences, table and machine to report.md.
-
-    Returns: Lines for the console, with the files.
-    """
-    file = folder / "report.md"
-    origin = f"machine: {machine()}"
-    text = f"{markdown(sentences, table)}\n*{origin}*\n"
-    write_whole(file, text.encode())
-    return ["", *sentences, "", origin, *(f" {path}" for path in (*files, file))]
-
-
-def markdown(sentences: Sequence[str], table: Table) -> str:
-    """Return sentences and table as Markdown, which ends with a line end."""
-    return "\n".join([*(f"- {sentence}" for sentence in sentences), "", *markdown_of(table), ""])
 
 
 class _Progress(ConsoleProgress):

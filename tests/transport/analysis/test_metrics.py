@@ -1,5 +1,9 @@
 """Metrics: cases small enough to compute by hand."""
 
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -20,6 +24,7 @@ from transport.analysis.communication_metrics import (
     plans_between_agents,
     rest_of_tick_ms,
 )
+from transport.analysis.cost_and_tracking_metrics import cost_and_tracking, targets
 from transport.analysis.series import series_of
 from transport.analysis.steps import steps_columns, steps_rows
 from transport.analysis.summary_assembly import summarise
@@ -27,7 +32,20 @@ from transport.cli.commands.top import Watch
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.physics.hover import released_state
-from transport.protocol.wire.messages import ActualInputs, Control, Message, Outcome
+from transport.protocol.scenario.sections.maneuver_sections import TargetSection
+from transport.protocol.scenario.sections.scenario_errors import requested
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.targets.target_checks import target_fields
+from transport.protocol.wire.messages import (
+    ActualInputs,
+    Control,
+    Message,
+    Outcome,
+    PlantState,
+    Rejected,
+    Target,
+)
+from transport.protocol.wire.node_interface import Outbox
 from transport.report.summary_table import summary_table
 from transport.report.summary_texts import limits_text, plans_text
 
@@ -152,6 +170,84 @@ def test_after_a_delivery_only_the_payload_counts() -> None:
         "rms_m": None,
         "max_m": None,
     }
+
+
+def leaving(run: Setup, ticks: int, from_tick: int = 0) -> list[PlantState]:
+    """Return plant states whose payload is 1 cm further below its reference at each tick."""
+
+    def at(k: int) -> PlantState:
+        def change(x: Array, u: Array) -> None:
+            x[state.R0][2] += 0.01 * k
+
+        return on_reference(run, k, change)
+
+    return [at(k) for k in range(from_tick, ticks)]
+
+
+def test_the_largest_cost_after_the_hover_is_apart() -> None:
+    """From the end of the first phase on, at 0.5 s: the formation has settled about its hover."""
+    run = runs.setup(runs.SHORT)
+
+    def away(distance_m: float) -> Callable[[Array, Array], None]:
+        def change(x: Array, u: Array) -> None:
+            x[1] += distance_m
+
+        return change
+
+    log = log_of([on_reference(run, 9, away(0.3)), on_reference(run, 10, away(0.2))])
+    cost = summarise(AnalysedRun.of(run, log))["cost"]
+    assert cost["max"] == pytest.approx(4 * 0.3**2, rel=ROUNDING)
+    assert cost["max_after_hover"] == pytest.approx(4 * 0.2**2, rel=ROUNDING)
+
+
+def test_the_smallest_distances_from_obstacles_are_by_body() -> None:
+    """Each over all ticks; and the largest error of the integration, of the ticks that have one."""
+    run = runs.setup(
+        HOVER, "obstacle=[{kind='sphere',at_m=[9.0,0.0,-10.0],radius_m=0.5,margin_m=0.3}]"
+    )
+    states = [replace(on_reference(run, k), local_error=1e-9 * (k - 1)) for k in range(3)]
+    series = series_of(run, log_of(states))
+    assert series.local_error.tolist() == [0.0, 1e-9]  # a negative one is none
+    clearance_m = np.array([[3.0, 2.0, 1.0], [4.0, 1.5, 2.0], [5.0, 2.5, np.inf]])
+    found = cost_and_tracking(run, dataclasses.replace(series, clearance_m=clearance_m))
+    assert found["clearance_min_m"] == {"uav": 3.0, "rod": 1.5, "payload": 1.0}
+    assert found["local_error_max"] == 1e-9
+
+
+def test_a_target_is_judged_before_the_next_one_and_the_end_of_the_run() -> None:
+    """Else 2 s after its path has ended, without which it has not been reached."""
+    run = runs.setup(runs.ticks(400))
+
+    def told(number: int, tick: int) -> Target:
+        given = {"points_m": [[0.5 * number, 0.0, -10.0]]}
+        fields = target_fields(run, requested(TargetSection, given), tick)
+        return Outbox("coordinator", 0).stamp(Target, number=number, **fields)
+
+    def errors_m(told: Sequence[Target], ticks: int) -> list[float | None]:
+        led = run.after(told)
+        found = targets(led, series_of(led, log_of(leaving(led, ticks))), log_of(told))
+        return [one["error_m"] for one in found]
+
+    first = told(1, 20)
+    (path,) = run.after([first]).maneuver.targets
+    end = math.ceil(path.ends_s / 0.05)  # the first tick at the end of its path
+    second = told(2, end + 20)
+    assert errors_m([first], 400) == pytest.approx([0.01 * (end + 40)])
+    assert errors_m([first], end + 31) == pytest.approx([0.01 * (end + 30)])
+    assert errors_m([first], end - 1) == [None]
+    assert errors_m([first, second], end + 31) == [pytest.approx(0.01 * (end + 20)), None]
+
+
+def test_the_velocity_of_the_payload_is_turned_into_the_inertial_frame() -> None:
+    """Forwards of a payload that is turned by 90 deg about z is along y."""
+    run = runs.setup(HOVER)
+
+    def turned(x: Array, u: Array) -> None:
+        x[state.THETA0] = [0.0, 0.0, np.pi / 2.0]
+        x[state.V0] = [2.0, 0.0, 0.5]
+
+    series = series_of(run, log_of([on_reference(run, 0, turned)]))
+    assert series.payload_velocity_I == pytest.approx(np.array([[0.0, 2.0, 0.5]]), abs=ROUNDING)
 
 
 def test_attitude_is_the_largest_angle() -> None:
@@ -330,22 +426,25 @@ def test_deadlines_of_plans_by_hand() -> None:
 
 
 def test_plans_count_from_the_start_of_an_agent_in_real_time() -> None:
-    """Two agents share a plan at ticks 0 to 3. Agent 2 joins at tick 2 and takes steps 2 and 3.
+    """Two agents share a plan at ticks 0 to 3. Agent 2 joins at tick 2 and takes step 3.
 
     It can use the plans of agent 1 from ticks 2 and 3; agent 1, with steps 0, 1 and 3, those of agent 2 from
-    all ticks: it skips step 2, but not its plans. A restarted agent counts twice: in transit is at least 0.
+    all ticks: it skips step 2, but not its plans. Plans of a negotiation are no plans between agents. Replaced
+    ones are not in transit. A restarted agent counts twice: in transit is at least 0.
     """
     run = runs.setup(HOVER, *REALTIME)
     steps = [report(run, 1, k, delivered=0) for k in (0, 1, 3)]
-    steps += [report(run, 2, k, delivered=1) for k in (2, 3)]
+    steps.append(report(run, 2, 3, delivered=2))
     messages: list[Message] = [
         runs.roster({1: runs.INCARNATION}),
         runs.roster({1: runs.INCARNATION, 2: runs.INCARNATION}, k=2, version=2),
         *(runs.plan(run, agent, k) for agent in (1, 2) for k in range(4)),
+        replace(runs.plan(run, 1, 3), negotiation=1),
     ]
     found = plans_between_agents(run, log_of(messages), steps, replaced=0)
     # Agent 2 receives 2, agent 1 receives 4.
     assert [found[name] for name in ("planned", "sent", "delivered", "in_transit")] == [8, 6, 2, 4]
+    assert plans_between_agents(run, log_of(messages), steps, replaced=3)["in_transit"] == 1
 
     twice = [report(run, 2, k, delivered=9) for k in (2, 3)]
     assert plans_between_agents(run, log_of(messages), twice, replaced=0)["in_transit"] == 0
@@ -448,6 +547,45 @@ def test_losses_from_and_to_the_plant_are_counted() -> None:
     assert plans_text(summary["messages"], summary["plan_age_ticks"]).endswith("max 1")
 
 
+def test_failed_steps_are_counted_by_agent() -> None:
+    """Fallbacks and failures of all, and the agents with some; a share that is allowed is not beyond it."""
+    run = runs.setup(HOVER, "agents.failed_share=0.25")
+    reports = [report(run, agent, k, fallback=k == 1) for agent in (1, 2) for k in range(4)]
+    failed = [*reports[:-1], replace(reports[-1], status="infeasible")]
+    solver = summarise(AnalysedRun.of(run, log_of(failed)))["solver"]
+    assert solver == {
+        "fallbacks": 2,
+        "failures": 1,
+        "failed_agents": [{"agent": 2, "steps": 4, "failures": 1}],
+        "beyond_share": False,
+    }
+    failed[4] = replace(failed[4], status="infeasible")
+    assert summarise(AnalysedRun.of(run, log_of(failed)))["solver"]["beyond_share"]
+
+
+def test_rejections_are_added_up_and_the_most_come_first() -> None:
+    """By receiver, sender and reason."""
+    told = (("agent1", "agent2", 2), ("plant", "agent3", 4), ("agent1", "agent2", 3))
+    notices = [
+        Rejected(
+            sender=receiver,
+            incarnation=0,
+            sequence=number,
+            tick=0,
+            offender=sender,
+            reason="malformed",
+            count=count,
+            example="",
+        )
+        for number, (receiver, sender, count) in enumerate(told)
+    ]
+    found = summarise(AnalysedRun.of(runs.setup(HOVER), log_of(notices)))["rejections"]
+    assert found == [
+        {"by": "agent1", "sender": "agent2", "reason": "malformed", "count": 5},
+        {"by": "plant", "sender": "agent3", "reason": "malformed", "count": 4},
+    ]
+
+
 def test_plans_of_agents_that_are_gone_have_no_age() -> None:
     """After the death of an agent its last plan is not in use: on a perfect network plans stay one tick old."""
     death = (
@@ -468,6 +606,7 @@ def test_one_row_for_each_agent_and_tick() -> None:
 
     def change(x: Array, u: Array) -> None:
         u[:] = np.arange(16.0)
+        x[state.uav_slice(2)][state.E] = [0.0, 0.6, 0.8]  # of UAV3, in place of [0, 0, 1]
 
     pulled = report(run, 2, 1, plan_ages=(3,), force=np.array([0.5, -1.0, 4.4]))
     messages = [pulled, report(run, 1, 1), report(run, 1, 0), on_reference(run, 1, change)]
@@ -480,20 +619,52 @@ def test_one_row_for_each_agent_and_tick() -> None:
     assert (first["thrust1_N"], first["moment3_z_Nm"], first["thrust2_N"]) == (0.0, 11.0, None)
     assert (second["thrust2_N"], second["moment4_z_Nm"], second["thrust3_N"]) == (4.0, 15.0, None)
     assert first["cost"] == second["cost"] > 0.0
+    # The largest of UAV1, on its reference, and UAV3, with its rod of 3.2 m.
+    assert first["uav_error_max_m"] == pytest.approx(3.2 * np.hypot(0.6, 0.2), rel=ROUNDING)
+    assert second["uav_error_max_m"] == pytest.approx(0.0, abs=ROUNDING)
     assert [second[f"force_{axis}_N"] for axis in "xyz"] == [0.5, -1.0, 4.4]
     assert [first[f"force_{axis}_N"] for axis in "xyz"] == [0.0, 0.0, 0.0]
 
 
 def test_scripted_changes_of_links_are_events_as_far_as_the_run_came() -> None:
-    """A change and the begin of a partition are told, its end after the last tick is not."""
+    """A change at the last tick and the begin of a partition are told, its end after that is not."""
     run = runs.setup(
         runs.SHORT,
-        "links.change=[{at_s=0.3,from='agent2',loss=1.0}]",
+        "links.change=[{at_s=0.45,from='agent2',loss=1.0}]",
         "links.partition=[{between=['agent1','agent2'],start_s=0.12,end_s=0.9}]",
     )
     log = log_of([on_reference(run, k) for k in range(10)])
     events = summarise(AnalysedRun.of(run, log))["faults"]
     assert [(event["time_s"], event["kind"], event["what"]) for event in events] == [
         (0.15, "notice", "agent1, agent2 cut off by script"),
-        (0.3, "notice", "links from agent2: loss 1.0 by script"),
+        (0.45, "notice", "links from agent2: loss 1.0 by script"),
+    ]
+
+
+def test_changes_of_the_roster_are_events() -> None:
+    """Who has left or is back, UAVs that are off by script, once each, and the end with its reason; by wall time, too.
+
+    A roster with the same agents is a notice, and the first one no event.
+    """
+    run = runs.setup(runs.SHORT)
+    three = dict.fromkeys((1, 2, 4), runs.INCARNATION)
+    all_four = {**three, 3: 2}
+    rosters = [
+        runs.roster(),
+        replace(runs.roster(three, k=4, version=2), reason="agent3 is gone"),
+        replace(runs.roster(all_four, k=6, version=3), reason="agent3 is back"),
+        replace(runs.roster(all_four, k=7, version=4), reason="uav2 off", off=(2,)),
+        replace(runs.roster(all_four, k=8, version=5), reason="uav2 free", off=(2,), released=(2,)),
+        replace(runs.roster(all_four, k=9, version=6), reason="other", off=(2,), released=(2,)),
+    ]
+    messages = [runs.tick(0), runs.tick(1), *rosters, control(9, "aborted", "stopped by hand")]
+    times_ms = [1000.0 * number for number in range(len(messages))]
+    events = summarise(AnalysedRun.of(run, log_of(messages, times_ms)))["faults"]
+    assert [tuple(event.values()) for event in events] == [
+        (4, 0.2, 3.0, "detected", ["agent3"], "agent3 is gone"),
+        (6, 0.3, 4.0, "rejoined", ["agent3"], "agent3 is back"),
+        (7, 0.35, 5.0, "fault", ["uav2"], "uav2 off by script"),
+        (8, 0.4, 6.0, "fault", ["uav2"], "uav2 free by script"),
+        (9, 0.45, 7.0, "notice", [], "other"),
+        (9, 0.45, 8.0, "end", [], "stopped by hand"),
     ]

@@ -16,17 +16,8 @@ from tests.support.results import here
 from tests.support.runs import ticks
 from transport.experiments.cases import Case, cases_of
 from transport.experiments.paper import comparison, comparison_report
-from transport.experiments.paper.comparison import (
-    CENTRALIZED,
-    GUSTS,
-    MANEUVER,
-    PAPER,
-    STEPS,
-    Cell,
-    ComparisonCurve,
-    curves_of,
-    equal_periods,
-)
+from transport.experiments.paper.comparison import CENTRALIZED, GUSTS, MANEUVER, PAPER, STEPS, Cell
+from transport.experiments.paper.comparison_curves import ComparisonCurve, curves_of, equal_periods
 from transport.experiments.run_numbers import NUMBERS
 from transport.experiments.simulation import Result
 from transport.experiments.statistics import estimate

@@ -23,8 +23,8 @@ from transport.experiments.paper.comparison import (
     STILL,
     TEAM,
     Cell,
-    ComparisonCurve,
 )
+from transport.experiments.paper.comparison_curves import ComparisonCurve
 from transport.experiments.paper.comparison_figures import draw_costs, draw_maneuver
 from transport.experiments.statistics import PointStatistics
 from transport.experiments.sweep import Swept

@@ -30,10 +30,10 @@ from transport.experiments.cases import Case, cases_of, refused
 from transport.experiments.declaration import EXPERIMENTS, Experiment, Values
 from transport.experiments.paper import comparison, comparison_report
 from transport.experiments.result_sentences import conclusions
-from transport.experiments.result_tables import TITLE, WIDTH, table_of
+from transport.experiments.result_tables import TITLE, WIDTH, table_of, write_markdown
 from transport.experiments.simulation import Result
 from transport.experiments.statistics import PointStatistics
-from transport.experiments.sweep import Results, Swept, sweep, write_markdown
+from transport.experiments.sweep import Results, Swept, sweep
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.run_files import machine
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario

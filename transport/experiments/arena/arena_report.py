@@ -24,9 +24,9 @@ from transport.experiments.arena.arena_tasks_and_networks import (
 )
 from transport.experiments.cases import Case
 from transport.experiments.figures.figure_arena import draw_measure
-from transport.experiments.result_tables import SPREAD
+from transport.experiments.result_tables import SPREAD, markdown_of
 from transport.experiments.statistics import COST_RATIO, PointStatistics, columns_of
-from transport.experiments.sweep import Results, Simulate, Swept, markdown_of, sweep
+from transport.experiments.sweep import Results, Simulate, Swept, sweep
 from transport.flight.run_files import machine, versions
 from transport.protocol.scenario.files.atomic_writing import write_whole
 from transport.report.figures.style import RC, save

@@ -13,7 +13,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
 
 from transport.experiments.declaration import Experiment
 from transport.experiments.figures.curves_of_experiment import (
@@ -23,6 +22,12 @@ from transport.experiments.figures.curves_of_experiment import (
     nest,
 )
 from transport.experiments.figures.figure_abscissa import Abscissa
+from transport.experiments.figures.figure_ordinate import (
+    NEVER,
+    DrawnMean,
+    scale_to_ends,
+    scale_to_means,
+)
 from transport.experiments.statistics import COST_RATIO, bars_in_words
 from transport.report.figures.column import (
     NAME_IN,
@@ -36,7 +41,6 @@ from transport.report.figures.style import (
     DIVERGED,
     REFERENCE,
     TEXT,
-    label_decades,
 )
 
 # Height of a panel, of one whose curves are flat, and room above them, inches.
@@ -48,20 +52,8 @@ _LINE_IN = 0.1  # of the second line of the label below
 # More scenarios than these share their panels; middle of the panels in parts of the width.
 _MOST_COLUMNS = 3
 _MIDDLE = 0.55
-# Height of "never" over the latest divergence, and highest tick below it.
-_NEVER = 1.25
-_HIGHEST_TICK = 0.85
 # A curve is flat if its means are within this share of the largest.
 _FLAT = 0.01
-# Means that far above their median are nearly diverged runs: the axis becomes logarithmic.
-_FAR_ABOVE = 5.0
-# Ends of a vertical axis: of one from zero over its highest mean, so that the marker is within it; the most
-# of it that error bars can ask for, beyond which they leave the panel; of a logarithmic one over its highest
-# mean, and below its lowest by the same factor; of ratios, about which zero tells nothing, as a share of the data.
-_ABOVE_HIGHEST = 1.12
-_MOST_FOR_BARS = 2.0
-_BEYOND_DECADES = 1.4
-_ABOUT_RATIOS = 0.12
 
 
 class FigurePanel(NamedTuple):
@@ -70,14 +62,6 @@ class FigurePanel(NamedTuple):
     title: str
     number: str
     factor: float = 1.0
-
-
-class _Drawn(NamedTuple):
-    """A drawn mean, and the ends of its error bar."""
-
-    mean: float
-    low: float
-    high: float
 
 
 _ATTITUDE = FigurePanel("largest payload attitude (deg)", "attitude_max_deg")
@@ -134,7 +118,7 @@ def draw_curves(figure: Figure, experiment: Experiment, scenarios: Scenarios) ->
         for panel, content in zip(row, contents, strict=True):
             x.apply(panel, len(content.curves))
     if ends_s:
-        _draw_row_of_ends(rows[0], contents, _NEVER * max(ends_s))
+        _draw_row_of_ends(rows[0], contents, NEVER * max(ends_s))
     for row, number in zip(rows[-len(numbers) :], numbers, strict=True):
         _draw_row(row, contents, number, is_growth=x.is_growth)
 
@@ -183,11 +167,11 @@ def _draw_row(
 ) -> None:
     """Draw a number in the panels of a row, which have the same axis."""
     head(row[0], number.title, legend=False)
-    drawn: list[_Drawn] = []
+    drawn: list[DrawnMean] = []
     for panel, content in zip(row, contents, strict=True):
         drawn += _draw_means(panel, number, content)
     is_ratio = number.number == COST_RATIO
-    _scale(row[0], drawn or [_Drawn(0.0, 0.0, 0.0)], is_ratio=is_ratio, is_growth=is_growth)
+    scale_to_means(row[0], drawn, is_ratio=is_ratio, is_growth=is_growth)
 
 
 def _draw_row_of_ends(row: Sequence[Axes], contents: Sequence[_Content], never_s: float) -> None:
@@ -232,45 +216,20 @@ def _is_flat(content: FigurePanel, curves: Sequence[DrawnCurve]) -> bool:
     return True
 
 
-def _draw_means(panel: Axes, number: FigurePanel, content: _Content) -> list[_Drawn]:
+def _draw_means(panel: Axes, number: FigurePanel, content: _Content) -> list[DrawnMean]:
     """Draw a number of every curve with its error bars; return all means with the ends of their bars."""
-    drawn: list[_Drawn] = []
+    drawn: list[DrawnMean] = []
     for curve_places, curve in zip(content.places, content.curves, strict=True):
         means = [one.mean(number.number) for one in curve.points]
         heights = [math.nan if mean is None else number.factor * mean for mean in means]
         bars = number.factor * np.array([one.bar(number.number) for one in curve.points]).T
         panel.errorbar(curve_places, heights, bars, capsize=1.5, elinewidth=0.8, **curve.style)
         drawn += [
-            _Drawn(height, height - below, height + above)
+            DrawnMean(height, height - below, height + above)
             for height, below, above in zip(heights, *bars, strict=True)
             if not math.isnan(height)
         ]
     return drawn
-
-
-def _scale(axes: Axes, drawn: Sequence[_Drawn], *, is_ratio: bool, is_growth: bool) -> None:
-    """Fit the vertical axis to the means that are drawn, and to their error bars as far as they leave these readable.
-
-    It is logarithmic for growth, and if few means are far above the rest; about the data for ratios; else it
-    begins at zero.
-    """
-    means = [one.mean for one in drawn]
-    lowest = min(means)
-    highest = max(means)
-    if is_ratio:
-        axes.margins(y=_ABOUT_RATIOS)
-    elif lowest > 0.0 and (is_growth or highest > _FAR_ABOVE * statistics.median(means)):
-        axes.set_yscale("log")
-        lowest = min((one.low for one in drawn if one.low > 0.0), default=lowest)
-        top = min(max(one.high for one in drawn), _MOST_FOR_BARS * highest)
-        axes.set_ylim(lowest / _BEYOND_DECADES, _BEYOND_DECADES * top)
-        label_decades(axes.yaxis)
-    elif highest > 0.0:
-        with_bars = axes.get_ylim()[1]  # of matplotlib, with its own margin
-        top = max(with_bars, _ABOVE_HIGHEST * highest)
-        axes.set_ylim(0.0, min(top, _MOST_FOR_BARS * highest))
-    else:
-        axes.set_ylim(0.0, 1.0)  # all are zero
 
 
 def _draw_divergence(axes: Axes, content: _Content, never_s: float) -> None:
@@ -287,8 +246,4 @@ def _draw_divergence(axes: Axes, content: _Content, never_s: float) -> None:
                 ends_s = [one.diverged_s[0], one.diverged_s[-1]]
                 axes.plot([place, place], ends_s, color=style["color"], linewidth=0.8)
                 axes.plot([place], [statistics.fmean(one.diverged_s)], **dots | DIVERGED)
-
-    axes.set_ylim(0.0, _ABOVE_HIGHEST * never_s)
-    highest_s = _HIGHEST_TICK * never_s
-    ticks_s = [tick for tick in MaxNLocator(4).tick_values(0.0, never_s) if tick < highest_s]
-    axes.set_yticks([*ticks_s, never_s], [*(f"{tick:g}" for tick in ticks_s), "never"])
+    scale_to_ends(axes, never_s)

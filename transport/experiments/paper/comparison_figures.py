@@ -21,8 +21,8 @@ from transport.experiments.paper.comparison import (
     STEPS,
     STILL,
     Cell,
-    ComparisonCurve,
 )
+from transport.experiments.paper.comparison_curves import ComparisonCurve
 from transport.experiments.simulation import run_in_memory
 from transport.experiments.statistics import COST_RATIO
 from transport.experiments.sweep import Swept

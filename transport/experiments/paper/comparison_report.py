@@ -11,14 +11,15 @@ from rich.table import Table
 from transport.experiments.cases import Case, cases_of
 from transport.experiments.declaration import Experiment
 from transport.experiments.paper import comparison
-from transport.experiments.paper.comparison import CENTRALIZED, Cell, ComparisonCurve
+from transport.experiments.paper.comparison import CENTRALIZED, Cell
+from transport.experiments.paper.comparison_curves import ComparisonCurve, curves_of
 from transport.experiments.paper.comparison_figures import draw_costs, draw_maneuver
 from transport.experiments.paper.equal_terms import ranges, sentence
-from transport.experiments.result_tables import SPREAD, Column, console_table
+from transport.experiments.result_tables import SPREAD, Column, console_table, write_markdown
 from transport.experiments.run_numbers import resource_use
 from transport.experiments.simulation import simulate as simulate_here
 from transport.experiments.statistics import COST_RATIO
-from transport.experiments.sweep import Results, Simulate, Swept, sweep, write_markdown
+from transport.experiments.sweep import Results, Simulate, Swept, sweep
 from transport.protocol.scenario.files.atomic_writing import write_csv
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
 
@@ -143,7 +144,7 @@ def compared(planned: ComparisonPlan, timed: Swept, swept: Swept) -> Compared:
 
     Raises: ExperimentError: a run raised an error, or the reference diverged.
     """
-    curves = comparison.curves_of(planned.cells, timed, swept, planned.reference)
+    curves = curves_of(planned.cells, timed, swept, planned.reference)
     return Compared(
         curves=curves,
         curve_rows=[row for curve in curves for row in curve.rows()],

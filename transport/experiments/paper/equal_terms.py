@@ -5,14 +5,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from transport.experiments.paper.comparison import (
-    CENTRALIZED,
-    SECONDS,
-    Cell,
-    ComparisonCurve,
-    Row,
-    equal_periods,
-)
+from transport.experiments.paper.comparison import CENTRALIZED, SECONDS, Cell, Row
+from transport.experiments.paper.comparison_curves import ComparisonCurve, equal_periods
 
 # Equal is the rate, or the computation of a budget.
 SAME_RATE = "the same rate"
