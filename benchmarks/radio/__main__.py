@@ -58,7 +58,7 @@ def deferral() -> list[tuple[str, ...]]:
     rows = []
     for stations in (2, 4, 8):
         case = team(stations, 6.0, 0.1)
-        shares = [numbers(case, model.run(case, draws=draws)[0]).share for draws in (True, False)]
+        shares = [numbers(case, model.run(case, draws=draws)).share for draws in (True, False)]
         rows.append((case.name, *[f"{100 * share:.1f}" for share in shares]))
     return rows
 
@@ -68,9 +68,9 @@ def compared(case: Case, clock: list[float]) -> tuple[Numbers, Numbers]:
     standard = STANDARDS[case.standard]
     begin = time.perf_counter()
     control_mbps = standard.acknowledgement_rate_mbps(case.rate_mbps)
-    theirs, _ = reference.run(build.program(), case, control_mbps)
+    theirs = reference.run(build.program(), case, control_mbps)
     between = time.perf_counter()
-    ours, _ = model.run(case)
+    ours = model.run(case)
     clock[0] += between - begin
     clock[1] += time.perf_counter() - between
     return numbers(case, theirs), numbers(case, ours)

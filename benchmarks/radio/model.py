@@ -27,8 +27,8 @@ def parameters(case: Case, *, draws: bool) -> ChannelParameters:
     )
 
 
-def run(case: Case, *, draws: bool = False) -> tuple[Arrivals, dict[str, int]]:
-    """Return arrivals by send and receiver, ns, and the counts of a case.
+def run(case: Case, *, draws: bool = False) -> Arrivals:
+    """Return arrivals by send and receiver, ns.
 
     `draws` is the standard's rule for a frame that meets an idle medium; ns-3 has the other one.
     """
@@ -55,19 +55,13 @@ def run(case: Case, *, draws: bool = False) -> tuple[Arrivals, dict[str, int]]:
     channel = Channel(parameters(case, draws=draws))
     state = ChannelState.idle(stations, STANDARDS[case.standard])
     arrivals: Arrivals = {}
-    counts = dict.fromkeys(
-        ("transmissions", "repetitions", *(result.name.lower() for result in FrameResult)), 0
-    )
     place = 0
     for until in range(2 * PERIOD_NS, end_ns(case) + PERIOD_NS, PERIOD_NS):
         begin = place
         while place < len(frames) and frames[place].sent_ns < until:
             place += 1
-        state, outcomes, counted = channel.advance(state, powers, frames[begin:place], until)
+        state, outcomes, _ = channel.advance(state, powers, frames[begin:place], until)
         for outcome in outcomes:
-            counts[outcome.result.name.lower()] += 1
             if outcome.result is FrameResult.DELIVERED:
                 arrivals[outcome.frame.sequence, outcome.receiver] = outcome.time_ns
-        counts["transmissions"] += counted.transmissions + counted.acknowledgements
-        counts["repetitions"] += counted.repetitions
-    return arrivals, counts
+    return arrivals

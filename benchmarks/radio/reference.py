@@ -39,17 +39,14 @@ def lines(case: Case, control_mbps: float) -> Iterator[str]:
         yield f"send {send.time_ns} {send.sender} {send.receiver} {case.message_bytes}"
 
 
-def run(program: Path, case: Case, control_mbps: float) -> tuple[Arrivals, dict[str, int]]:
-    """Return arrivals by send and receiver, ns, and the counts of a case in ns-3."""
+def run(program: Path, case: Case, control_mbps: float) -> Arrivals:
+    """Return arrivals by send and receiver, ns, of a case in ns-3; its counts are for people."""
     text = "\n".join(lines(case, control_mbps)) + "\n"
     done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
     arrivals: Arrivals = {}
-    counts: dict[str, int] = {}
     for line in done.stdout.splitlines():
         kind, *values = line.split()
         if kind == "arrival":
             send, receiver, time_ns = map(int, values)
             arrivals.setdefault((send, receiver), time_ns)
-        else:
-            counts[values[0]] = int(values[1])
-    return arrivals, counts
+    return arrivals
