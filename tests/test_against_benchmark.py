@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import json
 import platform
 import sys
 from collections.abc import Mapping
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import against
+from docs.tables import ROOT
 
 BEFORE, NOW = Path("before"), Path("now")
 VERSIONS = {"before": (BEFORE, {"CACHE": "1"}), "now": (NOW, {"CACHE": "2"})}
@@ -94,3 +96,49 @@ def test_a_processor_that_the_machine_is_not_is_refused(
     with pytest.raises(SystemExit):
         against.main()
     assert "--processor: this machine has AVX-512 and AVX2, not AVX512" in capsys.readouterr().err
+
+
+def test_each_quantity_is_a_row_of_each_processor(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The other version is in the first column; parts and processors are those that are asked for."""
+    measured = []
+
+    def time_of(tree: Path, environment: Mapping[str, str]) -> dict[str, float]:
+        measured.append(tree)
+        slower = 2.0 if environment["KIND"] == "AVX2" else 1.0
+        return {"s": slower * (2.0 if tree == Path("before").resolve() else 3.0)}
+
+    kinds = {kind: {"KIND": kind} for kind in ("AVX-512", "AVX2")}
+    monkeypatch.setattr(against, "environments", lambda _folder: kinds)
+    monkeypatch.setattr(against, "PARTS", {"paper": time_of, "other": lambda *_: {"other": 1.0}})
+    given = ["against", "before", "--turns", "1", "--only", "paper"]
+    monkeypatch.setattr(sys, "argv", given)
+    assert against.main() == 0
+    rows = capsys.readouterr().out.splitlines()[2:4]
+    assert rows == ["| AVX-512 | s | 2.00 | 3.00 | 1.50 |", "| AVX2 | s | 4.00 | 6.00 | 1.50 |"]
+    assert measured[:2] == [Path("before").resolve(), ROOT]
+
+    monkeypatch.setattr(sys, "argv", [*given, "--processor", "AVX2"])
+    assert against.main() == 0
+    assert "AVX-512" not in capsys.readouterr().out
+
+
+def test_missed_deadlines_are_a_share_of_all_agents_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """6 of 100 ticks of 3 agents are 2 %."""
+    summary = {
+        "deadline": {"missed": 6},
+        "ticks": 100,
+        "controller": {"owned": [[1], [2], [3, 4]]},
+        "agent_step_ms": {"p50": 1.5, "p99": 9.0},
+    }
+
+    def run(command: list[str], **_: object) -> None:
+        assert command[:6] == [against.python_of(NOW), "-P", "-m", "transport", "run", "resilient"]
+        folder = Path(command[command.index("--out") + 1])
+        folder.mkdir()
+        (folder / "summary.json").write_text(json.dumps(summary))
+
+    monkeypatch.setattr("benchmarks.against.subprocess.run", run)
+    found = against.real_time(NOW, {})
+    assert found == {"deadlines missed at 100 Hz, %": 2.0, "step at 100 Hz, ms": 1.5}
