@@ -50,7 +50,7 @@ def within(points: Array, polygon: Array) -> Array:
 def shortest_way(start: Array, goal: Array, polygons: Sequence[Array]) -> Array | None:
     """Return the shortest way between two points that enters no polygon; None if there is none.
 
-    A start inside of a polygon leaves it first, by its nearest side.
+    A start inside of polygons leaves them first, each by its nearest side.
 
     Args:
         start: Its first point, (2,), m.
@@ -83,14 +83,17 @@ def shortest_way(start: Array, goal: Array, polygons: Sequence[Array]) -> Array 
 
 
 def _left_by(start: Array, polygons: Sequence[Array]) -> Array:
-    """Return where a start leaves the polygon that it is in: itself where it is in none."""
-    for polygon in polygons:
-        if within(start[None], polygon)[0]:
-            normals, offsets = _sides(polygon)
-            depths = offsets - normals @ start
-            nearest = int(depths.argmin())
-            return np.asarray(start + depths[nearest] * normals[nearest])
-    return start
+    """Return where a start leaves the polygons that it is in, one by one; itself where it is in none."""
+    place = start
+    for _ in polygons:
+        inside = [polygon for polygon in polygons if within(place[None], polygon)[0]]
+        if not inside:
+            break
+        normals, offsets = _sides(inside[0])
+        depths = offsets - normals @ place
+        nearest = int(depths.argmin())
+        place = np.asarray(place + depths[nearest] * normals[nearest])
+    return place
 
 
 def _sides(polygon: Array) -> tuple[Array, Array]:

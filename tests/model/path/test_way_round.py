@@ -66,14 +66,16 @@ def test_without_a_way_there_is_none() -> None:
     assert shortest_way(START, GOAL, shut_in) is None
 
 
-def test_a_start_too_near_leaves_by_the_nearest_side() -> None:
-    """The first point is the start, the second one outside."""
-    polygon = outline(solid(-7.0, 0.0, (0.2, 2.0)), 1.0)
-    way = shortest_way(START, GOAL, [polygon])
+@pytest.mark.parametrize("x_m", [(-7.0,), (-7.0, -6.8), (-6.8, -7.0), (-7.2, -7.0, -6.8)])
+def test_a_start_too_near_leaves_by_the_nearest_side(x_m: tuple[float, ...]) -> None:
+    """The first point is the start, the second one outside of all solids that it was too near to."""
+    polygons = [outline(solid(x, 0.0, (0.2, 2.0)), 1.0) for x in x_m]
+    way = shortest_way(START, GOAL, polygons)
     assert way is not None
     np.testing.assert_array_equal(way[0], START)
-    assert way[1][0] < -8.1
-    assert not within(dense(way[1:]), polygon).any()
+    assert way[1][0] < min(x_m) - 1.1
+    for polygon in polygons:
+        assert not within(dense(way[1:]), polygon).any()
 
 
 @settings(max_examples=60, deadline=None)
