@@ -57,7 +57,14 @@ class Child:
 class Run:
     """A run with a script and one process, which the test stops in place of the script's fault."""
 
-    def __init__(self, script: str, *settings: str, seen: int, is_stopped: bool = False) -> None:
+    def __init__(
+        self,
+        script: str,
+        *settings: str,
+        seen: int,
+        is_stopped: bool = False,
+        scenario: str = "resilient",
+    ) -> None:
         self.children = [Child(is_stopped=is_stopped)]
         self.notes: list[tuple[str, str]] = []
         self.now_s = 0.0
@@ -75,7 +82,7 @@ class Run:
             start=self._start,
         )
         run = runs.ready(
-            "resilient", "clock.on_agent_loss=continue", f"faults.event=[{script}]", *settings
+            scenario, "clock.on_agent_loss=continue", f"faults.event=[{script}]", *settings
         )
         self._script = FaultScript(
             run, cast("Harness", harness), cast("Recorder", self.recorder), lambda: self.now_s
@@ -394,6 +401,14 @@ def test_only_agents_are_restarted_by_hand(target: str) -> None:
     assert run.answer("restart", target) == {"error": f"target: {problem}"}
     assert run.child.code is None
     assert run.notes == []
+
+
+def test_a_coordinator_is_restarted_where_the_team_goes_on_without_it() -> None:
+    """With `clock.on_coordinator_loss` continue the run does not end with it; it does with the plant."""
+    run = Run("", seen=2, scenario="flight")
+    assert "error" in run.answer("restart", "plant")
+    run.ask("restart", "coordinator")
+    assert [child.incarnation for child in run.children] == [0, 1]
 
 
 def test_a_request_before_the_first_tick_is_answered_with_tick_0() -> None:
