@@ -1,5 +1,6 @@
 """The gate: size, form, sender, incarnation, order and moment of messages, alone and in bundles; counts of refusals."""
 
+import dataclasses
 from typing import Any, TypeVar
 
 import pytest
@@ -7,9 +8,9 @@ import pytest
 from tests.support import runs
 from tests.support.messages import changed, sample
 from tests.support.runs import setup, ticks
-from transport.protocol.admission.acceptance_and_refusals import Gate
+from transport.protocol.admission.acceptance_and_refusals import Gate, Sample
 from transport.protocol.wire.bundles import Answer, Bundle, Relay
-from transport.protocol.wire.codec import MAX_BYTES, encode
+from transport.protocol.wire.codec import MAX_BYTES, decode, encode
 from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.messages import LinkChange, Message, Plan, Target
@@ -264,6 +265,45 @@ def test_refusals_are_told_once_a_second() -> None:
     for _ in range(2):  # without a time there is nothing to wait for
         assert not receiver.hear(runs.tick(5))
         assert told(None) == [("coordinator", "replayed", 1)]
+
+
+@pytest.mark.parametrize("by_vehicles", [False, True])
+def test_measurements_come_from_the_plant_or_from_vehicles(by_vehicles: bool) -> None:
+    """Those of the other are refused: a run has one source of them."""
+    shape = dataclasses.replace(RUN.rules.shape, by_vehicles=by_vehicles)
+    gate = Gate("agent2", KEYS, shape)
+    sources = "vehicle2", "plant"
+    right, wrong = sources if by_vehicles else sources[::-1]
+    measured = runs.measurement(RUN, 2, 3)
+    for sender, accepted in ((wrong, 0), (right, 1)):
+        said = changed(measured, sender=sender)
+        assert len(list(gate.accept(KEYS.of(said), encode(said)))) == accepted
+    assert [(entry.sender, entry.reason) for entry in gate.rejections] == [
+        (wrong, "wrong_sender" if wrong == "plant" else "unknown_agent")
+    ]
+
+
+def test_kinds_that_are_not_read_are_handed_over_as_they_came() -> None:
+    """A recorder keeps their bytes, also those that other processes would refuse; it reads the others."""
+    gate = Gate("recorder", KEYS, RUN.rules.shape, unread=(Plan.kind,))
+    unread, read = encode(plan(0, agent=2, uavs=(3,))), runs.end()
+    (kept,) = gate.accept(KEYS.of(plan(0)), unread)
+    assert isinstance(kept.message, Sample)
+    assert (kept.message.data, kept.message.header.sender) == (unread, "agent2")
+    (taken,) = gate.accept(KEYS.of(read), encode(read))
+    assert taken.message == read
+    assert gate.rejections.total == 0
+
+
+def test_notices_of_invented_keys_are_valid_messages() -> None:
+    """Key and text of a refusal are cut to what a message carries."""
+    receiver = Receiver("plant")
+    long_key = f"{KEYS.prefix}/plan/{'x' * 5_000}"
+    for data in (b"", encode(plan(0))):
+        assert list(receiver.gate.accept(long_key, data)) == []
+    notices = receiver.gate.notices(0)
+    assert [decode(encode(notice)) for notice in notices] == notices
+    assert [len(notice.offender) for notice in notices] == [80, len("agent2")]
 
 
 def past(text: str = "over") -> MessageError:

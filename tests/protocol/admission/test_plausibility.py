@@ -223,6 +223,54 @@ def test_rod_directions_of_all_uavs_count() -> None:
     assert refused == ("out_of_range", expected)
 
 
+@pytest.mark.parametrize(
+    ("length", "is_possible"), [(0.81, True), (1.19, True), (0.79, False), (1.21, False)]
+)
+def test_a_rod_direction_is_a_unit_vector_but_for_noise(length: float, is_possible: bool) -> None:
+    """Sensor noise explains a length up to 0.2 from 1."""
+    scaled = replace(MEASUREMENT, uav_states=MEASUREMENT.uav_states * length)
+    assert (refusal(scaled) == ("", "")) is is_possible
+
+
+SOLID_IN_SIGHT = np.array([[2.0, 1e6, -1e6, -10.0, -3.0, 0.5, 1e6, 0.0, 0.0, 0.3, 0.2]])
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        (None, 0.0),
+        (0, 0.0),
+        (0, 1.5),
+        (1, 1.1e6),
+        (2, -1.1e6),
+        *((size, -0.1) for size in range(5, 11)),
+    ],
+)
+def test_solids_in_sight_are_of_an_obstacle(column: int | None, value: float) -> None:
+    """A number from 1, places and sizes within the largest ones, no negative size; a heading has any sign."""
+    sighted = dataclasses.replace(RUN.rules.shape, sights=1)
+    seen = SOLID_IN_SIGHT.copy()
+    if column is None:
+        assert refusal(replace(MEASUREMENT, seen=seen), sighted) == ("", "")
+        return
+    seen[0, column] = value
+    reason, text = refusal(replace(MEASUREMENT, seen=seen), sighted)
+    assert reason == "out_of_range"
+    assert "seen: expected a number from 1, and sizes from 0 to 1e+06" in text
+
+
+@pytest.mark.parametrize(("sights", "most"), [(0, 0), (1, 64)])
+def test_solids_are_seen_where_obstacles_are_to_be_seen(sights: int, most: int) -> None:
+    """None in a run whose obstacles all know, else at most 64 at once."""
+    shape = dataclasses.replace(RUN.rules.shape, sights=sights)
+    assert refusal(replace(MEASUREMENT, seen=np.repeat(SOLID_IN_SIGHT, most, axis=0)), shape) == (
+        "",
+        "",
+    )
+    too_many = replace(MEASUREMENT, seen=np.repeat(SOLID_IN_SIGHT, most + 1, axis=0))
+    assert refusal(too_many, shape)[0] == "out_of_range"
+
+
 def test_numbers_of_vehicle_sensors() -> None:
     """Where UAVs have sensors of their own, a measurement has their numbers, not states."""
     shape = dataclasses.replace(RUN.rules.shape, vehicle_sensors=True)
