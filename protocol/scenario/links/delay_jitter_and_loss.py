@@ -17,7 +17,6 @@ from transport.protocol.scenario.sections.link_sections import (
     PartitionSection,
 )
 from transport.protocol.scenario.sections.lockstep_and_realtime_section import first_tick
-from transport.protocol.scenario.sections.scenario_keys import UNITS
 from transport.protocol.wire.messages import Measurement, Plan
 from transport.protocol.wire.names import PLANT
 
@@ -26,8 +25,6 @@ _CHAIN = 2**32
 
 # Rounding of a delay that is a whole number of sampling periods must not cost one more.
 _SLACK = 1e-9
-
-_LONGEST_S = UNITS["_s"].most  # of a delay: that of a key in seconds
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +122,7 @@ class Link:
         delays_s = [delay_s]
         if draw.duplicate < section.duplicate:
             delays_s.append(_delay(section, draw.echo_jitter))
-        return [min(delay_s, _LONGEST_S) for delay_s in delays_s]
+        return delays_s
 
     def usable_ticks(self, tick: int, after: int = 1, air_s: float = 0.0) -> list[int]:
         """Return the ticks from which on the message of a tick can be used.

@@ -390,3 +390,34 @@ def test_equal_runs_have_equal_airtime_messages() -> None:
 
     assert reports(first) == reports(again)
     assert reports(first) != reports(other)
+
+
+# Rods that lean apart, by UAV: every pair of UAVs has another distance, beyond the reference of 1 m.
+LEANING = ((-0.8, 0.0, 0.6), (0.0, -0.6, 0.8), (0.6, 0.0, 0.8), (0.0, 0.28, 0.96))
+
+
+@pytest.mark.parametrize("owned", ["[[1,2],[3,4]]", "[[1,4],[2,3]]"])
+@pytest.mark.parametrize(
+    ("standard", "rate_mbps", "loss_1m_db"), [("802.11a", 6.0, 46.7), ("802.11b", 11.0, 40.2)]
+)
+@pytest.mark.parametrize(("above_db", "arrives"), [(-0.1, True), (0.1, False)])
+def test_power_falls_with_the_distance_of_the_radios_in_flight(
+    owned: str, standard: str, rate_mbps: float, loss_1m_db: float, above_db: float, arrives: bool
+) -> None:
+    """A plan is weak if its power is below the sensitivity; the radio of an agent is on its first UAV.
+
+    Log-distance path loss; docs/record/radio.md.
+    """
+    run = setup(ticks(TICKS), f"agents.owned={owned}")
+    x = run.initial_state().reshape(-1, 12).copy()
+    x[1:, :3] = LEANING
+    first, second = (run.run.positions_I(x.ravel())[group[0]] for group in run.owned)
+    section = RadioSection(standard=standard, rate_mbps=rate_mbps, path_loss_exponent=3.5)  # type: ignore[arg-type]
+
+    distance_m = float(np.linalg.norm(first - second))
+    power_dbm = 10.0 * np.log10(section.power_mw) - loss_1m_db - 35.0 * np.log10(distance_m)
+    section = section.model_copy(update={"sensitivity_dbm": float(power_dbm) + above_db})
+    radio = TeamRadio(run.run, section)
+    radio.send(plan(run, 1, 0), (1, 2))
+    ((_, arrival),) = radio.advance(1, x.ravel())["arrivals"]
+    assert arrival > 0.0 if arrives else arrival == -float(FrameResult.WEAK)

@@ -103,6 +103,13 @@ def test_jitter(distribution: Any, mean_s: float, deviation_s: float) -> None:
     assert abs(delays.std() / deviation_s - 1.0) < SIGMAS * np.sqrt((fourth - 1.0) / 4.0 / COUNT)
 
 
+def test_delays_below_zero_become_zero() -> None:
+    """Jitter about a delay of zero is half the time none."""
+    delays_s = [fate[0] for fate in link_history(LinkSection(jitter_s=0.1))]
+    assert min(delays_s) == 0.0
+    share([delay_s == 0.0 for delay_s in delays_s], 0.5)
+
+
 def test_empirical_delays_are_drawn_evenly() -> None:
     """Each measured delay is as likely as the others, and nothing else is drawn."""
     delays = [
