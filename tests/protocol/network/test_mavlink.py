@@ -1,7 +1,9 @@
 """MAVLink over UDP: which packets count, through real sockets."""
 
 import socket
+import time
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -122,6 +124,48 @@ def test_a_signature_is_needed(listening: tuple[MavlinkLink, int]) -> None:
     assert len(sent(good, port, link, WAIT_S)) == 1
     assert sent(good, port, link, WAIT_S) == []
     assert link.refused == 3
+
+
+def test_packets_are_numbered_in_one_byte(
+    key: bytes | None, listening: tuple[MavlinkLink, int]
+) -> None:
+    """Receivers count lost packets by the numbers, which begin anew after 255."""
+    link, port = listening
+    other = MavlinkLink(Endpoint(True, "127.0.0.1", port), (2, 1), 255, key)
+    numbers = []
+    for _ in range(258):
+        other.send(heartbeat())
+        numbers += [message.get_seq() for message in link.receive(WAIT_S)]
+    other.close()
+    assert numbers == [*range(256), 0, 1]
+
+
+NOW_S = datetime(2026, 3, 1, tzinfo=UTC).timestamp()
+SINCE_2015_S = NOW_S - datetime(2015, 1, 1, tzinfo=UTC).timestamp()
+
+
+def test_timestamps_of_signatures_grow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They count 10 us since 2015, and by one at least, also while the clock of the host stands."""
+    monkeypatch.setattr(time, "time", lambda: NOW_S)
+    sender, receiver = Signatures(KEY), Signatures(KEY)
+    bare = packet(2)
+    signed = [sender.signed(bare) for _ in range(3)]
+    stamps = [int.from_bytes(one[-12:-6], "little") for one in signed]
+    assert stamps == [int(SINCE_2015_S * 1e5) + number for number in range(3)]
+    assert all(map(receiver.accept, signed))
+
+
+@pytest.mark.parametrize(("age_s", "counts"), [(59.0, True), (61.0, False)])
+def test_the_first_packet_of_a_stream_is_a_minute_old_at_most(
+    age_s: float, counts: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A recorded stream is not taken for a new one; each system and component has its own."""
+    monkeypatch.setattr(time, "time", lambda: NOW_S)
+    recorded, later = Signatures(KEY).signed(packet(2)), Signatures(KEY).signed(packet(3))
+    monkeypatch.setattr(time, "time", lambda: NOW_S + age_s)
+    receiver = Signatures(KEY)
+    assert receiver.accept(recorded) is counts
+    assert receiver.accept(later) is counts
 
 
 def test_addresses_and_keys_are_checked(tmp_path: Path) -> None:
