@@ -3,6 +3,7 @@
 import gc
 import os
 import signal
+import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from queue import SimpleQueue
 from types import FrameType
@@ -15,6 +16,7 @@ from transport.protocol.admission.acceptance_and_refusals import Gate
 from transport.protocol.network.bus_events import Arrival, BusEvent, BusOptions, Interrupted, Place
 from transport.protocol.network.node_process import run_node
 from transport.protocol.network.parent import PARENT_PIPE, ending_signals
+from transport.protocol.wire.bundles import Relay
 from transport.protocol.wire.codec import decode
 from transport.protocol.wire.errors_and_exit_codes import (
     EXIT_DIVERGED,
@@ -37,7 +39,7 @@ class StubNode:
     name = COORDINATOR
     incarnation = 0
     publish_ns = 0
-    wake_ns = None
+    wake_ns: int | None = None
     finished: Control | None = None
 
     def check_moment(self, message: Message) -> None:
@@ -65,6 +67,7 @@ class StubBus:
         self.before_wait: Callable[[], None] = lambda: None
         self.inbox: SimpleQueue[BusEvent] = SimpleQueue()
         self.sent: list[Message] = []
+        self.timeouts_s: list[float | None] = []
         self.left_after: tuple[str, ...] | None = None
         self.is_closed = False
 
@@ -80,8 +83,9 @@ class StubBus:
         assert event is None or isinstance(event, Interrupted)
         return event
 
-    def next(self, _timeout_s: float | None) -> Arrival:
+    def next(self, timeout_s: float | None) -> Arrival:
         """Return what arrives."""
+        self.timeouts_s.append(timeout_s)
         self.while_waiting()
         return Arrival(self.inbox.get(timeout=PATIENCE_S), 0)
 
@@ -237,3 +241,46 @@ def test_a_process_without_its_parent_cannot_reach_the_run(
         assert run(StubNode()) == EXIT_UNREACHABLE
         assert codes.get(timeout=PATIENCE_S) == EXIT_UNREACHABLE
     assert bus.left_after is None
+
+
+@pytest.mark.parametrize(
+    ("wakes_in_s", "least_s", "most_s"), [(5.0, 5.0 - PATIENCE_S / 5.0, 5.0), (-5.0, 0.0, 0.0)]
+)
+def test_a_process_waits_until_its_node_is_to_be_polled(
+    bus: StubBus, wakes_in_s: float, least_s: float, most_s: float
+) -> None:
+    """The time left is in seconds, and none for a node that is late; without one only events matter."""
+    bus.while_waiting = lambda: bus.inbox.put(end_of_run(0))
+    node = StubNode()
+    node.wake_ns = time.monotonic_ns() + round(wakes_in_s * 1e9)
+    assert run(node) == 0
+    assert run(StubNode()) == 0
+    timeout_s, none = bus.timeouts_s
+    assert timeout_s is not None
+    assert least_s <= timeout_s <= most_s
+    assert none is None
+
+
+@pytest.mark.parametrize(("do", "number"), [("kill", signal.SIGKILL), ("stop", signal.SIGSTOP)])
+def test_a_scripted_fault_strikes_before_its_tick_is_sent(
+    bus: StubBus, monkeypatch: pytest.MonkeyPatch, do: str, number: signal.Signals
+) -> None:
+    """The process kills or stops itself once all earlier messages are sent."""
+    at_tick = 20
+    rules = runs.setup(f"faults.event=[{{at_s=1.0,do='{do}',target='coordinator'}}]").rules
+
+    class Ticks(StubNode):
+        def receive(self, _event: Event, _now_ns: int) -> Sequence[Message]:
+            return [runs.tick(at_tick - 1), runs.tick(at_tick)]
+
+    def strike(process: int, signal_number: int) -> NoReturn:
+        assert (process, signal_number) == (os.getpid(), number)
+        raise SystemExit(0)
+
+    monkeypatch.setattr(os, "kill", strike)
+    bus.while_waiting = lambda: bus.inbox.put(runs.plant_state(runs.setup(), at_tick - 1))
+    with pytest.raises(SystemExit):
+        run_node(Ticks(), runs.place("here"), rules, OTHERS)
+    (relay,) = bus.sent
+    assert isinstance(relay, Relay)
+    assert [decode(part) for part in relay.parts] == [runs.tick(at_tick - 1)]
