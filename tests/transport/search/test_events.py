@@ -1,6 +1,7 @@
 """Events change a scenario as their words say, alone and together."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,17 @@ from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.search.candidate import Base, Candidate
-from transport.search.drawn_events import Death, DrawnSilence, Gusts, Links, TargetEvent
+from transport.search.drawn_events import (
+    Death,
+    DrawnSilence,
+    DrawnTeam,
+    Event,
+    Gusts,
+    Links,
+    ModelError,
+    SensorsOff,
+    TargetEvent,
+)
 from transport.search.space import KINDS, Bounds, Space, read_bounds
 
 PERIOD_S = 0.05
@@ -139,6 +150,175 @@ def test_links_that_change_alike_are_one_entry() -> None:
     for who in ("all", "mute 3", "deaf 2"):
         silence = DrawnSilence(start_s=1.0, duration_s=2.0, who=who)
         assert len(Candidate((silence,)).scenario(BASE).links.change) == 2, who
+
+
+# Bounds in which no two of the coordinates below give the same number.
+BOUNDS = Bounds.model_validate({
+    "silence": {"loss": (0.2, 1.0)},
+    "mass": {"motor_lag_s": (0.0, 0.1)},
+})  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("kind", "point", "event"),
+    [
+        (
+            *("silence", [0.5, 0.5, 0.1, 0.5, 0.99, 0.5, 0.4]),
+            DrawnSilence(start_s=10.5, duration_s=1.45, who="cut 3 1", loss=0.6),
+        ),
+        (
+            *("silence", [0.5, 0.0, 1.0, 1.0, 0.3, 0.99, 0.0]),
+            DrawnSilence(start_s=1.0, duration_s=10.0, who="mute 4", loss=1.0),
+        ),
+        (
+            *("silence", [1.0, 1.0, 0.0, 1.0, 0.5, 0.25, 0.0]),
+            DrawnSilence(start_s=20.0, duration_s=0.5, who="deaf 2", loss=1.0),
+        ),
+        ("silence", [0.49, 0.5, 0.1, 0.5, 0.99, 0.5, 0.4], None),
+        ("deaths", [0.5, 0.25, 0.99, 0.5, 0.2], Death(agent=4, at_s=5.75)),
+        ("deaths", [0.5, 0.25, 0.0, 0.51, 0.2], Death(agent=1, at_s=5.75, back_after_s=2.0)),
+        ("deaths", [0.49, 0.25, 0.0, 0.51, 0.2], None),
+        ("links", [0.5, 0.1, 0.25], Links(delay_s=0.2, jitter_s=0.01, loss=0.15)),
+        ("links", [0.0, 0.0, 0.0], None),
+        ("gusts", [0.25, 0.5], Gusts(speed_mps=0.25, seed=500)),
+        ("gusts", [0.0, 0.5], None),
+        ("mass", [0.2, 0.5], ModelError(mass_factor=0.95, motor_lag_s=0.05)),
+        ("mass", [0.4, 0.0], None),  # the known mass
+        ("sensors", [0.5, 1.0], SensorsOff(factor=0.5, seed=999)),
+        # 1.25 m away, a quarter of a turn from x to y; up by a half of it, towards -z.
+        ("targets", [0.5, 0.5, 0.5, 0.25, 0.5], TargetEvent(at_s=5.5, offset_m=(0.0, 1.25, 0.0))),
+        (
+            *("targets", [0.5, 0.0, 0.5, 0.0, 1.0]),
+            TargetEvent(at_s=1.0, offset_m=(1.083, 0.0, -0.625)),
+        ),
+        ("targets", [0.49, 0.0, 0.5, 0.0, 1.0], None),
+        ("team", [0.25], DrawnTeam(seed=250)),
+    ],
+)
+def test_coordinates_are_shares_of_the_bounds(
+    kind: str, point: list[float], event: Event | None
+) -> None:
+    """The event of the first slot of a kind at a point of it; the other slots are empty."""
+    space = Space((kind,), BOUNDS, BASE.scenario)
+    whole = np.zeros(space.dimension)
+    whole[: len(point)] = point
+    assert space.candidate(whole).events == (() if event is None else (event,))
+
+
+def test_severe_coordinates_make_an_event_worse() -> None:
+    """They are whether there is one, and its length, loss, delay, strength, lag and noise; no times or names."""
+    severe = {
+        "silence": [True, False, True, True, False, False, False] * 2,
+        "deaths": [True, False, False, False, False],
+        "links": [True, True, True],
+        "gusts": [True, False],
+        "mass": [False, True],
+        "sensors": [True, False],
+        "targets": [True, False, False, False, False],
+        "team": [False],
+    }
+    for kind, expected in severe.items():
+        assert Space((kind,), Bounds(), BASE.scenario).layout.severe.tolist() == expected, kind
+    assert tuple(severe) == KINDS
+
+
+def test_events_change_the_keys_that_their_words_name() -> None:
+    """Times are those of the run, a target is relative to the start, and noise is scaled."""
+    own = ("plant.noise.position_m=0.02", "maneuver.start_m=[1.0,0.0,-10.0]")
+    base = Base(scenario=read_scenario(FILE, own), source=str(FILE))
+    events = (
+        Death(agent=2, at_s=1.5, back_after_s=2.25),
+        Links(delay_s=0.2, jitter_s=0.01, loss=0.15),
+        Gusts(speed_mps=0.5, seed=7),
+        ModelError(mass_factor=1.1, motor_lag_s=0.05),
+        SensorsOff(factor=0.5, seed=None),
+        TargetEvent(at_s=3.0, offset_m=(1.0, 0.5, -0.5)),
+    )
+    changed = Candidate(events).scenario(base)
+    assert [(one.at_s, one.do, one.target) for one in changed.faults.event] == [
+        (1.5, "kill", "agent2"),
+        (3.75, "restart", "agent2"),
+    ]
+    assert changed.clock.on_agent_loss == "continue"
+    links = changed.links
+    assert (links.delay_s, links.jitter_s, links.loss) == (0.2, 0.01, 0.15)
+    plant = changed.plant
+    assert (plant.wind.gust_mps, changed.seed) == ((0.5, 0.5, 0.5), 7)
+    assert (plant.payload_mass_factor, plant.motors.lag_s) == (1.1, 0.05)
+    assert plant.noise.position_m == 0.01
+    (target,) = changed.maneuver.target
+    assert (target.at_s, np.ravel(target.points_m).tolist()) == (3.0, [2.0, 0.5, -10.5])
+
+
+SILENCE = DrawnSilence(start_s=7.3, duration_s=2.0, loss=0.95)
+BACK = Death(agent=1, at_s=0.3, back_after_s=0.7)
+TARGET = TargetEvent(at_s=3.0, offset_m=(1.2, 0.0, -0.5))
+
+
+@pytest.mark.parametrize(
+    ("event", "simpler"),
+    [
+        (
+            SILENCE,
+            [
+                replace(SILENCE, duration_s=1.0),
+                replace(SILENCE, start_s=8.3, duration_s=1.0),
+                replace(SILENCE, loss=1.0),
+                replace(SILENCE, start_s=7.0),
+                replace(SILENCE, start_s=7.5),
+            ],
+        ),
+        # Of 0.15 s: a half is too short to be tried, and so is a rounded duration of 0.
+        (
+            DrawnSilence(start_s=1.0, duration_s=0.15),
+            [
+                DrawnSilence(start_s=1.0, duration_s=0.1),
+            ],
+        ),
+        (
+            BACK,
+            [
+                replace(BACK, back_after_s=None),
+                replace(BACK, back_after_s=1.0),
+                replace(BACK, back_after_s=0.5),
+                replace(BACK, at_s=0.0),
+                replace(BACK, at_s=0.5),
+            ],
+        ),
+        (
+            Links(delay_s=0.37, loss=0.2),
+            [
+                Links(delay_s=0.37),
+                Links(loss=0.2),
+                Links(delay_s=0.35, loss=0.2),
+            ],
+        ),
+        (
+            Gusts(speed_mps=0.73, seed=7),
+            [
+                Gusts(speed_mps=0.5, seed=7),
+                Gusts(speed_mps=0.7, seed=7),
+                Gusts(speed_mps=0.73, seed=0),
+            ],
+        ),
+        (
+            TARGET,
+            [
+                replace(TARGET, offset_m=(0.0, 0.0, -0.5)),
+                replace(TARGET, offset_m=(1.2, 0.0, 0.0)),
+                replace(TARGET, offset_m=(1.0, 0.0, 0.0)),
+            ],
+        ),
+        (
+            SensorsOff(factor=0.5, seed=3),
+            [SensorsOff(factor=1.0, seed=3), SensorsOff(factor=0.5, seed=0)],
+        ),
+        (DrawnTeam(seed=1), []),
+    ],
+)
+def test_simpler_versions_of_an_event(event: Event, simpler: list[Event]) -> None:
+    """Each changes one thing: half of a window, no other impairment, a rounder number, the roundest first."""
+    assert list(event.simpler()) == simpler
 
 
 @settings(max_examples=25)
