@@ -41,6 +41,22 @@ def test_equal_computation(exponent: float, agents: int) -> None:
     assert low_s == high_s == pytest.approx(exact_s, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("loads", "expected_s"),
+    [
+        ([0.5, 0.7, 0.9], (0.0, 0.0)),  # less than the reference even at the shortest period
+        ([1.1, 1.5, 3.0], (math.inf, math.inf)),  # more even at the longest
+        ([0.5, 2.0, 1.5], (0.1 / math.sqrt(2.0),) * 2),  # a decrease is noise
+    ],
+)
+def test_equal_computation_beyond_the_measured_periods(
+    loads: list[float], expected_s: tuple[float, float]
+) -> None:
+    """The range of periods is open at the end beyond which it lies."""
+    periods_s = np.array([0.1, 0.05, 0.025])
+    assert equal_periods(periods_s, np.array(loads)[:, None]) == pytest.approx(expected_s)
+
+
 # Costs of three seeds of wind, by controller and period.
 COSTS = {
     (CENTRALIZED, 0.05): (1.0, 2.0, 4.0),
@@ -97,6 +113,9 @@ def test_ratios_are_taken_seed_by_seed() -> None:
     row = list(curve.rows())[1]
     assert mean is not None
     assert mean[:3] == (row["cost_ratio"], row["cost_ratio_ci95"], 3)
+    # Of 1 ms in a period of 50 ms, by each of four agents.
+    times = [row[f"cpu_{name}"] for name in ("step_ms", "agent_s_per_s", "team_s_per_s")]
+    assert times == pytest.approx([1.0, 0.02, 0.08])
     assert curve.cost_ratios(0.05) == pytest.approx([1.2, 1.1, 1.2])
 
 

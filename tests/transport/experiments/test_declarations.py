@@ -12,15 +12,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support import runs
+from tests.support.logs import log_of
 from tests.support.results import here
 from tests.support.runs import ticks
 from transport.cli.commands.experiment import EXPERIMENTS
 from transport.experiments.cases import ExperimentError, Point, cases_of
 from transport.experiments.declaration import Experiment
+from transport.experiments.information_experiment import away
 from transport.experiments.network_experiments import JITTER, NETWORKS
+from transport.log.run_log import RunLog
+from transport.model import state
 from transport.protocol.scenario.links.delay_jitter_and_loss import Link
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.setup.run_setup import Setup
 
 TICKS = 3_000
 BOTH = ("paper", "resilient")
@@ -112,6 +118,54 @@ def test_targets_that_one_agent_knows() -> None:
     assert 1.0 < min(starts_s) < max(starts_s) < 10.0
     assert len(set(starts_s)) == len(cases) == 10
     assert [target.to for target in cases[0].scenario.maneuver.target] == [[1]] * 4
+
+
+def test_the_payload_is_compared_with_that_of_the_run_in_which_all_are_told() -> None:
+    """Root mean square of the distances; a target that not all agents know has no time."""
+    flown = scenarios("precise", settings=(EXPERIMENTS["information"].maneuver,))
+    points = EXPERIMENTS["information"].experiment(flown, {"network": ["perfect"]}).points
+    told, eager = (
+        Setup.of(case.scenario, case.source)
+        for case in cases_of(points[:2], [EXPERIMENTS["information"].maneuver], 1)
+    )
+
+    def log(*offsets_m: float) -> RunLog:
+        states = [runs.plant_state(told, k) for k in range(len(offsets_m))]
+        for one, offset_m in zip(states, offsets_m, strict=True):
+            one.x[state.R0] += [0.6 * offset_m, 0.0, 0.8 * offset_m]
+        return log_of(states)
+
+    known = {"targets": [{"known_s": 1.5}, {"known_s": 0.5}]}
+    assert away(told, known, log(0.0, 0.0)) == {"away_rms_m": 0.0, "known_s": 1.5}
+    unknown = {"targets": [{"known_s": 1.5}, {"known_s": None}]}
+    found = away(eager, unknown, log(1.0, 7.0))
+    assert found == {"away_rms_m": pytest.approx(5.0), "known_s": None}
+
+
+def test_scaling_has_teams_of_all_sizes_and_pairs_of_even_ones() -> None:
+    """A team of two in a pair is the centralized one; the largest is always there."""
+    points = EXPERIMENTS["scaling"].experiment({}, {"max": 5}).points
+    teams = [(point.labels["ownership"], point.team, point.labels["agents"]) for point in points]
+    assert teams == [
+        *(("distributed", (uavs, 1), uavs) for uavs in (2, 3, 4, 5)),
+        ("pairs", (4, 2), 2),
+        *(("centralized", (uavs, uavs), 1) for uavs in (2, 3, 4, 5)),
+    ]
+    assert {point.labels["ownership"] for point in points if point.baseline} == {"centralized"}
+    assert all(point.group == f"{point.labels['uavs']} UAVs" for point in points)
+
+
+def test_each_agent_is_killed_with_and_without_a_restart() -> None:
+    """At the times asked for, one agent in each run, which the others survive."""
+    points = built("kill", of=("paper",), at=2.0, restart=3.5).points
+    faults = []
+    for point in points[1:]:
+        scenario = point.read()
+        assert scenario.clock.on_agent_loss == "continue"
+        faults.append([(one.do, one.at_s, one.target) for one in scenario.faults.event])
+    killed = [[("kill", 2.0, f"agent{agent}")] for agent in (1, 2, 3, 4)]
+    restarted = [[*one, ("restart", 3.5, one[0][2])] for one in killed]
+    assert faults == [*restarted, *killed]
 
 
 def mean_age_s(point: Point) -> float:

@@ -121,6 +121,64 @@ def test_anything_can_be_reported(experiment: Experiment, mix: str, tmp_path: Pa
     assert max(len(line.rstrip()) for line in text.splitlines()) <= WIDTH
 
 
+def test_every_column_of_a_table_has_its_unit() -> None:
+    """Costs in thousandths, errors in cm, shares in %, plans in kB/s, over all kinds of tables."""
+    numbers = {
+        "cost_mean": 0.00123,
+        "cost_max": 0.0123,
+        "attitude_max_deg": 1.25,
+        "swing_m": 0.125,
+        "separation_min_m": 0.4567,
+        "plan_age_mean_ticks": 2.5,
+        "payload_rms_m": 0.0123,
+        "payload_max_m": 0.0456,
+        "away_rms_m": 0.034,
+        "known_s": 3.25,
+        "plans_shared_share": 0.456,
+        "cpu_step_p50_ms": 1.75,
+        "cpu_step_p99_ms": 2.75,
+        "cpu_team_tick_ms": 7.25,
+        "plan_bytes_per_s": 5678.0,
+    }
+    run = Result(key="k", outcome="completed", reason="", numbers={**numbers, "lost_s": None})
+    ended = diverged(14.35)
+    found: dict[str, str] = {}
+    for label in ("case", "weather", "rule", "age_s", "share_threshold", "speed_mps", "ownership"):
+        point = Point({label: 1.0}, "", scenario="a", baseline=True)
+        measured = statistics_of([point], [[run, ended]], list(numbers))
+        for column in table_of("", measured).columns:
+            heading, (cell,) = str(column.header), column.cells
+            assert found.setdefault(heading, cell) == cell or heading == "scenario"
+    assert {name: found[name] for name in found if name not in ("scenario", "done")} == {
+        "case": "1",
+        "weather": "1",
+        "rule": "1",
+        "age\ns": "1",
+        "share\nthreshold": "1",
+        "speed\nmps": "1",
+        "ownership": "1",
+        "div.\n(s)": "14.3",
+        "cost mean\n(1e-3)": "1.23",
+        "cost\nratio": "1.00",
+        "max\n(1e-3)": "12.3",
+        "attitude\n(deg)": "1.25",
+        "worst\n(deg)": "1.2",
+        "swing\n(m)": "0.12",
+        "apart\n(m)": "0.457",
+        "age\n(tick)": "2.50",
+        "error rms\n(cm)": "1.23",
+        "largest\n(cm)": "4.6",
+        "away rms\n(cm)": "3.4",
+        "known\n(s)": "3.25",
+        "plans\nsent (%)": "45.6",
+        "CPU step\np50 (ms)": "1.75",
+        "p99\n(ms)": "2.75",
+        "team\n(ms)": "7.2",
+        "plans\n(kB/s)": "5.7",
+    }
+    assert found["done"] == "1/2"
+
+
 @pytest.mark.parametrize("experiment", [LATENCY, HOVER], ids=lambda value: value.name)
 def test_markers_stand_on_their_values(experiment: Experiment) -> None:
     """The points of a single curve in a panel are exactly at the values of their runs."""

@@ -3,6 +3,8 @@
 The confidence interval against theory and scipy.stats, and what counts for a point.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -11,7 +13,7 @@ from transport.experiments.cases import Point
 from transport.experiments.result_tables import Column
 from transport.experiments.run_numbers import NUMBERS
 from transport.experiments.simulation import ERROR, Result
-from transport.experiments.statistics import COST_RATIO, estimate, statistics_of
+from transport.experiments.statistics import COST_RATIO, bars_in_words, estimate, statistics_of
 
 BASELINE = Point(scenario="a", labels={"delay_s": 0.0}, text="0 ms", baseline=True)
 LATE = Point(scenario="a", labels={"delay_s": 0.1}, text="100 ms")
@@ -86,6 +88,52 @@ def test_the_cost_ratio_has_the_spread_of_the_cost() -> None:
     assert ratio is not None
     assert (ratio.mean, ratio.low, ratio.high) == pytest.approx((2.0, 2.0 / 1.5, 4.0 / 1.5))
     assert base.estimate(COST_RATIO) == (1.0, None, 1, 1.0, 1.0)
+
+
+def test_a_point_tells_its_first_divergence_its_worst_attitude_and_the_ratio_in_its_group() -> None:
+    """The baseline is that of the same scenario and group; a worst attitude is that of a completed run."""
+
+    def flown(outcome: str, attitude_deg: float, lost_s: float | None = None) -> Result:
+        one = result(outcome, lost_s=lost_s)
+        return replace(one, numbers=one.numbers | {"attitude_max_deg": attitude_deg})
+
+    other = replace(BASELINE, group="b")
+    late = replace(LATE, group="b")
+    base, _, measured = statistics_of(
+        [other, replace(other, scenario="c"), late],
+        [
+            [result(cost=0.5)],
+            [result(cost=4.0)],
+            [
+                flown("diverged", 90.0, 7.5),
+                flown("completed", 3.0),
+                flown("diverged", 80.0, 2.5),
+                flown("completed", 8.0),
+            ],
+        ],
+        NUMBERS[1:],
+    )
+    row = measured.row()
+    assert (row["first_lost_s"], row["attitude_worst_deg"]) == (2.5, 8.0)
+    assert (base.cost_ratio, measured.cost_ratio) == (1.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("counts", "text"),
+    [
+        ([1, 1], ""),
+        ([3, 3], "bars: range of 3 runs"),
+        ([2, 4], "bars: range of 2 to 4 runs"),
+        ([5, 8], "bars: 95 % intervals of 5 to 8 runs"),
+        ([3, 8], "bars: 95 % intervals of 3 to 8 runs, ranges of fewer than 5"),
+    ],
+)
+def test_bars_are_named_by_the_number_of_runs(counts: list[int], text: str) -> None:
+    """Ranges of fewer than five, intervals of more, or both; a single run has no bar."""
+    measured = statistics_of(
+        [BASELINE, LATE], [[result(cost=1.0 + k) for k in range(n)] for n in counts], NUMBERS[1:]
+    )
+    assert bars_in_words(measured, ["cost_mean"]) == text
 
 
 def test_diverged_runs_count_but_are_not_averaged() -> None:
