@@ -18,7 +18,9 @@ from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE, Tran
 from transport.protocol.wire.key_expressions import ACTING, OPERATOR, ROUTER, WATCHER, Keys
 
 _RETRY_S = 0.05  # pause between attempts of a client to reach its router
-_ATTEMPT_MS = 500  # length of an attempt of a client
+# Length of the first attempt of a client, and the longest: each takes twice as long as the one before,
+# as a process on a starved host may need seconds for its part of the handshake.
+_ATTEMPT_MS, _LONGEST_MS = 500, 2000
 _FOR_EVER = -1  # of a peer
 # Pauses between attempts to connect to an address, growing by a factor: peers of a run start together.
 _RETRIES = {"period_init_ms": 5, "period_max_ms": 200, "period_increase_factor": 1.5}
@@ -64,23 +66,27 @@ def open_session(
     check_usable()
     _first_user = os.getpid()
     settings = configuration(endpoints, patience_s, name, keys)
-    text = json.dumps(settings, ensure_ascii=False)
     deadline = time.monotonic() + reach_s
     while True:
+        text = json.dumps(settings, ensure_ascii=False)
         try:
             return zenoh.open(zenoh.Config.from_json5(text))
         except zenoh.ZError as error:
             is_client = endpoints.mode == "client"
             if is_client and time.monotonic() <= deadline:
                 time.sleep(_RETRY_S)
+                attempt_ms = settings["connect"]["timeout_ms"]
+                settings["connect"]["timeout_ms"] = min(2 * attempt_ms, _LONGEST_MS)
                 continue
-            problem = _no_router(name, endpoints) if is_client else _cannot_listen(endpoints, error)
+            problem = (
+                _no_connection(name, endpoints) if is_client else _cannot_listen(endpoints, error)
+            )
             raise BusError(problem) from error
 
 
-def _no_router(name: str, endpoints: Endpoints) -> str:
-    """Return the text of the error of a client without a router."""
-    return f"{name}: no router accepts a connection at {', '.join(endpoints.connect)}"
+def _no_connection(name: str, endpoints: Endpoints) -> str:
+    """Return the text of the error of a client without a router, or the process that it asks."""
+    return f"{name}: no process accepts a connection at {', '.join(endpoints.connect)}"
 
 
 def _cannot_listen(endpoints: Endpoints, error: zenoh.ZError) -> str:
@@ -136,12 +142,13 @@ class Reach:
     Attributes:
         connect: Endpoints; a single one may be of the process or of a router.
         security: Keys of the client.
-        timeout_s: Time to find the process, and again for its answer, s.
+        timeout_s: Time to find the process, and again for its answer, s; by default that after which
+            Zenoh takes a silent process for gone: one that is frozen for less goes on with the run.
     """
 
     connect: Sequence[str]
     security: Security | None = None
-    timeout_s: float = 5.0
+    timeout_s: float = 10.0
 
 
 def ask(
@@ -181,7 +188,10 @@ def ask(
             f"{whom} has closed the connection: it has ended, or is about to end"
         ) from error
     if answer is None:
-        raise BusError(f"{whom} does not answer")
+        raise BusError(
+            f"{whom} does not answer within {timeout_s:g} s: it is stopped, or its host is too busy; "
+            "it may still do later what was asked"
+        )
     return answer
 
 

@@ -133,7 +133,7 @@ def test_a_team_flies_through_failures_and_lands(
         assert "in flight" in invoke("release")[2]
         assert "landing from tick" in succeed("land")
         assert "expected a team at rest" in invoke("release")[2]
-        assert wait_for(lambda: invoke("release")[0] == 0)
+        assert wait_for(lambda: run.poll() is not None or invoke("release")[0] == 0)
         _, errors = run.communicate(timeout=60)
     finally:
         run.kill()

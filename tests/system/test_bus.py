@@ -4,9 +4,11 @@ Its messages are counted and have no other effect.
 """
 
 import json
+import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import pytest
 import zenoh
@@ -18,7 +20,7 @@ from transport.protocol.admission.acceptance_and_refusals import Gate
 from transport.protocol.network.bus import Bus
 from transport.protocol.network.bus_events import BusOptions, Place
 from transport.protocol.network.endpoints import Endpoints
-from transport.protocol.network.session import BusError
+from transport.protocol.network.session import BusError, Reach, ask
 from transport.protocol.wire.codec import MAX_BYTES, VERSION, encode
 from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.messages import Presence
@@ -135,6 +137,44 @@ def test_messages_of_announced_processes_are_accepted(network: tuple[Plant, zeno
     arrival = plant.bus.next(PATIENCE_S)
     assert arrival is not None
     assert arrival.event == Presence("coordinator", 0, alive=False)
+
+
+def pass_on(server: socket.socket, port: int, delay_s: float) -> None:
+    """Pass on what comes to a server to a port, each piece after a delay, and what comes back at once."""
+
+    def copy(source: socket.socket, target: socket.socket, pause_s: float) -> None:
+        with suppress(OSError), source, target:
+            while data := source.recv(65_536):
+                time.sleep(pause_s)
+                target.sendall(data)
+
+    with suppress(OSError):
+        while True:
+            client, _ = server.accept()
+            there = socket.create_connection(("127.0.0.1", port))
+            for ends in ((client, there, delay_s), (there, client, 0.0)):
+                threading.Thread(target=copy, args=ends, daemon=True).start()
+
+
+def test_a_process_that_is_slow_is_reached() -> None:
+    """Its part of the opening of a connection takes longer than the first attempt of a client."""
+    port = free_base()
+    plant = Plant(port)
+    plant.bus.announce()
+    is_over = threading.Event()
+    reading = threading.Thread(target=lambda: plant.waits_for(is_over.is_set), daemon=True)
+    reading.start()
+    try:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            threading.Thread(target=pass_on, args=(server, port, 0.3), daemon=True).start()
+            at = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+            answer = ask(KEYS.run, Reach(connect=[at]), "plant", "health", {})
+            server.shutdown(socket.SHUT_RDWR)
+    finally:
+        is_over.set()
+        reading.join()
+        plant.bus.close()
+    assert answer["name"] == "plant"
 
 
 def test_what_comes_early_is_kept(network: tuple[Plant, zenoh.Session]) -> None:
