@@ -531,6 +531,52 @@ def test_settings_that_contradict_the_cost_to_go() -> None:
     )
 
 
+OF_VEHICLES = "with plant.kind = 'vehicles' or plant.autopilot"
+OUTSIDE = "plant.kind=vehicles"
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "expected"),
+    [
+        ("flight", "clock.mode=lockstep", f"'realtime' {OF_VEHICLES}, got 'lockstep'"),
+        ("flight", "clock.on_overrun=hold", f"'continue' {OF_VEHICLES}, got 'hold'"),
+        ("flight", "controller.inputs=moments", f"'rates' {OF_VEHICLES}, got 'moments'"),
+        ("flight", "controller.fail_safe=level", f"'follow' {OF_VEHICLES}, got 'level'"),
+        ("flight", "controller.silence=stop", f"'alone' or 'law' {OF_VEHICLES}, got 'stop'"),
+        ("flight", "agents.owned=[[1,2],[3],[4]]", f"one UAV for each agent {OF_VEHICLES}, got"),
+        ("flight", "agents.owned=[[2],[1],[3],[4]]", f"UAV i for agent i {OF_VEHICLES}, got"),
+        (
+            "flight",
+            f"clock.on_agent_loss=abort {OUTSIDE}",
+            "'continue' with plant.kind = 'vehicles'",
+        ),
+        ("flight", f"clock.on_coordinator_loss=end {OUTSIDE}", "'continue' with plant.kind ="),
+        ("paper", "clock.on_coordinator_loss=continue", "'end' without plant.kind = 'vehicles' or"),
+        ("paper", "plant.ground_m=0.0", "no value with plant.engine = 'rods', got 0.0"),
+        (
+            "paper",
+            "plant.inner_loop=betaflight controller.inputs=rates clock.mode=realtime",
+            "'model' with clock.mode = 'realtime', got 'betaflight'",
+        ),
+        (
+            "paper",
+            "plant.autopilot=stand_in plant.inner_loop=betaflight controller.inputs=rates",
+            "no value with plant.inner_loop = 'betaflight', got 'stand_in'",
+        ),
+        (
+            "paper",
+            " ".join(["controller.share=on_change", "agents.controller=own:Law", *ON_CHANGE[:2]]),
+            "'always' with agents.controller = 'own:Law', got 'on_change'",
+        ),
+    ],
+)
+def test_a_value_that_does_not_go_with_another_key(name: str, settings: str, expected: str) -> None:
+    """The first setting is refused for the value of another key, which the refusal names."""
+    given = settings.split()
+    text = refusal(find_scenario(name), *given)
+    assert text.startswith(f"--set {given[0]}: expected {expected}")
+
+
 @pytest.mark.parametrize(("setting", "problem"), WRONG_SETTINGS)
 def test_wrong_setting(setting: str, problem: str) -> None:
     """A setting that names no place in the scenario is refused on one line that repeats it."""
