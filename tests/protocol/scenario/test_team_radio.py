@@ -9,14 +9,19 @@ from msgspec.structs import replace
 
 from tests.support.own_classes import Bulky
 from tests.support.runs import ALL, plan, recorded, setup, ticks
+from transport.protocol.radio.channel_settings_and_state import ChannelParameters
 from transport.protocol.radio.frames import FrameResult
-from transport.protocol.radio.slot_length import frame_lengths
-from transport.protocol.radio.standards_80211 import MESSAGE_BYTES, OFDM
+from transport.protocol.radio.propagation import Propagation, noise_mw
+from transport.protocol.radio.slot_length import frame_lengths, occupied_ns
+from transport.protocol.radio.standards_80211 import DSSS, MESSAGE_BYTES, OFDM
 from transport.protocol.scenario.links.delay_jitter_and_loss import Link
 from transport.protocol.scenario.radio.radio_parameters import (
     NS_PER_S,
     PlanShape,
+    channel_parameters,
     plan_length,
+    propagation_of,
+    send_times,
     slot_lengths,
 )
 from transport.protocol.scenario.radio.team_radio import TeamRadio
@@ -421,3 +426,90 @@ def test_power_falls_with_the_distance_of_the_radios_in_flight(
     radio.send(plan(run, 1, 0), (1, 2))
     ((_, arrival),) = radio.advance(1, x.ravel())["arrivals"]
     assert arrival > 0.0 if arrives else arrival == -float(FrameResult.WEAK)
+
+
+def test_the_channel_has_the_settings_of_the_section() -> None:
+    """Each key of `[radio]` is that of the model, in mW, ratios and nanoseconds."""
+    section = RadioSection(
+        standard="802.11b",
+        rate_mbps=2.0,
+        delivery="unicast",
+        attempts=3,
+        queue_length=5,
+        power_mw=20.0,
+        path_loss_exponent=2.5,
+        path_loss_1m_db=50.0,
+        shadowing_db=4.0,
+        noise_figure_db=9.0,
+        sensitivity_dbm=-70.0,
+        carrier_sense_dbm=-75.0,
+        capture_db=6.0,
+        computation_mean_s=0.004,
+        computation_deviation_s=0.002,
+    )
+    assert channel_parameters(section, 8) == ChannelParameters(
+        standard=DSSS,
+        rate_mbps=2.0,
+        unicast=True,
+        queue_length=5,
+        attempts=3,
+        noise_mw=noise_mw(22e6, 9.0),
+        sensitivity_mw=10.0**-7.0,
+        carrier_sense_mw=10.0**-7.5,
+        preamble_ratio=10.0**0.6,
+        seed=8,
+    )
+    assert propagation_of(section, 8) == Propagation(
+        power_mw=20.0, exponent=2.5, reference_loss_db=50.0, shadowing_db=4.0, seed=8
+    )
+    run = setup("seed=8")
+    sends = send_times(run.run, section, PlanShape.of(run.run))
+    assert (sends.computation_mean_ns, sends.computation_deviation_ns) == (4_000_000, 2_000_000)
+    assert (sends.period_ns, sends.stations, sends.seed) == (50_000_000, AGENTS, 8)
+
+
+def test_a_slot_holds_the_frames_of_all_receivers() -> None:
+    """Unicast takes a frame and an acknowledgement for each of the other agents."""
+    run = setup(ticks(TICKS), *CLOSED_LOOP, "radio={delivery='unicast'}")
+    slots = slot_lengths(run.run, PlanShape.of(run.run))
+    assert slots is not None
+    lengths = frame_lengths(slots.plan_bytes)
+    needed_ns = occupied_ns(lengths, OFDM, RadioSection().rate_mbps, receivers=AGENTS - 1)
+    assert slots.plan_s == needed_ns / NS_PER_S
+
+
+def test_negotiated_plans_take_no_turns() -> None:
+    """Each exchange has the slots of all agents, also where they are too short."""
+    run = setup(ticks(TICKS), *CLOSED_LOOP, SLOW, "controller.negotiation_iterations=2")
+    slots = slot_lengths(run.run, PlanShape.of(run.run))
+    assert slots is not None
+    assert (slots.cycle_ticks, slots.slots, slots.are_enough) == (1, AGENTS, False)
+
+
+def test_a_plan_in_several_frames_is_lost_for_the_first_reason() -> None:
+    """Its second frame finds the queue full before its first one collides."""
+    lost = (
+        "radio={offsets='none',computation_deviation_s=0.0,queue_length=1}",
+        "agents.owned=[[1,2],[3,4]]",
+        "controller.horizon=40",
+    )
+    arrivals = np.vstack([one.arrivals for one in reports_of(*lost)])
+    assert set(arrivals[arrivals != UNREPORTED]) == {-float(FrameResult.QUEUE)}
+
+
+def test_a_plan_that_waits_is_sent_in_the_longer_slot() -> None:
+    """Slots that grow for the numbers of a class move the turn of a plan that waits for it."""
+    run = setup(ticks(TICKS), *CLOSED_LOOP, SLOW)
+    section = run.scenario.radio
+    assert section is not None
+    radio = TeamRadio(run.run, section)
+    radio.send(plan(run, AGENTS, 0), ALL)
+    longer = replace(plan(run, 1, 1), data=np.zeros(512))
+    radio.fit_slots([longer])
+
+    sends = send_times(run.run, section, PlanShape.of(run.run).holding([longer]))
+    before = send_times(run.run, section, PlanShape.of(run.run))
+    sent_ns = sends.instant_ns(AGENTS - 1, 0)
+    assert sent_ns > before.instant_ns(AGENTS - 1, 0)
+    reports = [radio.advance(tick, run.initial_state()) for tick in range(1, sends.cycle + 1)]
+    assert [sent_s for one in reports for sent_s in one["sent"]] == [sent_ns / NS_PER_S]
