@@ -7,8 +7,9 @@ from transport.model.linear import motor_lag as motors
 from transport.model.linear.linearisation import Model
 from transport.model.physics.hover import hover
 from transport.model.physics.parameters import table_1
+from transport.model.state import THETA, uav_slice
 from transport.mpc.controller import Controller
-from transport.mpc.program.prediction import Prediction
+from transport.mpc.program.prediction import Prediction, predict
 from transport.mpc.program.rollout import Actuation, rollout
 from transport.mpc.settings_period_horizon_weights import ControllerSettings
 
@@ -80,3 +81,27 @@ def test_outputs_along_the_control_law_are_exact_on_its_trajectory() -> None:
 
     expanded = linear.model.y + (Z - x0) @ linear.model.C.T
     assert np.abs(Y - expanded).max() > 0.01, "an expansion at the first state is as good"
+
+
+@pytest.mark.parametrize(("roll_rad", "is_followed"), [(1.0, True), (1.4, False)])
+def test_a_trajectory_that_tilts_too_far_is_not_followed(
+    roll_rad: float, *, is_followed: bool
+) -> None:
+    """Near the singularity of Euler angles the prediction is the linear one about the present state, (35)."""
+    system = table_1()
+    model, at_rest = Model(system), hover(system)
+    settings = ControllerSettings(prediction="closed_loop", linearisation="along", horizon=4)
+    one = Controller(model, at_rest, settings, (1,))
+    x0 = at_rest.x.copy()
+    x0[uav_slice(0)][THETA.start] = roll_rad
+    law = one.law(x0, np.tile(x0, (4, 1)), np.zeros((4, system.m)))
+    assert law is not None
+    linear = one.linearise(x0, at_rest.u)
+    discrete = one.discretise(linear)
+    U = np.tile(at_rest.u, (4, 1))
+    found = one.predict(linear, discrete, U, law)
+    assert isinstance(found, Prediction)
+
+    about_x0 = predict(discrete, at_rest.u, one.own, U, law).dX_free
+    is_linear = np.allclose(found.dX_free, about_x0, rtol=0.0, atol=ON_THE_TRAJECTORY)
+    assert is_linear is not is_followed

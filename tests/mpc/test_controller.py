@@ -1,12 +1,25 @@
 """The controller's program against the cost of the paper and against the paper's own matrices; its arguments."""
 
+from dataclasses import replace
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pytest
 
 from tests.support import naive
-from tests.support.systems import Setup, Situation, controller, paper_setup, situation, step
+from tests.support.systems import (
+    Setup,
+    Situation,
+    changed,
+    controller,
+    paper_setup,
+    situation,
+    step,
+)
 from transport.model.arrays import Array
+from transport.model.linear.motor_lag import with_lag
+from transport.model.physics.hover import hover
 from transport.mpc.settings_period_horizon_weights import (
     ConstraintSection,
     ControllerSettings,
@@ -189,3 +202,75 @@ def test_mixed_plan_is_clipped(side: float) -> None:
     expected = np.clip(mean, full.lower(1), full.upper(1))
     assert (expected != mean).all(), "the mean is within the bounds"
     np.testing.assert_allclose(step(mixed, at).U, expected, rtol=0.0, atol=MIX_AGREEMENT)
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.05])
+@pytest.mark.parametrize(
+    ("kind", "is_at_hover"),
+    [
+        ({"prediction": "open_loop", "linearisation": "present"}, False),
+        ({"prediction": "open_loop", "linearisation": "along"}, False),
+        ({"prediction": "closed_loop", "linearisation": "present"}, False),
+        ({"prediction": "closed_loop", "linearisation": "along"}, True),
+    ],
+    ids=lambda value: "-".join(value.values()) if isinstance(value, dict) else "",
+)
+def test_motion_is_that_of_the_present_state(
+    kind: dict[str, Any], is_at_hover: bool, lag_s: float
+) -> None:
+    """f and h are those at x0, the actual inputs and the forces; along the law derivatives are those at hover, (15), (55).
+
+    They are those at hover without forces and the same at each step.
+    """
+    setup = paper_setup()
+    rng = np.random.default_rng(8)
+    settings = changed(ControllerSettings(horizon=5, motor_lag_s=lag_s), **kind)
+    at = situation(setup, settings, seed=8)
+    forces = np.append(rng.standard_normal(3 + 3 * setup.system.N), 0.3)
+    actual = at.u + rng.standard_normal(setup.system.m) if lag_s else at.u
+    z0 = np.concatenate([at.x, actual]) if lag_s else at.x
+    found = controller(setup, settings, (1,)).linearise(z0, at.u, forces).model
+
+    f = setup.model.derivative(at.x, actual, forces=forces)
+    about = setup.model.linearise(at.x, actual, forces=forces)
+    if is_at_hover:
+        about = setup.model.linearise(setup.hover.x, setup.hover.u)
+    if lag_s:
+        f = np.concatenate([f, (at.u - actual) / lag_s])
+        about = with_lag(about, actual, at.u, lag_s)
+    np.testing.assert_allclose(found.f, f, atol=MIX_AGREEMENT)
+    np.testing.assert_allclose(found.y, setup.model.outputs(at.x), atol=MIX_AGREEMENT)
+    for name in ("A_c", "B_c", "C"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(about, name))
+
+
+@pytest.mark.parametrize("penalised_input", ["deviation", "absolute"])
+def test_inputs_without_cost_carry_a_heavier_payload(penalised_input: PenalisedInput) -> None:
+    """With a mass error deviations are those from the hover of that payload; an input itself is measured from zero, (40)."""
+    setup, further_kg = paper_setup(), 0.4
+    settings = ControllerSettings(horizon=5, weights=Weights(penalised_input=penalised_input))
+    forces = np.append(np.zeros(3 + 3 * setup.system.N), further_kg)
+    found = controller(setup, settings, (1,)).linearise(setup.x, setup.hover.u, forces).u_target
+
+    payload = replace(setup.system.payload, mass=setup.system.payload.mass + further_kg)
+    heavier = hover(replace(setup.system, payload=payload)).u
+    expected = heavier if penalised_input == "deviation" else np.zeros_like(heavier)
+    np.testing.assert_allclose(found, expected, atol=PLAN_AGREEMENT)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0], ids=["below", "above"])
+def test_a_plan_that_is_given_up_is_the_shifted_one_within_bounds(side: float) -> None:
+    """The announced inputs are clipped, the announced corrections go on, and the result is not "solved"."""
+    setup = paper_setup()
+    settings = ControllerSettings(horizon=9, prediction="closed_loop")
+    at, one = situation(setup, settings, seed=4), controller(setup, settings, (1,))
+    at.U[:, one.own] += 10.0 * side * half_range(settings, 1)
+    c = np.random.default_rng(2).standard_normal(at.U.shape)
+    law = one.law(at.x, np.tile(setup.x, (9, 1)), c)
+    assert law is not None
+
+    found = one.give_up(at.U, law)
+    limit = settings.lower(1) if side < 0.0 else settings.upper(1)
+    np.testing.assert_array_equal(found.U, np.tile(limit, (9, 1)))
+    np.testing.assert_array_equal(found.c, c[:, one.own])
+    assert found.solution.status != "solved"

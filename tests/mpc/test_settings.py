@@ -1,5 +1,6 @@
 """Settings: each one out of its range is refused."""
 
+from dataclasses import replace
 from math import nan
 from typing import Any, Literal
 
@@ -54,6 +55,21 @@ def test_order_of_the_weights() -> None:
         Weights(thrust=1.0, moments=(2.0, 3.0, 4.0)).R(table_1()).tolist()
         == [1.0, 2.0, 3.0, 4.0] * 4
     )
+
+
+def test_weights_on_accelerations_by_hand() -> None:
+    """Weights over the squares of what a UAV lifts, with an equal share of the payload, and of its inertia, (21a).
+
+    With commanded body rates their weights take the place of those on turning.
+    """
+    bodies = table_1()
+    light = replace(bodies.uavs[1], mass=1.0, inertia=np.diag([0.02, 0.03, 0.04]))
+    system = replace(bodies, uavs=(bodies.uavs[0], light, *bodies.uavs[2:]))
+    weights = Weights(acceleration=7.0, angular_acceleration=6e-4, rates=(2.0, 3.0, 4.0))
+    thrust = 7.0 / (1.0 + 3.0 / 4) ** 2
+    assert weights.R(system)[4:8] == pytest.approx([thrust, 1.5, 6e-4 / 0.03**2, 0.375])
+    by_rates = replace(system, rate_gains=np.ones(3))
+    assert weights.R(by_rates)[4:8] == pytest.approx([thrust, 2.0, 3.0, 4.0])
 
 
 def test_tilt_rate_weighs_the_first_two_body_rates_of_each_uav() -> None:

@@ -137,15 +137,18 @@ def test_uavs_on_the_fail_safe_keep_their_thrust() -> None:
 
 
 def test_derivatives_are_those_at_the_hover_of_the_present_team() -> None:
-    """After a failure and after the loss of an agent the next step has those of the new hover, (35a)."""
+    """After a failure and after the loss of an agent the next step has those of the new hover, and their hold, (35a)."""
     system, settings = larger(6), CLOSED.model_copy(update={"linearisation": "along"})
     at = hover(system)
     one = Controller(Model(system), at, settings, [0])
 
     def checked() -> Array:
         now = one.regulation.hover
-        found = one.linearise(at.x, at.u).model.jacobians.values.copy()
+        linear = one.linearise(at.x, at.u)
+        found = linear.model.jacobians.values.copy()
         np.testing.assert_array_equal(found, one.model.linearise(now.x, now.u).jacobians.values)
+        held = zero_order_hold(linear.model, settings.sampling_period_s)
+        np.testing.assert_array_equal(one.discretise(linear).A, held.A)
         return found
 
     whole = checked()

@@ -16,7 +16,13 @@ from transport.mpc.law.infinite_horizon_lqr import HoveringTeam, regulator
 from transport.mpc.program.feedback_law import FeedbackError, FeedbackLaw
 from transport.mpc.program.prediction import Prediction, convolve, predict
 from transport.mpc.program.stage_cost import Cost
-from transport.mpc.settings_period_horizon_weights import ControllerSettings, CostTerm, Weights
+from transport.mpc.settings_period_horizon_weights import (
+    ConstraintSection,
+    ControllerSettings,
+    CostTerm,
+    PredictionName,
+    Weights,
+)
 
 PERIOD_S = 0.05
 CLOSED = ControllerSettings(prediction="closed_loop", relaxation=1.0)
@@ -195,25 +201,52 @@ def test_a_start_is_not_relaxed_towards_nothing() -> None:
 
 
 @pytest.mark.parametrize("owned", [(1,), (0, 2)])
-def test_while_agents_are_lost_each_changes_its_corrections_by_its_share(
+@pytest.mark.parametrize(
+    ("gone", "expression", "prediction", "correct_the_same"),
+    [
+        ((3,), None, "closed_loop", True),
+        ((), None, "closed_loop", False),
+        ((), "r0[2] <= 90", "closed_loop", True),
+        ((), "thrust1 + thrust2 + thrust3 <= 190", "closed_loop", True),
+        ((), "thrust4 <= 44", "closed_loop", False),
+        ((3,), "r0[2] <= 90", "open_loop", False),
+    ],
+    ids=["lost", "none", "states", "shared inputs", "another's input", "open loop"],
+)
+def test_agents_that_correct_the_same_each_go_their_share_of_the_way(
     owned: tuple[int, ...],
+    gone: tuple[int, ...],
+    expression: str | None,
+    prediction: PredictionName,
+    correct_the_same: bool,
 ) -> None:
-    """Of the way to their optimum agents go the share N_o / N: all together the whole, (30a)."""
+    """Of the way to their optimum agents go the share N_o / N: all together the whole, (30a).
+
+    That is so where agents are lost, and with a constraint of the user that several keep, also after a
+    lost agent has come back.
+    """
     setup = paper_setup()
     at = situation(setup, CLOSED, seed=9)
-    one = Controller(setup.model, setup.hover, CLOSED, owned)
+    rows = () if expression is None else (ConstraintSection(expression=expression),)
+    settings = changed(CLOSED, prediction=prediction, constraint=rows)
+    one = Controller(setup.model, setup.hover, settings, owned)
     one.without((3,))
+    one.without(gone)
     law = law_at(one, at)
-    assert law is not None
     linear = one.linearise(at.x, at.u)
-    prediction = one.predict(linear, one.discretise(linear), at.U, law)
-    solution = one.solve(one.condense(linear, prediction, at.y_ref))
-    best = one.conclude(solution, prediction, at.U, law, ticks_since_start=0).c
-    before = law.c[:, one.own]
+    prediction_of_step = one.predict(linear, one.discretise(linear), at.U, law)
+    solution = one.solve(one.condense(linear, prediction_of_step, at.y_ref, law))
+
+    def planned(ticks_since_start: int | None) -> Array:
+        found = one.conclude(solution, prediction_of_step, at.U, law, ticks_since_start)
+        return found.U if law is None else found.c
+
+    best = planned(0)
+    before = at.U[:, one.own] if law is None else law.c[:, one.own]
     assert np.abs(best - before).max() > 0.01, "nothing to relax: the comparison shows nothing"
-    way = one.conclude(solution, prediction, at.U, law).c - before
-    whole = setup.system.N / len(owned) * way
-    assert np.abs(whole - (best - before)).max() < ROLLOUT_TOLERANCE
+    share = len(owned) / setup.system.N if correct_the_same else 1.0
+    way = planned(None) - before
+    assert np.abs(way - share * (best - before)).max() < ROLLOUT_TOLERANCE
 
 
 def test_an_equation_that_overflows_is_refused_in_words() -> None:

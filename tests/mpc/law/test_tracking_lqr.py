@@ -25,6 +25,7 @@ from transport.mpc.law.reconfiguration import recursion_of
 from transport.mpc.law.tracking_lqr import GAINS_PER_PERIOD
 from transport.mpc.program.program_along_reference import Course
 from transport.mpc.program.rollout import Actuation, rollout
+from transport.mpc.program.trajectory import Signals
 from transport.mpc.reference import Sampled
 from transport.mpc.settings_period_horizon_weights import (
     ControllerSettings,
@@ -177,25 +178,53 @@ def step(one: Controller, x0: Array, c: Array, start: int = 60) -> tuple[Course,
     return course, one.conclude(one.solve(qp), course, track.U[start : start + 12], law)
 
 
-def test_decision_changes_functions_of_the_inputs_by_the_difference_equation() -> None:
-    """A random decision changes them by their slopes times the owned inputs of (74)."""
+def test_decision_changes_signals_by_the_difference_equation() -> None:
+    """A random decision changes states, inputs and functions of them by their slopes times the motion of (74).
+
+    Values are those at the points of the trajectory: states of steps 1..N_p, inputs of 0..N_p - 1.
+    """
     model, track = flown()
     one, rng = controller((0, 2)), np.random.default_rng(6)
     trajectory = step(one, track.X[60], np.zeros((12, model.system.m)))[0].trajectory
-    weights = rng.standard_normal((3, model.system.m))
-    found = trajectory.of_inputs(lambda u: (weights @ u**2 / 2.0, weights * u))
-    np.testing.assert_array_equal(found.values, [weights @ u**2 / 2.0 for u in trajectory.U])
+    X, U, own = trajectory.Z, trajectory.U, one.own
 
     z = rng.standard_normal(trajectory.decision.size)
-    dc = np.zeros_like(trajectory.U)
-    dc[:, one.own] = trajectory.decision.inputs(z)
-    xi, expected = np.zeros(model.system.n), []
+    dc = np.zeros_like(U)
+    dc[:, own] = trajectory.decision.inputs(z)
+    dX, dU = np.zeros_like(X), np.zeros_like(U)
     for k, at in enumerate(trajectory.gains):
-        du = at.K @ xi + dc[k]
-        expected.append((weights * trajectory.U[k])[:, one.own] @ du[one.own])
-        xi = at.A_closed @ xi + at.B @ dc[k]
-    changes = (found.effect @ z).reshape(-1, len(weights))
-    np.testing.assert_allclose(changes, expected, atol=SAME_COST * np.abs(expected).max())
+        dU[k] = at.K @ dX[k] + dc[k]
+        dX[k + 1] = at.A_closed @ dX[k] + at.B @ dc[k]
+    through_own = np.zeros_like(dU)
+    through_own[:, own] = dU[:, own]
+
+    r = model.outputs_along(X[1:])[:, : 3 * model.system.N]
+    C = [model.linearise(x, U[0]).C[: r.shape[1]] for x in X[1:]]
+    dr = np.array([C_k @ dx for C_k, dx in zip(C, dX[1:], strict=True)])
+    both, d_both = np.hstack([X[:-1], U]), np.hstack([dX[:-1], dU])
+
+    def check(found: Signals, values: Array, changes: Array) -> None:
+        np.testing.assert_array_equal(found.values, values)
+        effect = (found.effect @ z).reshape(values.shape)
+        np.testing.assert_allclose(effect, changes, atol=SAME_COST * np.abs(changes).max())
+
+    places = np.array([R0.start + 2, uav_slice(1).start])
+    check(trajectory.own_inputs(), U[:, own], dU[:, own])
+    check(trajectory.states(places), X[1:, places], dX[1:, places])
+    for of, points, moves in (
+        (trajectory.of_states, X[1:], dX[1:]),
+        (trajectory.of_positions, r, dr),
+        (trajectory.of_inputs, U, through_own),
+        (trajectory.of_states_and_inputs, both, d_both),
+    ):
+        W = rng.standard_normal((3, points.shape[1]))
+
+        def squares(at: Array, W: Array = W) -> tuple[Array, Array]:
+            """Return sums of squares at one or several points, and their slopes."""
+            return np.einsum("si,...i->...s", W, at**2 / 2.0), W * at[..., None, :]
+
+        values = np.array([squares(point)[0] for point in points])
+        check(of(squares), values, np.einsum("si,ki,ki->ks", W, points, moves))
 
 
 def test_own_corrections_are_the_best_response_to_those_of_the_others() -> None:
@@ -562,3 +591,24 @@ def test_law_of_another_team_after_the_reference_has_come_to_rest(
     np.testing.assert_array_equal(meanwhile[own], at_once.gain(since)[own])
     for k in (since + 1, since + 20):
         np.testing.assert_array_equal(changed.gain(k), at_once.gain(k))
+
+
+def test_tensions_along_a_reference_after_a_release() -> None:
+    """Limits are those of the rods of the team that is left; the bob's has none, (30b), (51)."""
+    model, track = flown(200)
+    released, start, steps, least_N = 3, 220, SETTINGS.horizon, 100.0
+    settings = SETTINGS.model_copy(update={"tension": TensionSection(minimum_N=least_N)})
+    reference = Sampled(X=track.X, track=track)
+    one = Controller(model, hover(model.system), settings, (0, 1, 2, 3), reference)
+    one.fail({released}, {released})
+    left = one.regulation.current.track
+    assert left is not None
+    x, u = left.X[start], left.U[start]
+
+    law = one.law(x, left.X[start : start + steps], np.zeros((steps, len(u))), None, start)
+    linear = one.linearise(x, u)
+    course = one.predict(linear, one.discretise(linear), left.U[start : start + steps], law)
+    limits = one.condense(linear, course, np.zeros((steps + 1, 25)), law).row_upper[-4 * steps :]
+    expected = one.model.tensions(x, u) - least_N
+    expected[released] = np.inf
+    np.testing.assert_allclose(limits.reshape(steps, -1)[0], expected)

@@ -102,8 +102,9 @@ def test_iteration_limit_hands_over() -> None:
     )
 
 
-def test_daqp_is_behind_clarabel(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where Clarabel, chosen first, makes no progress, DAQP's answer, flagged as fallback, is the optimum."""
+@pytest.mark.parametrize("said", ["InsufficientProgress", "PrimalInfeasible"])
+def test_daqp_is_behind_clarabel(said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where Clarabel, chosen first, finds no optimum, DAQP's answer, flagged as fallback, is it."""
     qp = collected(0.4)[-1]
     expected = solve_daqp(qp)
     honest = clarabel.DefaultSolver
@@ -111,7 +112,7 @@ def test_daqp_is_behind_clarabel(monkeypatch: pytest.MonkeyPatch) -> None:
     def stuck(*arguments: Any) -> Any:
         answer = honest(*arguments).solve()
         changed = SimpleNamespace(
-            x=answer.x, z=answer.z, iterations=answer.iterations, status="InsufficientProgress"
+            x=answer.x, z=answer.z, iterations=answer.iterations, status=said
         )
         return SimpleNamespace(solve=lambda: changed)
 
