@@ -218,10 +218,7 @@ def test_mixed_plan_is_clipped(side: float) -> None:
 def test_motion_is_that_of_the_present_state(
     kind: dict[str, Any], is_at_hover: bool, lag_s: float
 ) -> None:
-    """f and h are those at x0, the actual inputs and the forces; along the law derivatives are those at hover, (15), (55).
-
-    They are those at hover without forces and the same at each step.
-    """
+    """f and h are those at x0, actual inputs and forces, (15), (55); derivatives along the law are those at hover."""
     setup = paper_setup()
     rng = np.random.default_rng(8)
     settings = changed(ControllerSettings(horizon=5, motor_lag_s=lag_s), **kind)
@@ -246,7 +243,7 @@ def test_motion_is_that_of_the_present_state(
 
 @pytest.mark.parametrize("penalised_input", ["deviation", "absolute"])
 def test_inputs_without_cost_carry_a_heavier_payload(penalised_input: PenalisedInput) -> None:
-    """With a mass error deviations are those from the hover of that payload; an input itself is measured from zero, (40)."""
+    """With a mass error deviations are those from the hover of that payload; an input itself begins at zero, (40)."""
     setup, further_kg = paper_setup(), 0.4
     settings = ControllerSettings(horizon=5, weights=Weights(penalised_input=penalised_input))
     forces = np.append(np.zeros(3 + 3 * setup.system.N), further_kg)

@@ -137,7 +137,7 @@ def test_uavs_on_the_fail_safe_keep_their_thrust() -> None:
 
 
 def test_derivatives_are_those_at_the_hover_of_the_present_team() -> None:
-    """After a failure and after the loss of an agent the next step has those of the new hover, and their hold, (35a)."""
+    """After a failure and the loss of an agent the next step has those of the new hover, and their hold, (35a)."""
     system, settings = larger(6), CLOSED.model_copy(update={"linearisation": "along"})
     at = hover(system)
     one = Controller(Model(system), at, settings, [0])

@@ -8,6 +8,10 @@ import numpy as np
 import pytest
 
 from tests.support import runs
+from transport.model.arrays import Array
+from transport.model.linear.discretisation import zero_order_hold
+from transport.model.linear.linearisation import Model
+from transport.mpc.alone.alone_law import AloneLaw
 from transport.mpc.margins.actual_plant import Mismatch
 from transport.mpc.margins.design_of_gains_alone import (
     DECAY_PER_S,
@@ -39,6 +43,9 @@ DRAWN = range(13)  # `python -m benchmarks.teams --margins` has sixty
 LARGE = 12  # a drawn team of eight
 SOFT = 7042  # needs the soft family
 UNHELD = 9032  # decays, without margins
+OF_RATES = 8  # holds alone with the gains of rings, but not in mixtures with the team's law
+SLOWEST = 9  # deviations grow if one of its UAVs acts alone among others on half the gains
+FASTEST = 3.5  # of the gains alone, nearly as much as the sampling period allows
 
 
 @lru_cache
@@ -134,6 +141,56 @@ def test_given_gains_are_flown_as_they_are() -> None:
     """Gains of the scenario are kept, and judged: `holds` tells that the ring's do not hold this team."""
     setup = runs.ready("resilient", "controller.alone.attitude_rads=7.0")
     assert setup.settings.alone == AloneGains(attitude_rads=7.0)
+
+    own = team(OF_RATES)
+    assert own.alone is not None
+    judged = given(own, FAMILY[0]).design()
+    assert judged.gains == FAMILY[0] != own.alone.gains
+    assert not judged.holds
+    assert own.alone.holds
+
+
+def given(setup: Setup, gains: AloneGains) -> TeamAlone:
+    """Return a team that has gains of its scenario."""
+    alone = setup.team_alone(next_tick=setup.scenario.clock.next_tick)
+    return replace(alone, settings=alone.settings.model_copy(update={"alone": gains}))
+
+
+@pytest.mark.parametrize(
+    ("seed", "factor", "expected"),
+    [(OF_RATES, None, False), (SLOWEST, 0.5, False), (0, FASTEST, True)],
+    ids=["all by a share", "one of them", "none"],
+)
+def test_mixtures_with_the_law_of_the_team_do_not_grow(
+    seed: int, factor: float | None, expected: bool
+) -> None:
+    """Gains hold if no deviation grows in a hand-over: of one UAV, or of all by one share, (31h).
+
+    Inputs are (1 - s) of the team's law and s of the law alone: the team's own law, or a multiple of the
+    law alone. The law alone meets all other criteria.
+    """
+    setup = team(seed)
+    gains = FAMILY[0] if factor is None else setup.alone.gains if setup.alone else FAMILY[0]
+    alone = given(setup, gains)
+    system, at_rest = setup.system, setup.hover
+    assert replace(alone, team_gain=None).design().holds
+
+    laws = [AloneLaw(system, uav, float(at_rest.u[4 * uav]), gains) for uav in range(system.N)]
+    K_alone = np.vstack([law.gain() for law in laws])
+    K_team = alone.team_gain if factor is None else factor * K_alone
+    assert K_team is not None
+    period_s = setup.settings.sampling_period_s
+    hold = zero_order_hold(Model(system).linearise(at_rest.x, at_rest.u), period_s)
+
+    def grows(shares: Array) -> bool:
+        s = np.repeat(shares, 4)[:, None]
+        closed = hold.A + hold.B @ ((1.0 - s) * K_team + s * K_alone)
+        return bool(np.abs(np.linalg.eigvals(closed)).max() > np.exp(GROWTH * period_s))
+
+    one_alone = [share * one for share in (0.5, 1.0) for one in np.eye(system.N)]
+    all_alike = [np.full(system.N, share) for share in (0.25, 0.5, 0.75)]
+    assert any(map(grows, [*one_alone, *all_alike])) is not expected
+    assert replace(alone, team_gain=K_team).design().holds is expected
 
 
 def test_moments_limit_the_attitude_loop() -> None:

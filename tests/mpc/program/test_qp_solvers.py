@@ -111,9 +111,7 @@ def test_daqp_is_behind_clarabel(said: str, monkeypatch: pytest.MonkeyPatch) -> 
 
     def stuck(*arguments: Any) -> Any:
         answer = honest(*arguments).solve()
-        changed = SimpleNamespace(
-            x=answer.x, z=answer.z, iterations=answer.iterations, status=said
-        )
+        changed = SimpleNamespace(x=answer.x, z=answer.z, iterations=answer.iterations, status=said)
         return SimpleNamespace(solve=lambda: changed)
 
     monkeypatch.setattr(clarabel, "DefaultSolver", stuck)
