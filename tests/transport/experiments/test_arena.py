@@ -13,11 +13,13 @@ import pytest
 from matplotlib.image import imread
 
 import transport
+from tests.support import runs
+from tests.support.logs import log_of
 from tests.support.results import here
 from transport.agent.user_class.run_for_user import Run
 from transport.experiments.arena.arena_algorithms import BUILT_IN, REFERENCE, Entry, entered
 from transport.experiments.arena.arena_report import ArenaResult
-from transport.experiments.arena.arena_runs import FROM_GOAL, VIOLATION, arena, judged
+from transport.experiments.arena.arena_runs import FROM_GOAL, VIOLATION, arena, axes, judged
 from transport.experiments.arena.arena_tasks_and_networks import (
     NETWORK_TEXTS,
     NETWORKS,
@@ -32,7 +34,12 @@ from transport.experiments.statistics import Estimate, PointStatistics
 from transport.interface.setting_arguments import ArgumentError
 from transport.model import state
 from transport.model.arrays import Array
+from transport.protocol.scenario.sections.maneuver_sections import TargetSection
+from transport.protocol.scenario.sections.scenario_errors import requested
 from transport.protocol.scenario.sections.schema import ControllerSection
+from transport.protocol.scenario.targets.target_checks import target_fields
+from transport.protocol.wire.messages import Target
+from transport.protocol.wire.node_interface import Outbox
 
 # 0.6 s, long enough for costs that differ.
 SHORT = (
@@ -387,6 +394,36 @@ def test_each_measure_has_its_number_in_its_unit() -> None:
     ]
     assert rows[::2] == ["2/4 1.2 s 1!", "1.50", "1.2", "0.412", "0.34", "2.3", "25.6", "1.23"]
     assert set(rows[1::2]) == {"no"}
+
+
+def test_numbers_of_the_arena_alone() -> None:
+    """Largest violation of own constraints, share of failed steps, and, where one agent is told, the way to the goal.
+
+    The payload stands still 3 m and, in the last 4 s, 0.5 m off the place that agent 1 is told.
+    """
+    run = runs.setup(runs.ticks(200))
+    fields = target_fields(run, requested(TargetSection, {"points_m": [[1.0, 0.0, -10.0]]}), 1)
+    told = Outbox("coordinator", 0).stamp(Target, number=1, **{**fields, "to": (1,)})
+    states = [runs.plant_state(run, k) for k in range(200)]
+    for one in states:
+        one.x[state.R0] = [1.0, 0.0 if one.tick < 120 else 2.5, -7.0 if one.tick < 120 else -10.0]
+    for one in states[120:]:
+        one.x[1] = 0.3 if one.tick % 2 else 0.7
+    summary = {
+        "own_constraints": [
+            {"violation_max": 0.5},
+            {"violation_max": None},
+            {"violation_max": 2.0},
+        ],
+        "solver": {"failures": 40},
+    }
+    assert axes(run, summary, log_of([told, *states])) == {
+        VIOLATION: 2.0,
+        "failed_steps_share": 0.05,
+        FROM_GOAL: pytest.approx(0.5),
+    }
+    to_all = Outbox("coordinator", 0).stamp(Target, number=1, **fields)
+    assert FROM_GOAL not in axes(run, summary, log_of([to_all, *states]))
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from tests.support.results import here
 from tests.support.runs import ticks
 from transport.cli.commands.experiment import EXPERIMENTS
 from transport.experiments.cases import ExperimentError, Point, cases_of
-from transport.experiments.declaration import Experiment
+from transport.experiments.declaration import Experiment, axis
 from transport.experiments.information_experiment import away
 from transport.experiments.network_experiments import JITTER, NETWORKS
 from transport.log.run_log import RunLog
@@ -140,6 +140,26 @@ def test_the_payload_is_compared_with_that_of_the_run_in_which_all_are_told() ->
     unknown = {"targets": [{"known_s": 1.5}, {"known_s": None}]}
     found = away(eager, unknown, log(1.0, 7.0))
     assert found == {"away_rms_m": pytest.approx(5.0), "known_s": None}
+
+
+@pytest.mark.parametrize(
+    ("column", "title", "text"),
+    [
+        ("delay_s", "delay of plans (ms)", "delay of plans 200 ms"),
+        ("links.loss", "loss of plans (%)", "loss of plans 20 %"),
+        # Those of the plant have the labels of the agents' links, which name plans.
+        (
+            "links.measurement.delay_s",
+            "links measurement delay (s)",
+            "links measurement delay 0.2 s",
+        ),
+        ("std_s", *(f"standard deviation of the delay {end}" for end in ("(ms)", "200 ms"))),
+        ("speed_mps", "largest speed (m/s)", "largest speed 0.2 m/s"),
+    ],
+)
+def test_a_column_is_named_in_the_unit_of_figures(column: str, title: str, text: str) -> None:
+    """Keys of the scenario by their labels, columns of experiments by their own; others in the words of the key."""
+    assert (axis(column).title, axis(column).text(0.2)) == (title, text)
 
 
 def test_scaling_has_teams_of_all_sizes_and_pairs_of_even_ones() -> None:

@@ -85,9 +85,17 @@ def test_the_vertical_axis_fits_the_means(
 
 
 def test_diverged_runs_have_a_panel_before_the_others() -> None:
-    """Its axis has "never" above the latest time."""
-    divergence, *_ = drawn([of(0.002, 0.0)], diverged_s=[2.0, 4.0])
-    assert divergence.get_ylim() == pytest.approx((0.0, 1.12 * 1.25 * 4.0))
+    """Its axis has "never" above the latest time: a full mark there, a hollow one at the mean, and the range."""
+    divergence, *_ = drawn([of(0.002, 0.0)], diverged_s=[2.0, 2.5, 4.0])
+    never_s = 1.25 * 4.0
+    assert divergence.get_ylim() == pytest.approx((0.0, 1.12 * never_s))
+    lines = [np.ravel(line.get_ydata()).tolist() for line in divergence.get_lines()]
+    assert lines == [[never_s], [2.0, 4.0], [pytest.approx(8.5 / 3.0)]]
+    colours = [line.get_markerfacecolor() == "#ffffff" for line in divergence.get_lines()]
+    assert colours == [False, False, True]
+    ticks = dict(zip(divergence.get_yticks(), divergence.get_yticklabels(), strict=True))
+    assert max(ticks) == never_s
+    assert ticks[never_s].get_text() == "never"
 
 
 def point(x: float | str, cost: float, curve: str = "none", runs: int = 1) -> PointStatistics:

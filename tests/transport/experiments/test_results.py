@@ -3,15 +3,19 @@
 Kept results survive, damage is told, other people's folders are left alone.
 """
 
+import io
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import orjson
 import pytest
+from rich.console import Console
 
-from transport.experiments.cases import ExperimentError
+from transport.experiments.cases import Case, ExperimentError, Point, cases_of
+from transport.experiments.declaration import Experiment
 from transport.experiments.run_numbers import NUMBERS
 from transport.experiments.simulation import ERROR, Result
-from transport.experiments.sweep import Results
+from transport.experiments.sweep import Results, sweep
 from transport.protocol.wire.errors_and_exit_codes import EXIT_USAGE
 
 
@@ -70,6 +74,33 @@ def test_lines_of_other_types_are_ignored(tmp_path: Path) -> None:
         results.add(result("a"))
     with opened(tmp_path) as results:
         assert results["a"] == result("a")
+
+
+def test_a_sweep_simulates_what_is_missing_seed_by_seed(tmp_path: Path) -> None:
+    """Once each, in the order of the seeds; results have the order of the cases, and errors are simulated again."""
+    points = [
+        Point({"loss": share}, "", (f"links.loss={share}",), scenario="paper")
+        for share in (0.1, 0.2)
+    ]
+    cases = cases_of(points, (), 3)
+    simulated: list[tuple[int, int]] = []
+
+    def simulate(missing: Sequence[Case]) -> Iterator[Result]:
+        for case in missing:
+            simulated.append((case.point, case.scenario.seed))
+            yield result(case.key, cost=case.point + 0.1 * case.scenario.seed)
+
+    experiment = Experiment(name="test", points=tuple(points))
+    with opened(tmp_path, "test") as results:
+        results.add(result(cases[1].key))
+        results.add(result(cases[3].key, ERROR))
+        swept = sweep(
+            experiment, [*cases, cases[0]], simulate, results, Console(file=io.StringIO())
+        )
+    assert simulated == [(0, 0), (1, 0), (1, 1), (0, 2), (1, 2)]
+    costs = [one.numbers["cost_mean"] for one in swept.results]
+    assert costs == pytest.approx([0.0, 0.3, 0.2, 1.0, 1.1, 1.2, 0.0])
+    assert [row["loss"] for row in swept.rows("runs")] == [0.1] * 3 + [0.2] * 3 + [0.1]
 
 
 def test_a_folder_whose_beginning_a_kill_has_cut_is_used(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ from transport.model import state
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import FaultNote, LinkChange
 from transport.report.figures.captions import captions
+from transport.report.figures.column import label_ends, limits
 from transport.report.figures.event_marks import caption_of, marks_of
 from transport.report.figures.run_figures import FIGURES, draw, fill
 from transport.report.figures.style import (
@@ -228,6 +229,52 @@ def test_a_sentence_stands_for_flat_curves() -> None:
         texts = [text.get_text() for panel in figure.axes for text in panel.texts]
         assert "pitch moment: 0 N m throughout" in texts
         assert "smallest distance between UAVs: 0.5 m throughout" in texts
+
+
+def test_panels_of_inputs_name_their_limits() -> None:
+    """Different ends are both told, equal ones once; each agent has the age of its oldest plan, s."""
+    run = runs.setup(runs.SHORT)
+    ages = [report(run, agent, k, plan_ages=(1, 2, agent)) for agent in (1, 4) for k in range(9)]
+    unheard = report(run, 2, 0)
+    analysed = AnalysedRun.of(
+        run, log_of([*(on_reference(run, k) for k in range(9)), *ages, unheard])
+    )
+    figure = Figure()
+    with mpl.rc_context(RC):
+        assert fill(figure, "inputs", analysed)
+    texts = [text.get_text() for panel in figure.axes for text in panel.texts]
+    assert "thrust (N), limits 0, 45" in texts
+    assert "roll moment: 0 N m throughout" in texts
+    plans = figure.axes[[panel.get_xlabel() for panel in figure.axes].index("time (s)")]
+    curves = {str(line.get_label()): np.unique(line.get_ydata()) for line in plans.lines}
+    assert curves["agent 1"] == pytest.approx([0.1])
+    assert curves["4"] == pytest.approx([0.2])
+    assert "2" not in curves
+
+
+@pytest.mark.parametrize(
+    ("limit", "shown"),
+    [(0.5, (0.0, 1.0)), (1.4, (0.0, 1.45)), (1.6, None), (-0.4, (-0.45, 1.0)), (-0.6, None)],
+)
+def test_a_limit_near_the_curves_is_drawn(limit: float, shown: tuple[float, float] | None) -> None:
+    """Within half of the range that the axis shows, which then has room for it."""
+    panel = Figure().add_subplot()
+    panel.set_ylim(0.0, 1.0)
+    limits(panel, limit)
+    assert [line.get_ydata() for line in panel.lines] == ([] if shown is None else [[limit, limit]])
+    assert panel.get_ylim() == pytest.approx(shown or (0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "ticks"),
+    [(0.0, 1.0, [0.0, 0.5]), (-0.3, 0.3, [-0.3, 0.1]), (19.0, 23.0, [20.0, 22.0])],
+)
+def test_a_low_panel_has_two_round_numbers(low: float, high: float, ticks: list[float]) -> None:
+    """At least 0.4 of the range apart, and 0.2 of it below the panel above."""
+    panel = Figure().add_subplot()
+    panel.set_ylim(low, high)
+    label_ends(panel)
+    assert panel.get_yticks() == pytest.approx(ticks)
 
 
 def test_each_of_few_uavs_has_a_strip() -> None:

@@ -14,7 +14,7 @@ from tests.support.logs import record_run
 from transport.protocol.wire.errors_and_exit_codes import Reason
 from transport.protocol.wire.messages import Message
 from transport.report.report import write_report
-from transport.report.summary_table import summary_table
+from transport.report.summary_table import summary_table, warnings
 
 SCHEMA = json.loads(
     files("transport.analysis").joinpath("summary.schema.json").read_text(encoding="utf-8")
@@ -122,6 +122,42 @@ def test_a_cut_log_is_reported(
     assert "incomplete" in text
 
 
+TARGETS = [
+    {
+        "t_s": 1.0,
+        "arrives_s": 3.0,
+        "position_m": [0.0, 0.0, 0.0],
+        "known_s": 0.0,
+        "error_m": error_m,
+    }
+    for error_m in (None, 0.2, 0.1)
+]
+FAULTS: list[dict[str, Any]] = [
+    {
+        "tick": k,
+        "time_s": 0.05 * k,
+        "wall_s": None,
+        "kind": "fault",
+        "processes": [],
+        "what": f"fault {k}",
+    }
+    for k in range(23)
+]
+ESTIMATE = {
+    "position_rms_m": 0.01,
+    "attitude_rms_deg": 0.5,
+    "nees": 60.1,
+    "nees_band": [1.2, 14.4],
+    "nis": 1.0,
+}
+LATE = {"p50": 0.5, "p99": 1.0, "max": 2.0}
+DEADLINE = {"plans": 100, "missed": 3, "share": 0.03, "worst_ms": 7.5, "tick_late_ms": LATE}
+UNHEARD = {**DEADLINE, "worst_ms": None}
+SOLVER = {
+    "failures": 4,
+    "failed_agents": [{"agent": 2, "steps": 40, "failures": 4}],
+    "beyond_share": True,
+}
 REJECTIONS = [
     {"by": "plant", "sender": "agent3", "reason": "outside_limits", "count": 4},
     {"by": "agent1", "sender": "plan/2", "reason": "malformed", "count": 3},
@@ -133,6 +169,19 @@ REJECTIONS = [
     ("change", "text"),
     [
         ({"payload_tracking": {"swing_m": 0.5538}}, "max 0.554 m in the last 4 s"),
+        ({"targets": TARGETS}, "2 of 3 reached, payload at most 0.200 m away"),
+        ({"faults": FAULTS}, "and 3 more in summary.json"),
+        ({"faults": FAULTS[:20]}, "fault 19"),
+        ({"estimate": ESTIMATE}, "NIS 1.00 of 1: far more wrong"),
+        ({"deadline": DEADLINE}, "3 of 100 missed (3.00%), worst plan 7.5 ms late; ticks"),
+        ({"deadline": UNHEARD}, "3 of 100 missed (3.00%), no plan of which arrived; ticks"),
+        ({"solver": SOLVER}, "4 failures: agent2 4 of 40"),
+        ({"solver": SOLVER}, "none exceeded, but 4 steps without a controller"),
+        ({"constraint_violation_max": 0.05}, "exceeded by 5.00% of their range"),
+        (
+            {"collision": {"at_s": 1.5, "uavs": [1, 3], "distance_m": 0.4}},
+            "UAV1 and UAV3 touch at 1.50 s",
+        ),
         ({"messages": {"shared": 9}}, "9 of 120 sent to the other agents (7.5%)"),
         (
             {"messages": {"rejected": 9}, "rejections": REJECTIONS},
@@ -143,7 +192,6 @@ REJECTIONS = [
             "agent2 [/bold] is gone",
         ),  # no markup
     ],
-    ids=["swing", "unshared", "rejected", "markup"],
 )
 def test_the_table_names_what_is_unusual(
     flight: tuple[Path, list[Message]], change: dict[str, Any], text: str
@@ -151,6 +199,18 @@ def test_the_table_names_what_is_unusual(
     """The swing at the end, plans that were not sent, and the most rejected messages are in the table."""
     summary = write_report(flight[0], figures=False)
     assert text not in printed(summary)
-    changed = summary | {k: summary[k] | v if isinstance(v, dict) else v for k, v in change.items()}
+    changed = summary | {
+        k: summary[k] | v if isinstance(v, dict) and summary[k] else v for k, v in change.items()
+    }
     assert text in printed(changed)
     Draft202012Validator(SCHEMA).validate(changed)
+
+
+@pytest.mark.parametrize(
+    ("error", "count"), [(None, 0), (1e-6, 0), (1.1e-6, 1)], ids=["unknown", "accurate", "large"]
+)
+def test_a_large_error_of_the_integration_is_a_warning(error: float | None, count: int) -> None:
+    """Above 1e-6 the numbers of a run cannot be trusted: the warning says what to set."""
+    told = warnings({"local_error_max": error})
+    assert len(told) == count
+    assert all("set a smaller plant.tolerance or plant.step_s" in text for text in told)

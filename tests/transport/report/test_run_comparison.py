@@ -1,8 +1,10 @@
 """`transport compare`: numbers side by side, differences from the first run, and notes about unequal runs."""
 
 import csv
+import itertools
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -69,6 +71,83 @@ def test_unequal_runs_are_noted(folders: dict[str, Path], tmp_path: Path) -> Non
     assert header == ["quantity", "unit", "first", "other", "other, more than first (%)"]
     flown = next(line for line in lines if line[0] == "simulated time")
     assert np.allclose([float(cell) for cell in flown[2:]], [1.5, 0.5, -200.0 / 3.0])
+
+
+def test_every_quantity_is_another_number_of_the_summary(folders: dict[str, Path]) -> None:
+    """Each has its place in the summary, where all numbers differ; shares are in percent."""
+    one = ComparedRun.of("usual", open_run(folders["usual"]))
+    numbers = (1.0 + 0.25 * k for k in itertools.count())
+
+    def numbered(tree: Any) -> Any:
+        if isinstance(tree, dict):
+            return {key: numbered(value) for key, value in tree.items()}
+        return next(numbers) if isinstance(tree, int | float | None) else tree
+
+    radio = {"airtime_share": None, "delivered_share": None}
+    summary = numbered({**one.summary, "radio": radio})
+    found = {row.name: row.values[0] for row in rows([one._replace(summary=summary)])}
+    percent = {
+        "limits exceeded, max": summary["constraint_violation_max"],
+        "deadlines missed": summary["deadline"]["share"],
+        "plans lost": summary["messages"]["lost"] / summary["messages"]["sent"],
+        "radio: airtime": summary["radio"]["airtime_share"],
+        "radio: delivered": summary["radio"]["delivered_share"],
+    }
+    assert {name: found.pop(name) for name in percent} == {
+        name: pytest.approx(100.0 * share) for name, share in percent.items()
+    }
+    assert found == {
+        "scenario": summary["scenario"],
+        "outcome": "completed",
+        "simulated time": summary["sim_time_s"],
+        "cost, mean": summary["cost"]["mean"],
+        "cost, max": summary["cost"]["max"],
+        "cost, max after hover": summary["cost"]["max_after_hover"],
+        "payload attitude, max": summary["attitude_max_deg"],
+        "UAV error, rms": summary["uav_tracking"]["rms_m"],
+        "UAV error, max": summary["uav_tracking"]["max_m"],
+        "payload error, rms": summary["payload_tracking"]["rms_m"],
+        "payload error, max": summary["payload_tracking"]["max_m"],
+        "payload error, max of last 4 s": summary["payload_tracking"]["swing_m"],
+        "separation, min": summary["separation_min_m"],
+        "agent step, median": summary["agent_step_ms"]["p50"],
+        "agent step, p99": summary["agent_step_ms"]["p99"],
+        "rest of tick, median": summary["rest_of_tick_ms"]["p50"],
+        "real-time factor": summary["real_time_factor"],
+        "plan age, mean": summary["plan_age_ticks"]["mean"],
+        "plan age, max": summary["plan_age_ticks"]["max"],
+        "messages rejected": summary["messages"]["rejected"],
+        "solver fallbacks": summary["solver"]["fallbacks"],
+        "solver failures": summary["solver"]["failures"],
+        "faults and changes": 0,
+    }
+
+
+@pytest.mark.parametrize(("share", "shown"), [(None, None), (9e-7, 0.0), (1e-6, 1e-4), (0.05, 5.0)])
+def test_a_limit_exceeded_within_the_tolerance_of_the_solver_is_held(
+    folders: dict[str, Path], share: float | None, shown: float | None
+) -> None:
+    """The excess is in percent of the range; a log may not tell."""
+    one = ComparedRun.of("usual", open_run(folders["usual"]))
+    changed = one._replace(summary={**one.summary, "constraint_violation_max": share})
+    table = {row.name: row.values[0] for row in rows([changed])}
+    assert table.get("limits exceeded, max") == (None if shown is None else pytest.approx(shown))
+
+
+def test_short_logs_and_other_machines_are_noted(folders: dict[str, Path]) -> None:
+    """A log of 20 of 30 ticks with the reason, or the outcome where there is none; times of another machine."""
+    one = ComparedRun.of("usual", open_run(folders["usual"]))
+    ended = {**one.summary, "ticks": 20, "outcome": "aborted"}
+    runs_compared = [
+        one,
+        one._replace(label="a", summary={**ended, "reason": "by hand"}),
+        one._replace(label="b", summary={**ended, "machine": "another", "reason": ""}),
+    ]
+    assert list(doubts(runs_compared)) == [
+        "b has another machine than usual: times do not only depend on the controller",
+        "a: the log holds 1.00 of 1.50 s (by hand); means are over this time",
+        "b: the log holds 1.00 of 1.50 s (aborted); means are over this time",
+    ]
 
 
 def test_settings_apart(folders: dict[str, Path], tmp_path: Path) -> None:
