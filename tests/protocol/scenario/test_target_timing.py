@@ -128,11 +128,17 @@ def test_a_way_through_an_obstacle_between_two_instants_is_refused() -> None:
 
 
 def test_a_maneuver_through_a_wall_between_two_instants_is_refused() -> None:
-    """The path of the file keeps margins between the instants, also where it jumps over the wall in one period."""
+    """The path of the file keeps margins between the instants, also where it jumps over the wall in one period.
+
+    The refusal has the number of the wall in the file, where obstacles that only sight tells count as well.
+    """
     fast = "maneuver.phase=[{name='dash',duration_s=2.0,displacement_m=[6,0,0]}]"
     period = "controller.sampling_period_s=0.2"
     with pytest.raises(ScenarioError, match=r"obstacle\.1: expected 0\.01 m between"):
         runs.ready("resilient", WALL, fast, period)
+    seen = "obstacle=[{kind='sphere',at_m=[9.0,9.0,-10.0],radius_m=0.1,margin_m=0.1,seen_within_m=1.0},"
+    with pytest.raises(ScenarioError, match=r"obstacle\.2: expected 0\.01 m between"):
+        runs.ready("resilient", WALL.replace("obstacle=[", seen), fast, period)
 
 
 def test_a_flat_maneuver_keeps_the_limits_between_the_instants() -> None:
