@@ -226,6 +226,26 @@ def test_a_target_is_at_most_as_low_as_the_payload_may_be(
         plan(setup, HOVERS, points_m=[[1.0, 0.0, lowest_m + ONE_MM]])
 
 
+LAST_S = 24.95  # the last sampling instant of a run of 25 s
+TO_THE_GROUND_S = 2.0  # in which the ground takes over the weight of the payload
+
+
+@pytest.mark.parametrize(
+    ("given", "more_s"),
+    [({"land": True}, TO_THE_GROUND_S), ({"points_m": [[1.0, 0.0, -1.0]]}, 0.0)],
+)
+def test_a_target_is_reached_at_the_last_instant_at_the_latest(
+    given: dict[str, Any], more_s: float
+) -> None:
+    """A landing needs the time in which its load is handed over to the ground, too."""
+    setup = runs.ready("resilient", HOVER, "maneuver.start_m=[0.0,0.0,-1.0]")
+    takes_s = plan(setup, HOVERS, **given)["approach_s"] + more_s
+    latest = math.floor((LAST_S - takes_s) / setup.settings.sampling_period_s + 1e-6)
+    assert plan(setup, latest, **given)["tick"] == latest
+    with pytest.raises(RequestError, match=r"before the end of the run at t = 24\.95 s"):
+        plan(setup, latest + 1, **given)
+
+
 # The parabola through three points at equal distances, the first one higher by h than the others,
 # is lower than them by h / 8 between the second and the third.
 HIGHER_M = 0.3
