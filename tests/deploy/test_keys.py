@@ -4,6 +4,7 @@ import ssl
 import stat
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 from cryptography import x509
@@ -105,6 +106,22 @@ def test_keys_that_cannot_be_used(tmp_path: Path) -> None:
         (tmp_path / f"plant.{end}").write_bytes((tmp_path / f"agent1.{end}").read_bytes())
     with pytest.raises(SecurityError, match="expected a certificate of plant, got one of agent1"):
         Security(tmp_path, names).check("plant")
+
+
+def test_links_with_keys_are_encrypted_and_both_ends_prove_who_they_are(tmp_path: Path) -> None:
+    """Zenoh checks the certificate of either end, its name and its time, and refuses what no rule allows."""
+    make_certificates(tmp_path, {"plant": LOOPBACK}, days=1)
+    found: dict[str, Any] = {"transport": {"link": {}}}
+    Security(tmp_path, ("plant",)).configure(found, "plant", "transport/run")
+    link = found["transport"]["link"]
+    assert link["protocols"] == ["tls"]
+    for check in ("enable_mtls", "verify_name_on_connect", "close_link_on_expiration"):
+        assert link["tls"][check] is True
+    for end in ("listen", "connect"):
+        assert link["tls"][f"{end}_certificate"] == str(tmp_path / "plant.pem")
+        assert link["tls"][f"{end}_private_key"] == str(tmp_path / "plant.key")
+    rules = found["access_control"]
+    assert (rules["enabled"], rules["default_permission"]) == (True, "deny")
 
 
 def test_a_key_of_another_certificate_is_refused(tmp_path: Path) -> None:
