@@ -15,7 +15,7 @@ from transport.analysis.replay.replay_difference import Comparison
 from transport.analysis.replay.replay_of_agent import Replay
 from transport.cli.main import app
 from transport.log.run_log import RunLog
-from transport.protocol.wire.messages import Plan
+from transport.protocol.wire.messages import Measurement, Plan
 
 CLOSED_LOOP = ("controller.prediction='closed_loop'", "controller.relaxation='auto'")
 POOR_LINKS = (
@@ -136,6 +136,24 @@ def test_a_missing_plan_ends_the_replay() -> None:
     assert comparison.by_field == {}
     assert len(again.notes) == 1
     assert "ticks from 10 on cannot be replayed" in again.notes[0]
+
+
+def test_a_missing_measurement_ends_the_replay() -> None:
+    """The step after the gap would start from another state: it is not replayed."""
+    log = flight()
+    kept = [
+        entry.message
+        for entry in log.messages
+        if not (
+            isinstance(entry.message, Measurement)
+            and (entry.message.agent, entry.message.tick) == (1, 9)
+        )
+    ]
+    again, comparison = compared(logs.log_of(kept), 1)
+    assert comparison.ticks == list(range(9))
+    assert comparison.by_field == {}
+    (note,) = again.notes
+    assert "ticks from 10 on cannot be replayed" in note
 
 
 @pytest.fixture(scope="module")
