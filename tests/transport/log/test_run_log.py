@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from msgspec.structs import replace
 
 from tests.support import runs
+from tests.support.logs import log_of
 from transport.log.run_log import LogError, RunLog, read_log
 from transport.log.writer import CHUNK_BYTES, LogWriter
 from transport.protocol.wire.codec import encode
-from transport.protocol.wire.messages import Message, Tick
+from transport.protocol.wire.messages import FaultNote, Message, Plan, Tick
 
 HEADER = {"run_id": "r1", "scenario": "name = 'x'\n", "versions": "python 3.12", "note": "Ω0"}
 RECEIVED_NS = 1_700_000_000_000_000_000
@@ -167,6 +169,56 @@ def test_the_end_of_a_run_is_on_disk_at_once(tmp_path: Path, flight: list[Messag
     assert read_bits(read_log(path)) == bits(flight)
     writer.close()
     writer.close()
+
+
+def test_a_chunk_ends_by_its_age_or_with_a_fault(tmp_path: Path) -> None:
+    """Live readers wait for a message for little more than 50 ms; a fault is in the file at once."""
+    path = tmp_path / "run.mcap"
+    readable = []
+    fault = FaultNote(
+        sender="recorder", incarnation=0, sequence=0, tick=3, target="plant", what="killed",
+        origin="person",
+    )  # fmt: skip
+    ticks = [replace(runs.tick(number), sequence=number) for number in range(4)]
+    with closing(LogWriter(path, HEADER, period_ns=50_000_000)) as writer:
+        for message, at_ms in zip((*ticks, fault), (0, 49, 51, 90, 91), strict=True):
+            writer.write(message, RECEIVED_NS + at_ms * 1_000_000)
+            readable.append(len(read_log(path).messages))
+    assert readable == [0, 0, 2, 2, 5]
+
+
+def test_times_in_the_file_are_those_that_a_file_can_have(tmp_path: Path) -> None:
+    """Also those of a tick that no run has: before the first, or after the last that 63 bits can hold."""
+    ticks = (-1, 0, 2**62)
+    path = write(tmp_path / "run.mcap", [replace(tick(), tick=number) for number in ticks])
+    with path.open("rb") as stream:
+        entries = list(make_reader(stream).iter_messages(log_time_order=False))
+    assert [entry.log_time for *_, entry in entries] == [0, 0, 2**63 - 1]
+
+
+def test_without_horizons_plans_have_their_first_step(
+    tmp_path: Path, flight: list[Message]
+) -> None:
+    """All else is as it was sent; the shape of the sent plans is known."""
+    path = write(tmp_path / "run.mcap", flight)
+    whole, short = read_log(path), read_log(path, horizons=False)
+    assert short.plans_sent == whole.plans_sent
+    assert len(short.messages) == len(whole.messages)
+    for sent, read in zip(whole.messages, short.messages, strict=True):
+        plan = sent.message
+        if isinstance(plan, Plan):
+            assert len(plan.corrections) > 0 or len(plan.inputs) > 1
+            plan = replace(
+                plan, inputs=plan.inputs[:1], corrections=plan.corrections[:0], data=plan.data[:0]
+            )
+        assert encode(read.message) == encode(plan)
+        assert read.received_ns == sent.received_ns
+
+
+def test_the_first_of_a_tick_is_when_it_was_received() -> None:
+    """Of several messages of a kind at a tick; other kinds have times of their own."""
+    log = log_of([runs.tick(3), runs.tick(3), runs.tick(4), runs.roster(k=3)], [5.0, 6.0, 7.0, 1.0])
+    assert log.received_ns(Tick) == {3: 5_000_000, 4: 7_000_000}
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:

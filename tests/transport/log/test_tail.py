@@ -46,6 +46,7 @@ def test_it_reads_what_is_whole(log: Path, tmp_path: Path, piece: int) -> None:
             break
     assert tail.ended
     assert same(messages, log)
+    assert tail.newest_ns == max(entry.received_ns for entry in read_log(log).messages)
 
 
 def test_damage_costs_what_is_damaged(log: Path, tmp_path: Path) -> None:

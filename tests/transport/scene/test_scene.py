@@ -3,11 +3,14 @@
 And the shapes and colours it is drawn with.
 """
 
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 from scipy.spatial import ConvexHull
 
 from tests.support import runs
@@ -18,6 +21,7 @@ from transport.scene.frames_and_poses import TEAM, poses_in_scene
 from transport.scene.history import RunHistory
 from transport.scene.lines_meshes_and_labels import LineSegments, Mesh
 from transport.scene.payload_uav_and_obstacle_meshes import payload_points
+from transport.scene.predictions import PredictedPaths
 from transport.scene.scene_at_tick import SceneBuilder
 
 # Largest difference between the agent's prediction of a sampling period, one step of a method of
@@ -126,6 +130,49 @@ def test_plans_are_predicted_from_their_start(actuation: str, tmp_path: Path) ->
             np.testing.assert_allclose(prediction.payload_I[3], after.payload_I, atol=SOON_M)
 
 
+def changed(builder: SceneBuilder, tick: int, **of_history: Any) -> tuple[PredictedPaths, ...]:
+    """Return the predictions at a tick of a run with another history."""
+    history = copy(builder.history)
+    for name, value in of_history.items():
+        setattr(history, name, value)
+    return SceneBuilder(builder.setup, history).at(tick).predictions
+
+
+def test_an_agent_predicts_with_the_plans_that_it_used(distributed: SceneBuilder) -> None:
+    """With plans 0.2 s late, those of four ticks before, and not those of the tick itself."""
+    tick, late = 20, round(DELAY_S / 0.05)
+    before = distributed.at(tick).predictions[0].payload_I
+    for age, is_same in ((0, True), (late, False)):
+        plans = {
+            key: plan for key, plan in distributed.history.plans.items() if key != (3, tick - age)
+        }
+        after = changed(distributed, tick, plans=plans)[0].payload_I
+        assert np.array_equal(before, after) is is_same
+
+
+def test_an_agent_predicts_with_the_force_that_it_estimates(centralized: SceneBuilder) -> None:
+    """Inputs without feedback let a force on the payload move it by its share of the team's mass: F t^2 / 2 m."""
+    tick, force_N = 20, np.array([0.0, 0.0, 3.0])
+    reports = dict(centralized.history.reports)
+    reports[1, tick] = structs.replace(reports[1, tick], force=reports[1, tick].force + force_N)
+    before = centralized.at(tick).predictions[0].payload_I[1]
+    after = changed(centralized, tick, reports=reports)[0].payload_I[1]
+    moved_m = force_N / centralized.setup.system.total_mass * 0.05**2 / 2.0
+    np.testing.assert_allclose(after - before, moved_m, rtol=1e-2, atol=1e-6)
+
+
+@pytest.mark.parametrize("gone", [{"incarnations": {1: 1, 2: 1, 4: 1}}, {"off": (3,)}], ids=str)
+def test_without_an_agent_or_uav_there_is_no_prediction(
+    gone: dict[str, Any], distributed: SceneBuilder
+) -> None:
+    """Plans of a team that is not complete are not those of the recorded laws."""
+    roster = runs.roster(gone.get("incarnations"), k=15, version=2)
+    roster = structs.replace(roster, off=gone.get("off", ()))
+    rosters = [*distributed.history._rosters, roster]
+    assert changed(distributed, 20, _rosters=rosters) == ()
+    assert len(changed(distributed, 14, _rosters=rosters)) == 4
+
+
 def test_links_show_the_age(distributed: SceneBuilder) -> None:
     """The link with 100 % loss never delivered a plan; plans of the others are as old as the delay."""
     for sender, receiver, age_s in distributed.at(25).links:
@@ -181,6 +228,9 @@ def test_parts_are_where_the_scene_is(distributed: SceneBuilder, tick: int) -> N
     np.testing.assert_allclose(shafts[:, 0], scene.uavs_I, atol=ROUNDING)
     np.testing.assert_allclose(shafts[:, 1], scene.uavs_I + lengths_I, atol=ROUNDING)
     assert (shafts[:, 1, 2] < scene.uavs_I[:, 2] - ARROW_M / 2.0).all()  # up: z is down
+    for i, R in enumerate(scene.R_uavs):
+        tip_I, barbs_I = shafts[i, 1], moving["thrust"][LINES_OF_ARROW * i + 1 :][:4, 1]
+        np.testing.assert_allclose((barbs_I - tip_I) @ R[:, 2], 0.1, atol=ROUNDING)
     if tick:
         flown_I = moving["actual paths"].reshape(-1, 3)
         assert all(
