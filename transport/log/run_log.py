@@ -119,9 +119,8 @@ class LogTail:
 
     def read(self) -> list[Message]:
         """Return the new messages, in order; one written only in part waits for the next call."""
-        had_ended = self.ended
         messages = [entry.message for entry in self.read_recorded()]
-        if self.ended and not had_ended:
+        if self.ended:
             messages += self.last_notices()
         return messages
 
