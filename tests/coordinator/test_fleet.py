@@ -478,3 +478,23 @@ def test_vehicles_that_are_never_ready_end_the_run(run: Setup) -> None:
     (end,) = node.poll(NOW_NS + 181 * S)
     assert node.finished is end
     assert node.finished.reason == "the vehicles are not ready: vehicle1: no word from it"
+
+
+def test_a_vehicle_that_is_gone_ends_the_run_before_its_first_tick_alone(run: Setup) -> None:
+    """In flight the others and its own autopilot go on: the record has the reason, and its return."""
+    preparing = coordinator_of(run, wall_offset_ns=WALL_NS)
+    ready(preparing)
+    preparing.receive(Presence("vehicle2", 0, alive=False), NOW_NS)
+    assert preparing.finished is not None
+    assert preparing.finished.exit_code == 4
+    assert preparing.finished.reason == "vehicle2 is gone at t = 0.00 s"
+
+    node = flying(run)
+    gone = node.receive(Presence("vehicle2", 0, alive=False), NOW_NS + 2 * S)
+    assert [told.reason for told in gone if isinstance(told, Roster)] == [
+        "vehicle2 is gone at t = 0.00 s"
+    ]
+    back = node.receive(Presence("vehicle2", 1, alive=True), NOW_NS + 3 * S)
+    assert [type(told) for told in back] == [Roster, Schedule]
+    assert not node.receive(Presence("vehicle2", 0, alive=False), NOW_NS + 3 * S)
+    assert node.finished is None
