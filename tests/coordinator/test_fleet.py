@@ -141,6 +141,18 @@ def test_what_is_refused(run: Setup, of_two: dict[str, float], text: str) -> Non
     assert re.search(text, problem(run, **of_two)), problem(run, **of_two)
 
 
+@pytest.mark.parametrize(
+    ("moved_m", "text"), [(0.95, ""), (-0.95, ""), (1.05, "UAV1: expected within 1 m")]
+)
+def test_a_team_that_is_elsewhere_may_not_start(run: Setup, moved_m: float, text: str) -> None:
+    """A team as a whole may be twice as far off as the distance of two of its UAVs, 0.5 m."""
+    fleet = fleet_of(run)
+    for uav in (1, 2, 3, 4):
+        fleet.take(status(run, uav, moved_m=moved_m), NOW_NS + 2 * MS)
+    assert fleet.problem().startswith(text)
+    assert bool(fleet.problem()) == bool(text)
+
+
 def test_a_missing_word_is_named(run: Setup) -> None:
     """Before its first word a vehicle is missing."""
     assert fleet_of(run).problem() == "vehicle1: no word from it"

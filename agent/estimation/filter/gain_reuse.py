@@ -75,7 +75,7 @@ class GainReuse:
 
     def predict(self, belief: Belief, period: FilterPeriod) -> Belief:
         """Return the belief at the end of a sampling period, its covariance on demand."""
-        covariance = Deferred(lambda: self._team.predicted_covariance(belief, period))
+        covariance = Deferred(lambda: self._team.growth.after(belief, period))
         saved = belief.saved
         if saved is not None:
             saved = SavedGain(gain=saved.gain, ticks=saved.ticks + 1)

@@ -119,7 +119,7 @@ class Dense:
         # Each input may act as late as the unknown lag.
         late = np.diag(ModelNoise().unknown_lag_s / PERIOD_S * du)
         effects = L.T @ np.array([self.step(self.z, u + one) - end for one in late]).T
-        Q = self.team.process_noise(level)
+        Q = self.team.growth.process_noise(level)
         Q[: self.r, : self.r] += effects @ effects.T
 
         self.P = A @ self.P @ A.T + Q
@@ -199,7 +199,9 @@ def test_others_that_follow_the_law_against_a_dense_computation(
     A[: dense.r] = L.T @ by_own
     unshared = np.zeros_like(P)
     unshared[: dense.r] = (1.0 - correlation**2) ** 0.5 * L.T @ by_others
-    expected = A @ P @ A.T + unshared @ P @ unshared.T + team.process_noise(belief.level.value)
+    expected = (
+        A @ P @ A.T + unshared @ P @ unshared.T + team.growth.process_noise(belief.level.value)
+    )
 
     predicted = team.predict(belief, period).covariance.P
     deviation = np.sqrt(expected.diagonal())
@@ -245,7 +247,7 @@ def test_level_of_the_models_errors_follows_the_innovations(pull_N: float, is_ex
     team, belief = level_after_flight(pull_N)
     level = belief.level.value
     assert (level < EXACT) is is_exact
-    assert np.trace(team.process_noise(level)) == level * np.trace(team.Q)
+    assert np.trace(team.growth.process_noise(level)) == level * np.trace(team.growth.Q)
 
 
 @pytest.mark.parametrize(
