@@ -40,7 +40,7 @@ class Law:
 
     def integral_after(self, integral_I: Array, *_: Any) -> Array:
         """Return the integral one step later."""
-        return integral_I + np.array([0.0, 0.0, 1.0])
+        return np.asarray(integral_I + np.array([0.0, 0.0, 1.0]))
 
 
 class Team:
