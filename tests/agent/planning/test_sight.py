@@ -12,7 +12,8 @@ from tests.transport.flights.test_obstacles_seen import GO, LOAD_MARGIN_M, MARGI
 from transport.agent.planning.sight import Sight
 from transport.model.physics.obstacles import clearances
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.messages import ENDLESS_M, Measurement, Target
+from transport.protocol.wire.message_form import ENDLESS_M
+from transport.protocol.wire.messages import Measurement, Target
 
 ALONG_M = 6.5  # place of the wall
 REST_M = 0.3
