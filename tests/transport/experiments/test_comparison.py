@@ -125,6 +125,14 @@ def test_between_periods_the_cost_is_a_power_of_the_period() -> None:
     assert found == pytest.approx([math.sqrt(4.0 * ratio) for ratio in (1.2, 1.1, 1.2)])
 
 
+def test_a_range_of_periods_is_cut_to_the_grid() -> None:
+    """The cost is the lowest and the highest over the rest; no period in the grid has no cost."""
+    curve = paper_curve()
+    assert curve.cost_range(0.0, math.inf) == pytest.approx((0.9, 4.0))
+    assert curve.cost_range(0.2, math.inf) is None
+    assert curve.cost_range(0.0, 0.02) is None
+
+
 def test_diverged_runs_are_not_compared() -> None:
     """Next to a period with a diverged run the cost is infinite; elsewhere the curve is unchanged."""
     curve = paper_curve(

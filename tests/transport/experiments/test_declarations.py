@@ -113,6 +113,15 @@ def test_targets_that_one_agent_knows() -> None:
         point.labels["network"] for point in points if point.by_seed
     }
 
+    # Without noise of sensors a third of the ten instants suffice.
+    quiet = [point for point in points if point.labels["network"] == "2 s of silence"]
+    (cut,) = {len(point.by_seed) for point in quiet}
+    assert cut == 4
+    for point, silent_s in ((quiet[0], 2.0), (silent[0], 5.0)):
+        cuts = point.read([EXPERIMENTS["information"].maneuver], 1).links.partition
+        assert [one.between for one in cuts] == [["agent1"], ["agent2"], ["agent3"]]
+        assert [one.end_s - one.start_s for one in cuts] == pytest.approx([silent_s] * 3)
+
     cases = cases_of(silent[1:2], [EXPERIMENTS["information"].maneuver], 3)
     starts_s = [case.scenario.links.partition[0].start_s for case in cases]
     assert 1.0 < min(starts_s) < max(starts_s) < 10.0
@@ -160,6 +169,17 @@ def test_the_payload_is_compared_with_that_of_the_run_in_which_all_are_told() ->
 def test_a_column_is_named_in_the_unit_of_figures(column: str, title: str, text: str) -> None:
     """Keys of the scenario by their labels, columns of experiments by their own; others in the words of the key."""
     assert (axis(column).title, axis(column).text(0.2)) == (title, text)
+
+
+def test_an_ablation_changes_one_part_at_a_time() -> None:
+    """Values that the scenario has anyway are left out, and those that its other settings exclude."""
+    points = built("ablation", of=("paper",)).points
+    networks = [point.labels["network"] for point in points if point.labels["part"] == "as it is"]
+    assert networks == list(NETWORKS)
+    changes = {(point.labels["part"], point.labels["value"]) for point in points}
+    assert {("prediction", "closed_loop"), ("actuation", "next_tick")} < changes
+    assert not {("prediction", "open_loop"), ("relaxation", "1.0")} & changes
+    assert ("preview", "true") not in changes  # needs the shared control law or a cost-to-go
 
 
 def test_scaling_has_teams_of_all_sizes_and_pairs_of_even_ones() -> None:

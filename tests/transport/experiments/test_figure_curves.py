@@ -1,6 +1,7 @@
 """Curves of an experiment: heights and error bars of hand-made points, and the scale of the vertical axis."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -96,6 +97,38 @@ def test_diverged_runs_have_a_panel_before_the_others() -> None:
     ticks = dict(zip(divergence.get_yticks(), divergence.get_yticklabels(), strict=True))
     assert max(ticks) == never_s
     assert ticks[never_s].get_text() == "never"
+
+
+def test_a_panel_of_flat_curves_is_low_and_growth_is_logarithmic() -> None:
+    """Attitudes that do not change take half an inch; processor times have decades, however close they are."""
+    cost, attitude = drawn([of(0.002, 0.0), of(0.003, 0.0)])
+    assert cost.get_position().height / attitude.get_position().height == pytest.approx(0.95 / 0.5)
+
+    names = ("cpu_step_p50_ms", "cpu_team_tick_ms", "plan_bytes_per_s", "cost_mean")
+    team = point(2.0, 1.0)
+    grown = [
+        replace(
+            team,
+            point=Point(labels={"uavs": float(uavs)}, text=""),
+            numbers={name: Estimate(uavs, None, 1, uavs, uavs) for name in names},
+        )
+        for uavs in (2.0, 3.0)
+    ]
+    figure = Figure()
+    draw_curves(figure, Experiment(name="test", x="uavs", drawn_as="scaling"), {"paper": grown})
+    assert [panel.get_yscale() for panel in figure.axes] == ["log"] * 4
+    assert figure.axes[0].get_xscale() == "log"
+
+
+def test_many_scenarios_share_their_panels() -> None:
+    """Of four, each with its name in the legend."""
+    figure = Figure()
+    own = [point(STEP * k, 3.0) for k in range(3)]
+    names = ("paper", "resilient", "precise", "alone")
+    draw_curves(figure, Experiment(name="test", x=LABEL), dict.fromkeys(names, own))
+    assert len(figure.axes) == 2
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == list(names)
 
 
 def point(x: float | str, cost: float, curve: str = "none", runs: int = 1) -> PointStatistics:

@@ -1,11 +1,13 @@
 """Figures of hand-made points: places, colours and texts of the arena's cells, of maps, rows and weathers."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
@@ -213,6 +215,28 @@ def test_a_map_writes_each_number_in_its_cell() -> None:
     )
 
 
+def test_named_rows_of_a_map_have_their_order_from_the_top() -> None:
+    """Maps of all scenarios have one scale of colours, on which numbers are white where it is dark."""
+    figure = Figure()
+    network = Axis("network", "network")
+    lowest, highest = (
+        [
+            point({"delay_s": 0.0, "network": name}, {"cost_mean": cost})
+            for name in ("radio", "late")
+        ]
+        for cost in (0.002, 0.2)
+    )
+    draw_maps(figure, DELAY, network, COST, {"paper": lowest, "resilient": highest})
+    dark, bright, bar = figure.axes
+    for panel, colour, text in ((dark, "#ffffff", "2.00"), (bright, "#000000", "200.0")):
+        assert [label.get_text() for label in panel.get_yticklabels()] == ["radio", "late"]
+        low, high = panel.get_ylim()
+        assert low > high  # row 0 is at the top
+        numbers = [one for one in panel.texts if one.get_text() == text]
+        assert [one.get_color() for one in numbers] == [colour] * 2
+    assert bar.get_ylim() == pytest.approx((2.0, 200.0))
+
+
 def test_a_distance_stands_in_a_map_only_if_all_runs_complete() -> None:
     """That of the other runs would say little: the cell tells how many complete."""
     figure = Figure()
@@ -263,6 +287,25 @@ def test_tracking_shows_three_numbers_beside_each_other() -> None:
     rows = [float(np.ravel(line.get_ydata())[0]) for line in panels[0].get_lines()]
     assert rows == pytest.approx([-0.25, 0.25, 0.75, 1.25])
     assert [label.get_text() for label in panels[0].get_yticklabels()] == ["late", "wind"]
+
+
+def test_the_axis_of_errors_ends_above_their_bars() -> None:
+    """The interval of eight runs is a bar of its length about the mean."""
+    figure = Figure()
+    speed = Axis("speed_mps", "largest speed", "m/s")
+    one = point(
+        {"case": "wind", "speed_mps": 3.0}, {"payload_max_m": 0.05, "attitude_max_deg": 7.0}
+    )
+    interval = Estimate(mean=0.02, half_width=0.01, n=8, low=0.0, high=0.1)
+    draw_tracking(
+        figure, [replace(one, numbers={**one.numbers, "payload_rms_m": interval})], speed, "case"
+    )
+    panel, *_ = figure.axes[0].child_axes
+    assert panel.get_xlim() == pytest.approx((0.0, 1.1 * 3.0))
+    (container,) = panel.containers
+    assert isinstance(container, ErrorbarContainer)
+    (bar,) = container.lines[2][0].get_segments()
+    assert bar[:, 0] == pytest.approx([1.0, 3.0])
 
 
 # Weather

@@ -16,6 +16,7 @@ from tests.support.logs import record_run
 from transport.analysis.series import series_of
 from transport.cli.main import app
 from transport.log.run_folder import open_run
+from transport.model.state import R0
 from transport.report.animation import FPS, AnimationPage, animate_run
 from transport.scene.scene_at_tick import SceneBuilder
 
@@ -52,20 +53,33 @@ def test_a_gif_moves(recorded: Path) -> None:
 def test_the_view_from_above_follows_payload_and_uavs_on_their_rods(
     recorded: Path, released: tuple[int, ...]
 ) -> None:
-    """Its centre is between payload and mean of the UAVs on their rods; one that flies away does not move it."""
+    """Its centre is between payload and mean of the UAVs on their rods, all of which it shows.
+
+    One that flies away after its release does not move or widen it.
+    """
     run = open_run(recorded)
     builder = SceneBuilder.of(run.setup, run.log)
-    page = AnimationPage(builder, series_of(run.setup, run.log))
+    uavs_I = np.array([[3.0, 0.0, 0.0], [90.0, 70.0, 0.0], [4.0, 3.0, 0.0], [2.0, 0.0, 0.0]])
     scene = replace(
-        builder.at(0),
-        payload_I=np.array([1.0, 5.0, -8.0]),
-        uavs_I=np.array([[3.0, 0.0, 0.0], [90.0, 70.0, 0.0], [4.0, 3.0, 0.0], [2.0, 0.0, 0.0]]),
-        released=released,
+        builder.at(0), payload_I=np.array([1.0, 5.0, -8.0]), uavs_I=uavs_I, released=released
     )
+    flown = series_of(run.setup, run.log)
+    x = flown.x.copy()
+    x[:, R0] = scene.payload_I
+    on_rods = np.ones_like(flown.on_rods)
+    on_rods[:, [uav - 1 for uav in released]] = False
+    throughout = np.tile(uavs_I, (len(x), 1, 1))
+    page = AnimationPage(builder, replace(flown, x=x, uavs_I=throughout, on_rods=on_rods))
     page.show(scene)
     centre = [float(np.mean(page.above.get_xlim())), float(np.mean(page.above.get_ylim()))]
     by_hand = {(): [12.875, 11.625], (2,): [2.0, 3.0], (1, 2, 3, 4): [1.0, 5.0]}
     assert centre == pytest.approx(by_hand[released])
+
+    # Half a meter beyond the farthest of them, at right angles to a width of 1.9 heights.
+    half_height_m = {(): 70.0 - 11.625, (2,): 3.0, (1, 2, 3, 4): 0.0}[released] + 0.5
+    bottom, top = page.above.get_ylim()
+    left, right = page.above.get_xlim()
+    assert (bottom - top, right - left) == pytest.approx((2.0 * half_height_m, 3.8 * half_height_m))
 
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="no ffmpeg")

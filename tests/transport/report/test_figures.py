@@ -38,6 +38,7 @@ from transport.report.figures.style import (
     label_decades,
     line_width,
     looks_of,
+    scale_cost,
     shade_phases,
 )
 from transport.report.report import write_report
@@ -250,6 +251,37 @@ def test_panels_of_inputs_name_their_limits() -> None:
     assert curves["agent 1"] == pytest.approx([0.1])
     assert curves["4"] == pytest.approx([0.2])
     assert "2" not in curves
+
+
+def test_the_panel_of_obstacles_shows_what_is_near_or_within_one() -> None:
+    """From the deepest distance to six times the margin, 0.3 m, at which a line is drawn."""
+    obstacle = "obstacle=[{kind='sphere',at_m=[9.0,0.0,-10.0],radius_m=0.5,margin_m=0.3}]"
+    run = runs.setup(runs.SHORT, obstacle)
+    analysed = AnalysedRun.of(run, log_of([on_reference(run, k) for k in range(3)]))
+    clearance_m = np.array([[9.0, 8.0, 7.0], [0.5, 0.4, -0.2], [0.4, 0.3, 0.1]])
+    figure = Figure()
+    with mpl.rc_context(RC):
+        series = replace(analysed.series, clearance_m=clearance_m)
+        assert fill(figure, "inputs", replace(analysed, series=series))
+    (panel,) = (
+        panel
+        for panel in figure.axes
+        for text in panel.texts
+        if text.get_text() == "distance from obstacles (m)"
+    )
+    assert panel.get_ylim() == pytest.approx((-0.2, 1.8))
+    assert [0.3, 0.3] in [np.ravel(line.get_ydata()).tolist() for line in panel.lines]
+
+
+@pytest.mark.parametrize(
+    ("top", "ends"), [(2.0, (0.002, 4.0)), (1e-9, (1e-9, 2e-6)), (0.0, None), (np.inf, None)]
+)
+def test_a_cost_has_decades_below_its_highest(top: float, ends: tuple[float, float] | None) -> None:
+    """Three of them; costs below 1e-6 are rounding errors, and a run without cost keeps its axis."""
+    axes = Figure().add_subplot()
+    scale_cost(axes, top, 3)
+    assert axes.get_yscale() == ("linear" if ends is None else "log")
+    assert axes.get_ylim() == pytest.approx(ends or (0.0, 1.0))
 
 
 @pytest.mark.parametrize(
