@@ -64,8 +64,8 @@ radio-reference: $(VENV)/.installed | $(BIN)/python
 figures: $(VENV)/.installed-test ## renew tables and figures of README and docs from kept results: 3 minutes (TABLES="claims gap": those)
 	@$(BIN)/python docs/figures.py $(TABLES)
 
-figures-check: $(VENV)/.installed-test ## compare all tables with kept results, and a run of each, drawn by a checksum of the kept results, with today's numbers
-	@$(BIN)/python docs/figures.py --check $(TABLES)
+figures-check: $(VENV)/.installed-test ## compare all tables with kept results, and a run of each, drawn by a checksum of kept results and code, with today's numbers (DRAWN=--in-turn: tables of long runs take turns)
+	@$(BIN)/python docs/figures.py --check $(DRAWN) $(TABLES)
 
 arena: $(VENV)/.installed-test $(VENV)/.installed-nmpc ## fly the arena and the ready algorithms, and renew docs/record/arena.md and their table (an hour)
 	@$(BIN)/python docs/algorithm_figures.py

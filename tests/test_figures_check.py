@@ -105,6 +105,18 @@ def test_several_runs_are_drawn_of_the_whole_table(docs: SimpleNamespace) -> Non
     assert len(docs.figures.drawn(one, 1, 1000)) == len(one.cases)
 
 
+@pytest.mark.parametrize(("turn", "share"), [(1.01, 1.0), (0.25, 0.25)])
+def test_tables_take_turns_by_the_work_of_their_runs(
+    docs: SimpleNamespace, short: Any, monkeypatch: pytest.MonkeyPatch, turn: float, share: float
+) -> None:
+    """A short run is repeated each time, one of four times the work of a turn in a quarter of the draws."""
+    (task,) = docs.figures.drawn(short, 0)
+    monkeypatch.setattr(docs.figures, "_TURN", turn * docs.figures._work(task.case))
+    draws = 400
+    repeated = sum(docs.figures.in_turn([task], seed) != [] for seed in range(draws))
+    assert repeated / draws == pytest.approx(share, abs=0.1)  # five standard deviations
+
+
 def test_a_run_that_this_machine_cannot_repeat_is_not_drawn(
     docs: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -242,11 +254,17 @@ def test_a_check_reports_each_table_once(docs: SimpleNamespace, alone: Any) -> N
     assert "cost_mean: kept " in problem
 
 
-def test_the_drawn_runs_change_with_the_kept_results(docs: SimpleNamespace, short: Any) -> None:
-    """The seed is the same as long as the kept results are."""
+def test_the_drawn_runs_change_with_results_and_code(
+    docs: SimpleNamespace, short: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The seed is the same as long as the kept results and the commit of the simulation are."""
     assert short.name == "short"
     seed = docs.figures.default_seed()
     assert docs.figures.default_seed() == seed
+    here = docs.kept.Origin.here()
+    with monkeypatch.context() as other:
+        other.setattr(docs.kept.Origin, "here", lambda: replace(here, commit=OTHER_COMMIT))
+        assert docs.figures.default_seed() != seed
     file = docs.kept.file_of("short")
     file.write_text(file.read_text(encoding="utf-8") + "# more: {}\n", encoding="utf-8")
     assert docs.figures.default_seed() != seed
