@@ -65,6 +65,40 @@ def test_exit_code_of_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "1 fail" in result.output
 
 
+@pytest.mark.parametrize(("cores", "status"), [(6, "warn"), (7, "ok")])
+def test_each_process_and_the_recorder_want_a_core(
+    cores: int, status: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four agents, plant, coordinator and recorder."""
+    monkeypatch.setattr("joblib.cpu_count", lambda: cores)
+    finding = doctor.cores(HERE)
+    assert finding.status == status
+    assert finding.found.startswith(f"{cores} for 7 processes")
+    assert bool(finding.advice) is (status == "warn")
+
+
+@pytest.mark.parametrize(("step_s", "status"), [(0.024, "ok"), (0.026, "warn")])
+def test_a_step_may_take_half_a_period(
+    step_s: float, status: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first ones, which load libraries, do not count."""
+    durations_s = iter([9.0, 9.0, *[step_s] * 10])
+    now_s = [0.0]
+
+    class Agent:
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def warm_up(self) -> None:
+            now_s[0] += next(durations_s)
+
+    monkeypatch.setattr(doctor, "AgentNode", Agent)
+    monkeypatch.setattr("time.perf_counter", lambda: now_s[0])
+    finding = doctor.step(HERE)
+    assert finding.status == status
+    assert f"takes {1e3 * step_s:.1f} ms, a sampling period is 50 ms" in finding.found
+
+
 def test_scenario_is_checked() -> None:
     """A refused scenario has its own exit code, as in all commands."""
     result = CliRunner().invoke(app, ["doctor", "--set", "controller.horizon=0"])

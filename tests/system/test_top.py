@@ -92,6 +92,16 @@ def test_counts_of_an_agent_follow_from_its_reports() -> None:
     assert (content["step_ms"], content["worst_ms"]) == (1.0, 5.0)  # the first of 101 is left out
 
 
+def test_an_agent_without_a_report_for_more_than_five_ticks_is_silent() -> None:
+    """Its last report is of the tick at which the five begin."""
+    watch = watched()
+    watch.take(runs.roster())
+    watch.take(report(watch.setup, 2, 4))
+    for k, state in ((4, "active"), (9, "active"), (10, "silent")):
+        watch.take(runs.tick(k))
+        assert watch.state_of(2) == state
+
+
 def test_missed_deadlines_count_in_real_time_between_successive_ticks() -> None:
     """An agent misses a tick if it had no plan when the next one opened.
 

@@ -112,6 +112,27 @@ def test_the_bag_holds_the_run(tmp_path: Path) -> None:
     assert len(first) > len(last) > 0
 
 
+def test_a_paced_run_starts_when_its_earliest_tick_allows() -> None:
+    """Delays of single recordings leave the stamps as they are; time that the clock waits shifts them.
+
+    The sampling period is 50 ms, 100 ms by the wall clock.
+    """
+    ms = 10**6
+    for waits, expected_ms in ((False, [1000, 1000, 990, 990]), (True, [1000, 1000, 990, 1095])):
+        start = PacedStart(period_ns=50 * ms, speed=0.5, waits=waits)
+        starts_ms = []
+        for tick, recorded_ms in ((0, 1000), (1, 1199), (2, 1190), (3, 1395)):
+            start.note(tick, recorded_ms * ms)
+            starts_ms.append(start.stamp_ns(0) // ms)
+        assert starts_ms == expected_ms
+        assert start.stamp_ns(7) - start.stamp_ns(6) == start.stamps_apart_ns == 100 * ms
+
+    unpaced = PacedStart(period_ns=50 * ms, speed=0.0)
+    unpaced.note(3, 1)
+    assert unpaced.start_ns is None
+    assert unpaced.stamps_apart_ns == 50 * ms
+
+
 @pytest.mark.parametrize("speed", [1.0, 0.5])
 def test_plans_are_paths_in_the_time_of_their_stamps(speed: float) -> None:
     """The points of a plan are those that the agent predicts, as far apart in time as ticks by the wall clock."""

@@ -617,6 +617,18 @@ def test_dead_agents_are_drawn_as_off(live: Viewer, builder: SceneBuilder) -> No
     assert OFF_COLOUR not in looks[1]
 
 
+def test_lines_have_the_linear_colours_that_viser_draws(
+    live: Viewer, builder: SceneBuilder
+) -> None:
+    """Those of the reference, grey 150 of 255 on the screen: 255 (150 / 255)^2.2 = 79; none are black."""
+    live.view3d.show(builder.at(LAST))
+    reference = live.view3d._lines["/world/inertial/reference of payload"]
+    assert set(reference.colors.ravel().tolist()) == {79}
+    actual = live.view3d._lines["/world/inertial/actual paths"]
+    assert actual.colors[0].tolist() == [[0, 0, 0]] * 2
+    assert actual.points.shape == actual.colors.shape
+
+
 def test_only_sliders_that_were_moved_are_sent() -> None:
     """A slider that cannot show the value in force leaves it as it is, unless it is moved."""
     setup = runs.setup(runs.SHORT, "links.delay_s=2.0", "links.loss=0.004")
