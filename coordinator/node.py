@@ -301,6 +301,8 @@ class CoordinatorNode:
         if event.name == PLANT:
             return self._stop(EXIT_UNREACHABLE, "plant is gone")
         if event.name in self._processes.vehicles:
+            if self._flies_without:
+                return ()
             reason = f"{event.name} is gone at {self._roster.time(self.tick)}"
             if self._ends_by_any_loss:
                 return self._stop(EXIT_UNREACHABLE, reason)
@@ -333,7 +335,13 @@ class CoordinatorNode:
         return self._lose([agent], f"{name} is gone", now_ns)
 
     def _lose(self, agents: Collection[int], reason: str, now_ns: int) -> Sequence[Message]:
-        """Take agents off the roster, and continue or end the run."""
+        """Take agents off the roster, and continue or end the run.
+
+        Of a team that flies without this coordinator none is, and nothing ends: one that stays away is
+        taken off once this one has taken over.
+        """
+        if self._flies_without:
+            return ()
         reason = f"{reason} at {self._roster.time(self.tick)}"
         if self._ends_by_any_loss:
             return self._stop(EXIT_UNREACHABLE, reason)

@@ -78,7 +78,11 @@ def _changed(
         expected = "expected status, link, target, abort or release"
         raise RequestError(f"what: {expected}, got {request.what[:40]!r}")
     if not status.takes_changes:
-        raise RequestError("expected a running simulation")
+        is_back = status.tick < 0 and not status.is_before
+        waits = (
+            "expected a coordinator that has taken over, got one that has just returned: ask again"
+        )
+        raise RequestError(waits if is_back else "expected a running simulation")
 
     if request.what == "abort":
         if coming_down is None:

@@ -81,6 +81,8 @@ def run_node(
         _log_opening(journal, place)
         exchange = exchange_of(rules.shape, node.name, place.incarnation, keys, bus.put)
         interruption = _join(node, bus, exchange, expected, journal)
+        if interruption is not None:
+            _take_statuses(node, bus)
         while True:
             if interruption is None:
                 interruption = _drive(node, bus, exchange, rules.faults)
@@ -163,6 +165,13 @@ def _join(
     if interruption is None:
         journal.log("joined", peers=len(expected))
     return interruption
+
+
+def _take_statuses(node: Node, bus: Bus) -> None:
+    """Let a coordinator that was interrupted while it joined know whether a team flies without it."""
+    while (arrival := bus.next(0.0)) is not None:
+        if isinstance(arrival.event, wire.VehicleStatus):
+            node.receive(arrival.event, time.monotonic_ns())
 
 
 def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) -> Interrupted | None:

@@ -482,6 +482,33 @@ def test_an_abort_before_the_first_tick_ends_the_run(outside: Setup) -> None:
         assert back.interrupt("interrupted (SIGTERM)") == ()
     assert back.finished is None
 
+    waits = coordinator_of(outside, 1, wall_offset_ns=WALL_NS)  # for a process that is not there
+    waits.receive(status(outside, 1, phase="flying", start_ns=start_ns), NOW_NS + 2 * MS)
+    assert waits.interrupt("interrupted (SIGTERM)") == ()
+    assert waits.finished is None
+
+
+@pytest.mark.parametrize("gone", ["agent2", "vehicle3"])
+def test_a_loss_before_it_takes_over_ends_nothing(low_run: Setup, gone: str) -> None:
+    """The end of a run would leave each UAV in the air to its autopilot, on its rod."""
+    first = flying(low_run)
+    told = asked(first, "target", points_m=[[0.5, 0.0, -1.3]])[1][0]
+    assert isinstance(told, Target)
+    back = coordinator_of(low_run, 1, wall_offset_ns=WALL_NS)
+    ready(back)
+    start_ns = NOW_NS + WALL_NS - 2 * S
+    knows = status(low_run, 1, phase="flying", start_ns=start_ns, told=[told])
+    back.receive(msgspec.structs.replace(knows, changes=()), NOW_NS + 2 * MS)
+    assert back.state is State.PREPARING
+    assert "has just returned: ask again" in asked(back, "target", land=True)[0]["error"]
+    assert back.receive(Presence(gone, 0, alive=False), NOW_NS + 3 * MS) == ()
+    knows = status(low_run, 3, phase="flying", start_ns=start_ns, told=[told], sequence=1)
+    back.receive(knows, NOW_NS + 4 * MS)
+    assert back.wake_ns is not None
+    back.poll(back.wake_ns)
+    assert back.finished is None
+    assert back.tick > 0
+
 
 def test_vehicles_that_are_never_ready_end_the_run(run: Setup) -> None:
     """After `vehicles.ready_s` the run ends, and says what is missing."""

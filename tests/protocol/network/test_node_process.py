@@ -9,6 +9,7 @@ from queue import SimpleQueue
 from types import FrameType
 from typing import Any, NoReturn
 
+import numpy as np
 import pytest
 
 from tests.support import runs
@@ -23,7 +24,7 @@ from transport.protocol.wire.errors_and_exit_codes import (
     EXIT_INTERRUPTED,
     EXIT_UNREACHABLE,
 )
-from transport.protocol.wire.messages import Control, Event, Message
+from transport.protocol.wire.messages import Control, Event, Message, VehicleStatus
 from transport.protocol.wire.names import COORDINATOR
 from transport.protocol.wire.node_interface import Outbox
 
@@ -42,11 +43,15 @@ class StubNode:
     wake_ns: int | None = None
     finished: Control | None = None
 
+    def __init__(self) -> None:
+        self.received: list[Event] = []
+
     def check_moment(self, message: Message) -> None:
         """Accept all messages."""
 
     def receive(self, event: Event, _now_ns: int) -> Sequence[Message]:
         """End at the end of the run."""
+        self.received.append(event)
         if isinstance(event, Control):
             self.finished = event
         return ()
@@ -69,6 +74,7 @@ class StubBus:
         self.sent: list[Message] = []
         self.timeouts_s: list[float | None] = []
         self.left_after: tuple[str, ...] | None = None
+        self.has_not_joined = False
         self.is_closed = False
 
     def open(self, _name: str, _place: Place, _digest: str, gate: Gate, _: BusOptions) -> "StubBus":
@@ -81,10 +87,13 @@ class StubBus:
         self.while_joining()
         event = None if self.inbox.empty() else self.inbox.get()
         assert event is None or isinstance(event, Interrupted)
+        self.has_not_joined = event is not None
         return event
 
-    def next(self, timeout_s: float | None) -> Arrival:
+    def next(self, timeout_s: float | None) -> Arrival | None:
         """Return what arrives."""
+        if self.has_not_joined:  # what has come until then
+            return None if self.inbox.empty() else Arrival(self.inbox.get(), 0)
         self.timeouts_s.append(timeout_s)
         self.while_waiting()
         return Arrival(self.inbox.get(timeout=PATIENCE_S), 0)
@@ -182,6 +191,41 @@ def test_a_signal_ends_a_process_with_its_last_messages(
     assert run(node, on_interrupt=on_interrupt) == EXIT_INTERRUPTED
     assert reasons == [f"interrupted ({number.name})"]
     assert bus.sent == [last]
+
+
+def test_a_process_that_has_not_joined_knows_what_flies(bus: StubBus) -> None:
+    """Before it decides what its signal ends: a coordinator takes in the statuses that came while it joined."""
+    node = StubNode()
+    vehicle = Outbox("vehicle1", 0).stamp(
+        VehicleStatus,
+        tick=0,
+        uav=1,
+        phase="flying",
+        problem="",
+        armed=True,
+        mode="GUIDED",
+        battery=0.9,
+        healthy=True,
+        position=np.zeros(3),
+        age_s=0.0,
+        plan_tick=-1,
+        latency_s=-1.0,
+        late_s=0.0,
+        roster=1,
+        heard_ns=0,
+        heard_at_ns=0,
+        sent_ns=0,
+        start_ns=1,
+    )
+
+    def interrupt() -> None:
+        signal.raise_signal(signal.SIGTERM)
+        bus.inbox.put(vehicle)
+
+    bus.while_joining = interrupt
+    assert run(node) == EXIT_INTERRUPTED
+    assert node.received == [vehicle]
+    assert bus.sent == []
 
 
 def test_a_signal_may_begin_an_abort(bus: StubBus) -> None:
