@@ -62,6 +62,13 @@ class HandOver:
         self._sensors: dict[int, OwnSensors] = {}
         self._faded: Array = np.zeros((0, 1))
 
+        # Places of the own inputs in u, their limits, and those of their change over a period.
+        settings = setup.settings
+        self._places = state.input_indices(owned)
+        self._lower = settings.lower(len(owned))
+        self._upper = settings.upper(len(owned))
+        self._largest_step = settings.largest_step(len(owned))
+
     @property
     def share(self) -> float:
         """Share of the law alone in the newest inputs."""
@@ -89,10 +96,9 @@ class HandOver:
         if share == 1.0:
             team = team[: steps_alone(self._period_s)]
         alone = np.hstack([self._alone(uav, k, start, linear, len(team)) for uav in self._owned])
-        settings, count = self._setup.settings, len(self._owned)
-        before = linear.u0[state.input_indices(self._owned)]
-        inputs = mixed(team, alone, share, before, settings.largest_step(count))
-        return np.minimum(np.maximum(inputs, settings.lower(count)), settings.upper(count))
+        before = linear.u0[self._places]
+        inputs = mixed(team, alone, share, before, self._largest_step)
+        return np.minimum(np.maximum(inputs, self._lower), self._upper)
 
     def _alone(self, uav: int, k: int, start: int, linear: Linear, steps: int) -> Array:
         """Return the inputs of a UAV alone over a plan, (steps, 4).

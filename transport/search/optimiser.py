@@ -14,6 +14,7 @@ Deterministic: the same values told, in the same order, give the same points ask
 resumed by asking and telling again what has been evaluated.
 """
 
+import math
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -68,7 +69,7 @@ class Optimiser:
     """Minimiser of a function over the unit cube, by asking for points and being told its values."""
 
     def __init__(self, layout: SearchLayout, *, seed: int) -> None:
-        from scipy.stats import qmc  # 0.4 s, in which the workers of a search start
+        from scipy.stats import qmc  # 0.2 s, in which the workers of a search start
 
         self._layout = layout
         self._random_left = max(_LEAST_RANDOM, layout.dimension)
@@ -79,13 +80,18 @@ class Optimiser:
         self._points: list[Array] = []
         self._values: list[float] = []
 
-    def ask(self) -> list[Array]:
-        """Return the next points, each (dimension,)."""
+    def ask(self, most: int = BATCH) -> list[Array]:
+        """Return the next points, each (dimension,).
+
+        They are a batch, or as many batches of random points as are left, at least one, that reach the
+        most: random points do not depend on values, so that no processor waits for the end of a batch.
+        """
         if self._random_left > 0:
-            self._random_left -= BATCH
+            count = BATCH * math.ceil(min(self._random_left, most) / BATCH)
+            self._random_left -= count
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # batches need not be powers of two
-                return list(self._layout.severely(self._sampler.random(BATCH)))
+                return list(self._layout.severely(self._sampler.random(count)))
 
         # The smallest value is the worst.
         order = np.argsort(self._values, kind="stable")
@@ -147,9 +153,6 @@ class Descent:
     """CMA-ES from the worst point, anew from the worst that is apart from earlier starts."""
 
     def __init__(self, dimension: int, *, seed: int) -> None:
-        import cma  # 0.4 s, in which the workers of a search start
-
-        self._new_evolution: Any = cma.CMAEvolutionStrategy
         self._dimension = dimension
         self._seed = seed
         self._starts: list[Array] = []
@@ -200,7 +203,9 @@ class Descent:
             "verbose": -9,
             "verb_log": 0,
         }
-        self._evolution = self._new_evolution(start, _SIGMA, options)
+        import cma  # 0.2 s, which a search of random points alone does not need
+
+        self._evolution = cma.CMAEvolutionStrategy(start, _SIGMA, options)
 
     def _is_apart(self, point: Array) -> bool:
         """Return whether a point is far from all starts."""

@@ -255,7 +255,7 @@ class Search:
         number = 0
 
         while number < self.budget:
-            points = optimiser.ask()
+            points = optimiser.ask(BATCH if self.until_failure else self.budget - number)
             candidates = [self.space.candidate(point) for point in points]
             results = evaluations.of(self.problem, candidates, fly)
             optimiser.tell(points, [result.robustness for result in results])
