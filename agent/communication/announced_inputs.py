@@ -8,6 +8,7 @@ import numpy as np
 from transport.agent.communication.unannounced_inputs import (
     Assumed,
     FirstStep,
+    PeriodBegin,
     SharedLaw,
     Silent,
     Unannounced,
@@ -198,12 +199,13 @@ class AnnouncedInputs:
         Source: docs/equations.md (32), (32a).
         """
         u = np.empty(len(self._u_hover))
+        at = PeriodBegin(tick, x, self._law)
         for agent, columns in self._columns.items():
             plan = self.plans.newest(agent, before, started=tick)
             if plan is None:
-                u[columns] = self._without_plan(agent, tick, x)
+                u[columns] = self._without_plan(agent, at)
             else:
-                u[columns] = self._applied(plan, tick, x)
+                u[columns] = self._applied(plan, at)
 
         if self._bounds is None:
             return u
@@ -252,32 +254,32 @@ class AnnouncedInputs:
             return None
         return Silent(alone=share, correlation=correlation)
 
-    def _applied(self, plan: Plan, tick: int, x: Array | None) -> Array:
+    def _applied(self, plan: Plan, at: PeriodBegin) -> Array:
         """Return the inputs that an agent applied after its newest started plan, (4 owned,)."""
-        if self._is_on_fail_safe(plan, tick):
-            return self._by_fail_safe(plan.agent, tick, x)
+        if self._is_on_fail_safe(plan, at.tick):
+            return self._by_fail_safe(plan.agent, at)
 
         #   u_a(k) = U_a(min(k - s_a, N_p - 1))    (32)
-        played = self._played(plan, tick)
-        step = tick - played.start_tick
+        played = self._played(plan, at.tick)
+        step = at.tick - played.start_tick
         announced: Array = played.inputs[min(step, len(played.inputs) - 1)]
 
         # Off the roster the last plan is played; own inputs and first ones are known.
         is_off = plan.agent in self.heard.off_roster
         is_known = is_off or plan.agent == self._own or step <= 0
-        if is_known or x is None:
+        if is_known or at.x is None:
             return announced
 
         # The agent has replaced later inputs by those of plans that were not received: here by the
         # shared law, (32a). Before the present law that was another, which is not known any more: then
         # the inputs count as announced.
-        is_under_law = tick >= max(self.law_since, self.heard.failed_since)
-        by_law = self._by_law(plan, tick, x) if is_under_law else announced
+        is_under_law = at.tick >= max(self.law_since, self.heard.failed_since)
+        by_law = self._by_law(plan, at) if is_under_law else announced
         if by_law is None:
             return announced
-        return self._mixed(by_law, plan.agent, plan, tick, x)
+        return self._mixed(by_law, plan.agent, plan, at)
 
-    def _without_plan(self, agent: int, tick: int, x: Array | None) -> Array:
+    def _without_plan(self, agent: int, at: PeriodBegin) -> Array:
         """Return the inputs of an agent without any plan, (4 owned,).
 
         Hover; once its first plan is overdue, by the shared law, and alone. An agent that has
@@ -285,23 +287,22 @@ class AnnouncedInputs:
         """
         columns = self._columns[agent]
         hover = self._hover(columns)
-        if x is None:
+        if at.x is None:
             return hover
         if self.heard.has_returned(agent):
-            if self.heard.is_before_return(agent, tick):
-                return self._by_fail_safe(agent, tick, x)
-        elif not self.heard.acts_without_plan(agent, tick):
+            if self.heard.is_before_return(agent, at.tick):
+                return self._by_fail_safe(agent, at)
+        elif not self.heard.acts_without_plan(agent, at.tick):
             return hover
-        u = self._law.inputs(tick, x)
-        by_law = hover if u is None else u[columns]
-        return self._mixed(by_law, agent, None, tick, x)
+        by_law = hover if at.by_law is None else at.by_law[columns]
+        return self._mixed(by_law, agent, None, at)
 
-    def _mixed(self, by_law: Array, agent: int, plan: Plan | None, tick: int, x: Array) -> Array:
+    def _mixed(self, by_law: Array, agent: int, plan: Plan | None, at: PeriodBegin) -> Array:
         """Return inputs between those by the law and those alone, as the agent is assumed to act."""
-        share = self.heard.share_alone(agent, plan, tick)
-        if share == 0.0 or self._law.inputs_alone is None:
+        share = self.heard.share_alone(agent, plan, at.tick)
+        if share == 0.0 or self._law.inputs_alone is None or at.x is None:
             return by_law
-        alone = [self._law.inputs_alone(uav, tick, x) for uav in self._owned[agent - 1]]
+        alone = [self._law.inputs_alone(uav, at.tick, at.x) for uav in self._owned[agent - 1]]
         return (1.0 - share) * by_law + share * np.concatenate(alone)
 
     def _played(self, plan: Plan, tick: int) -> Plan | Assumed:
@@ -334,12 +335,12 @@ class AnnouncedInputs:
             return steps
         return self.fail_safe.played(steps, self._period_s)
 
-    def _by_law(self, plan: Plan, tick: int, x: Array) -> Array | None:
+    def _by_law(self, plan: Plan, at: PeriodBegin) -> Array | None:
         """Return an agent's inputs by the shared law after its plan's first step, (4 owned,).
 
         None where there is no such law. Source: docs/equations.md (32a).
         """
-        u = self._law.inputs(tick, x)
+        u = at.by_law
         if u is None:
             return None
         by_law: Array = u[self._columns[plan.agent]]
@@ -347,7 +348,7 @@ class AnnouncedInputs:
             return by_law
 
         #   lambda_a(k) = K_a (x(k) - x_ref(k)) + c_ff(k) + C_a(k - s_a),    C_a zero after its end
-        step = tick - plan.start_tick
+        step = at.tick - plan.start_tick
         if step < len(plan.corrections):
             by_law = by_law + plan.corrections[step]
         if plan.tick < self.law_since:
@@ -377,10 +378,10 @@ class AnnouncedInputs:
             self._first_steps[plan.agent] = newest
         return newest.beyond_law
 
-    def _by_fail_safe(self, agent: int, tick: int, x: Array | None) -> Array:
+    def _by_fail_safe(self, agent: int, at: PeriodBegin) -> Array:
         """Return an agent's inputs by the fail-safe, (4 owned,); hover without a state."""
-        if x is None or self.fail_safe is None:
+        if at.x is None or self.fail_safe is None:
             return self._hover(self._columns[agent])
         # No sensor can tell the force of its integral from what pushes it: neither is assumed.
-        inputs = [self.fail_safe.inputs(uav, x, tick) for uav in self._owned[agent - 1]]
+        inputs = [self.fail_safe.inputs(uav, at.x, at.tick) for uav in self._owned[agent - 1]]
         return np.concatenate(inputs)

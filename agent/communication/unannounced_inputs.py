@@ -34,6 +34,30 @@ class SharedLaw:
     inputs_alone: Callable[[int, int, Array], Array] | None = None
 
 
+class PeriodBegin:
+    """The state at the begin of a period, (n,), and the law there, which is computed when it is first asked for.
+
+    Without a state neither laws nor fail-safe are evaluated.
+    """
+
+    __slots__ = ("_by_law", "_has_law", "_law", "tick", "x")
+
+    def __init__(self, tick: int, x: Array | None, law: SharedLaw) -> None:
+        self.tick = tick
+        self.x = x
+        self._law = law
+        self._has_law = False
+        self._by_law: Array | None = None
+
+    @property
+    def by_law(self) -> Array | None:
+        """Inputs of all UAVs by the shared law without corrections, (m,); None where there is none."""
+        if not self._has_law and self.x is not None:
+            self._by_law = self._law.inputs(self.tick, self.x)
+            self._has_law = True
+        return self._by_law
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Silent:
     """How much other agents are assumed to act alone, by input, (m,) each."""

@@ -14,28 +14,6 @@ from transport.mpc.alone.alone_law import AloneLaw
 from transport.mpc.alone.uav_motion import Setpoint
 
 
-class CompiledSetpoint:
-    """A setpoint as the kernel reads it."""
-
-    def __init__(self, setpoint: Setpoint) -> None:
-        self.setpoint = setpoint
-        motion = setpoint.motion
-        # In the order of the struct `alone_setpoint`.
-        self._numbers = np.concatenate(
-            [
-                motion.position_I,
-                motion.velocity_I,
-                motion.Theta,
-                motion.omega_B,
-                motion.rod_I,
-                motion.swing_I,
-                setpoint.force_I,
-                setpoint.turning,
-            ]
-        )
-        self.address = native.address(self._numbers)
-
-
 class CompiledAloneLaw:
     """The law of one UAV, 0-based."""
 
@@ -50,9 +28,7 @@ class CompiledAloneLaw:
         self._before = x, own, native.address(self._law)
         self._integral_address = native.address(self._integral_I)
 
-    def inputs(
-        self, x: Array, setpoint: CompiledSetpoint, integral_I: Array | None = None
-    ) -> Array:
+    def inputs(self, x: Array, setpoint: Setpoint, integral_I: Array | None = None) -> Array:
         """Return the inputs at a state of the team, (n,), before limits, (4,)."""
         u = np.empty(state.INPUTS)
         self._x[:] = x

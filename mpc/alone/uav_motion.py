@@ -2,11 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array
+from transport.model.kernels import native
 from transport.model.physics.parameters import System
 from transport.model.physics.rotations import cross, euler_rates, rotation
 
@@ -23,14 +25,32 @@ class UavMotion:
     swing_I: Array  # its velocity, (3,)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Setpoint:
-    """What one UAV follows at an instant: its part of the motion of the team, and the inputs that belong to it."""
+    """What one UAV follows at an instant: its part of the motion of the team, and the inputs that belong to it.
+
+    All agents of a process share it, and what is computed of it.
+    """
 
     motion: UavMotion
     force_I: Array  # force of the thrust, (3,), N
     turning: Array  # moments, N m, or commanded body rates, rad/s, (3,)
     inputs: Array  # thrust and `turning`, (4,)
+
+    @cached_property
+    def address(self) -> int:
+        """Address of the numbers that a kernel reads, which live as long as this."""
+        return native.address(self._numbers)
+
+    @cached_property
+    def _numbers(self) -> Array:
+        """The numbers in the order of the struct `alone_setpoint` of model/kernels/kernels.c, (24,)."""
+        motion = self.motion
+        attitude = [motion.Theta, motion.omega_B]
+        rod = [motion.rod_I, motion.swing_I]
+        return np.concatenate(
+            [motion.position_I, motion.velocity_I, *attitude, *rod, self.force_I, self.turning]
+        )
 
 
 def motion_of(system: System, uav: int, x: Array) -> UavMotion:

@@ -15,7 +15,7 @@ from transport.model.kernels import native
 from transport.model.linear.linearisation import Model
 from transport.model.physics.hover import Hover
 from transport.mpc.alone.alone_law import AloneLaw
-from transport.mpc.alone.compiled_alone_law import CompiledAloneLaw, CompiledSetpoint
+from transport.mpc.alone.compiled_alone_law import CompiledAloneLaw
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.alone.uav_motion import Setpoint, motion_of
 from transport.mpc.alone.undisturbed_motion import UndisturbedMotion
@@ -71,7 +71,6 @@ class AloneTeam:
         # Those remaining follow the reference itself.
         self._remaining = self._on_reference.of_team(off, released)
         self._setpoints: dict[tuple[int, int], Setpoint] = {}
-        self._compiled_setpoints: dict[tuple[int, int], CompiledSetpoint] = {}
         self._compiled_laws: dict[int, CompiledAloneLaw] = {}
 
     def law(self, uav: int) -> AloneLaw:
@@ -97,19 +96,7 @@ class AloneTeam:
             return self.law(uav).inputs(motion_of(self._system, uav, x), setpoint, integral_I)
         if uav not in self._compiled_laws:
             self._compiled_laws[uav] = CompiledAloneLaw(self._system, uav, self.law(uav))
-        return self._compiled_laws[uav].inputs(
-            x, self._compiled_setpoint(uav, tick, setpoint), integral_I
-        )
-
-    def _compiled_setpoint(self, uav: int, tick: int, setpoint: Setpoint) -> CompiledSetpoint:
-        """Return the setpoint of a UAV at a tick as the kernel reads it."""
-        compiled = self._compiled_setpoints.get((uav, tick))
-        if compiled is None or compiled.setpoint is not setpoint:
-            while len(self._compiled_setpoints) > _KEPT * self._system.N:
-                del self._compiled_setpoints[next(iter(self._compiled_setpoints))]
-            compiled = CompiledSetpoint(setpoint)
-            self._compiled_setpoints[uav, tick] = compiled
-        return compiled
+        return self._compiled_laws[uav].inputs(x, setpoint, integral_I)
 
     def _kept_setpoint(self, uav: int, tick: int) -> Setpoint:
         """Return the setpoint of a UAV at a tick >= 0 under the newest law, computed once."""

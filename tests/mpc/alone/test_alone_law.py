@@ -15,7 +15,7 @@ from transport.model.linear.discretisation import zero_order_hold
 from transport.model.physics.hover import hover
 from transport.model.physics.parameters import System, table_1
 from transport.mpc.alone.alone_law import GAINS, AloneLaw, steps_alone
-from transport.mpc.alone.compiled_alone_law import CompiledAloneLaw, CompiledSetpoint
+from transport.mpc.alone.compiled_alone_law import CompiledAloneLaw
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.alone.uav_motion import Setpoint, UavMotion, motion_of, setpoint_of
 from transport.mpc.controller import Controller
@@ -88,7 +88,7 @@ def test_its_kernel_is_its_twin(system: System) -> None:
         for integral_I in (None, rng.standard_normal(3)):
             expected = law.inputs(motion_of(system, uav, x), setpoint, integral_I)
             compiled = CompiledAloneLaw(system, uav, law)
-            found = compiled.inputs(x, CompiledSetpoint(setpoint), integral_I)
+            found = compiled.inputs(x, setpoint, integral_I)
             np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-11)
 
 

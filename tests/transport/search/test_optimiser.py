@@ -181,3 +181,13 @@ def test_an_evolution_that_has_stopped_is_followed_by_another(begun: list[Evolut
     descended(descent, worst_first, [SOME_VALUE])
     begun[0].has_stopped = True
     assert descent.ask(worst_first)[0].tolist() == towards(1.0).tolist()
+
+
+def test_random_points_at_once_are_those_of_batches() -> None:
+    """As many batches as are left and reach the number asked for, at least one."""
+    at_once, by_batches = Optimiser(LAYOUT, seed=SEED), Optimiser(LAYOUT, seed=SEED)
+    expected = by_batches.ask() + by_batches.ask()
+
+    assert len(at_once.ask(BATCH + 1)) == RANDOM
+    assert np.array_equal(Optimiser(LAYOUT, seed=SEED).ask(100), expected)
+    assert np.array_equal(Optimiser(LAYOUT, seed=SEED).ask(1), expected[:BATCH])
