@@ -12,7 +12,7 @@ from tests.support.coordinator_clock import ready
 from tests.support.nodes import CoordinatorNode
 from transport.model.path.curves import ORDERS
 from transport.protocol.scenario.checks.feasibility import exceeded, remaining_teams
-from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario, with_settings
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import (
     RequestError,
@@ -21,7 +21,8 @@ from transport.protocol.scenario.sections.scenario_errors import (
 )
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.targets.target_checks import target_fields
-from transport.protocol.scenario.targets.target_timing import straight
+from transport.protocol.scenario.targets.target_timing import Window, straight, teams_flying
+from transport.protocol.scenario.teams.team_of_any_size import Team, resized
 from transport.protocol.wire.message_form import MAX_TARGETS
 from transport.protocol.wire.messages import Request
 
@@ -244,6 +245,41 @@ def test_a_target_is_reached_at_the_last_instant_at_the_latest(
     assert plan(setup, latest, **given)["tick"] == latest
     with pytest.raises(RequestError, match=r"before the end of the run at t = 24\.95 s"):
         plan(setup, latest + 1, **given)
+
+
+def test_a_payload_at_or_below_the_ground_cannot_land() -> None:
+    """It would have to rise to where it would rest; that is half a box of 0.25 m above z = 0."""
+    setup = runs.ready("resilient", HOVER, "maneuver.start_m=[0.0,0.0,0.5]")
+    with pytest.raises(
+        RequestError, match=r"land: expected a payload above z = -0\.125 m, .*got 0\.5"
+    ):
+        plan(setup, HOVERS, land=True)
+
+
+def test_times_of_way_points_count_from_the_first() -> None:
+    """The message has a time for each point, that of the first one zero."""
+    points_m = [[0.0, 0.0, -10.0], [1.0, 0.0, -10.0], [1.5, 0.0, -10.0]]
+    numbers = plan(runs.ready("resilient"), points_m=points_m, times_s=[2.0, 8.0, 12.0])
+    assert numbers["times"].tolist() == [0.0, 6.0, 10.0]
+    assert numbers["way_s"] == 10.0
+
+
+def test_a_target_is_checked_for_the_teams_from_then_on() -> None:
+    """The team that flies when it is given, and those after later releases; none before."""
+    six = resized(read_scenario(find_scenario("resilient")), Team(uavs=6), "six")
+    releases = [
+        f"{{at_s={at_s},do='release',target='uav{uav}'}}" for at_s, uav in ((5, 6), (10, 3))
+    ]
+    scenario = with_settings(six.tree(), [HOVER, f"faults.event=[{','.join(releases)}]"], "six")
+    setup = Setup.of(scenario, "six")
+    for since_s, ticks in (
+        (1.0, [0, 100, 200]),
+        (5.0, [100, 200]),
+        (9.95, [100, 200]),
+        (10.0, [200]),
+    ):
+        window = Window(since_s=since_s, last_s=LAST_S)
+        assert [team.tick for team in teams_flying(setup, window)] == ticks
 
 
 # The parabola through three points at equal distances, the first one higher by h than the others,
