@@ -2,6 +2,7 @@
 
 import math
 import tracemalloc
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -264,22 +265,45 @@ def test_times_of_way_points_count_from_the_first() -> None:
     assert numbers["way_s"] == 10.0
 
 
-def test_a_target_is_checked_for_the_teams_from_then_on() -> None:
-    """The team that flies when it is given, and those after later releases; none before."""
+@cache
+def losing() -> Setup:
+    """Return a run of six UAVs of which one is released at 5 s, and one at 10 s."""
     six = resized(read_scenario(find_scenario("resilient")), Team(uavs=6), "six")
     releases = [
         f"{{at_s={at_s},do='release',target='uav{uav}'}}" for at_s, uav in ((5, 6), (10, 3))
     ]
     scenario = with_settings(six.tree(), [HOVER, f"faults.event=[{','.join(releases)}]"], "six")
-    setup = Setup.of(scenario, "six")
-    for since_s, ticks in (
-        (1.0, [0, 100, 200]),
-        (5.0, [100, 200]),
-        (9.95, [100, 200]),
-        (10.0, [200]),
-    ):
-        window = Window(since_s=since_s, last_s=LAST_S)
-        assert [team.tick for team in teams_flying(setup, window)] == ticks
+    return Setup.of(scenario, "six")
+
+
+@pytest.mark.parametrize(
+    ("since_s", "ticks"),
+    [(1.0, [0, 100, 200]), (5.0, [100, 200]), (9.95, [100, 200]), (10.0, [200])],
+)
+def test_a_target_is_checked_for_the_teams_from_then_on(since_s: float, ticks: list[int]) -> None:
+    """The team that flies when it is given, and those after later releases; none before."""
+    teams = teams_flying(losing(), Window(since_s=since_s, last_s=LAST_S))
+    assert [team.tick for team in teams] == ticks
+
+
+def test_times_are_feasible_by_the_factor_told() -> None:
+    """The refusal has the least factor on the times with which each of the teams keeps the limits."""
+    points_m = [[0.0, 0.0, -10.0], [0.7, 0.0, -10.0]]
+    with pytest.raises(RequestError, match="times_s: expected a thrust") as refused:
+        plan(losing(), HOVERS, points_m=points_m, times_s=[0.0, 1.0])
+    factor = float(str(refused.value).rpartition("feasible in ")[2].split()[0])
+    assert plan(losing(), HOVERS, points_m=points_m, times_s=[0.0, 1.002 * factor])["way_s"] > 1.0
+    with pytest.raises(RequestError, match="times_s: expected"):
+        plan(losing(), HOVERS, points_m=points_m, times_s=[0.0, 0.98 * factor])
+
+
+def test_the_way_down_has_half_the_speed() -> None:
+    """To a place at 1 m/s at most, then down at 0.5 m/s at most, in cruise between the ramps."""
+    setup = runs.ready("resilient", HOVER, "maneuver.start_m=[0.0,0.0,-3.125]")
+    numbers = plan(setup, HOVERS, land=True, land_at_m=[4.0, 0.0])
+    assert numbers["points"].tolist() == [[4.0, 0.0, -3.125], [4.0, 0.0, -0.125]]
+    assert numbers["approach_s"] - numbers["approach_ramp_s"] == pytest.approx(4.0 / 1.0)
+    assert numbers["way_s"] - numbers["way_ramp_s"] == pytest.approx(3.0 / 0.5)
 
 
 # The parabola through three points at equal distances, the first one higher by h than the others,
