@@ -109,3 +109,33 @@ def test_what_a_commit_has_flown_is_not_flown_again(
     program.main([])
     program.main(["alone:Alone"])
     assert flown == ["alone:Alone"]
+
+
+@pytest.mark.parametrize(
+    ("name", "networks", "note"),
+    [
+        ("admm:ADMM", ["perfect", "late"], "so near"),
+        ("paper:Paper", ["perfect", "late"], ""),
+        ("nmpc:NMPC", ["perfect"], ""),  # one agent for all has no network
+    ],
+)
+def test_an_algorithm_is_flown_on_its_networks(
+    program: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    name: str,
+    networks: list[str],
+    note: str,
+) -> None:
+    """Its row is kept, and for ADMM the note on its distance from the optimum."""
+    drawn: list[Any] = []
+    monkeypatch.chdir(ROOT / "examples" / "controllers")
+    monkeypatch.setattr(program, "flown", lambda *given: given)
+    monkeypatch.setattr(program, "draw", lambda *given: drawn.append(given))
+    monkeypatch.setattr(program, "draw_admm", lambda _runs: (tmp_path, "so near"))
+    monkeypatch.setattr(program, "row_of", lambda *_: ["a row"])
+    monkeypatch.setattr(program, "file_of", lambda _: tmp_path / "kept" / "file.json")
+    program.fly(name)
+    assert drawn == [(name, {network: (name, network) for network in networks})]
+    kept = orjson.loads((tmp_path / "kept" / "file.json").read_bytes())
+    assert kept == {"row": ["a row"], "note": note}

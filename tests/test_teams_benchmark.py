@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks import teams as program
 from benchmarks.teams import (
     AFTER_S,
     CASES,
@@ -90,7 +91,7 @@ def test_a_row_counts_completed_held_and_refused_teams() -> None:
     """Attitudes are of completed runs; above 15 deg a run is completed and not held."""
     teams = [
         result("completed", 2.0),
-        result("completed", 4.0),
+        result("completed", 15.0),
         result("completed", 16.0),
         result("diverged", 90.0),
         Result(key="", outcome=ERROR, reason="ScenarioError: no", numbers={}),
@@ -100,6 +101,23 @@ def test_a_row_counts_completed_held_and_refused_teams() -> None:
     assert completed.startswith("3 of 5 (")
     assert held == "2 of 5"
     assert ready == ["0 of 0", "", ""]
+
+
+def test_the_readme_has_some_columns_and_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All rows are on the page; the README leaves out what is held and refused, and says so in its headings."""
+    rows = [[case.name, *"ABCDEFGH"] for case in CASES]
+    put: dict[str, str] = {}
+    monkeypatch.setattr(program, "count", lambda _options: rows)
+    monkeypatch.setattr(program, "put", lambda page, _, text: put.update({page.name: text}))
+    program.main(["--write"])
+    assert len(put["guarantees.md"].split("\n\n")[0].splitlines()) == 2 + len(CASES)
+    headings, _, *short = put["README.md"].splitlines()
+    assert "within 15 deg" not in headings
+    assert "refused" not in headings
+    assert [row.split(" | ")[0].strip("| ") for row in short] == list(program._SHORT_ROWS)
+    assert all(row.endswith("| A | D | E | F | G | H |") for row in short)
 
 
 def test_kept_runs_alone_are_counted(tmp_path: Path) -> None:

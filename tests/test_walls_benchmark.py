@@ -1,6 +1,8 @@
 """The benchmark of walls seen in flight: what it draws, and what it counts."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -31,3 +33,19 @@ def test_walls_are_across_the_path() -> None:
         known = [setting.replace(f",seen_within_m={walls._SIGHT_M}", "") for setting in settings]
         with pytest.raises(ScenarioError, match=r"obstacle\.1"):
             walls.prepared(*known)
+
+
+def test_a_silence_begins_with_the_sight_of_the_wall(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of all agents, for 3 s, on top of the settings of its row; other rows have no silence."""
+
+    def prepared(*settings: str) -> Any:
+        return SimpleNamespace(settings=settings, scenario=SimpleNamespace(owned=[[1], [2], [3]]))
+
+    monkeypatch.setattr(walls, "prepared", prepared)
+    monkeypatch.setattr(walls, "sight_s", lambda _setup: 4.5)
+    for row, settings in walls.ROWS.items():
+        given: Any = walls.setup_of(row, 100)
+        times = "start_s=4.5,end_s=7.5"
+        cuts = f"{{between=['agent1'],{times}}},{{between=['agent2'],{times}}}"
+        silence = [f"links.partition=[{cuts}]"] if "silence" in row else []
+        assert given.settings == (*scene(100), *settings, *silence)
