@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from transport.experiments.simulation import Result, simulate
+from transport.experiments.simulation import ERROR, Result, simulate
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -115,6 +115,139 @@ def test_tables_take_turns_by_the_work_of_their_runs(
     draws = 400
     repeated = sum(docs.figures.in_turn([task], seed) != [] for seed in range(draws))
     assert repeated / draws == pytest.approx(share, abs=0.1)  # five standard deviations
+
+
+def test_a_single_drawn_run_is_of_the_smaller_quarter(docs: SimpleNamespace) -> None:
+    """A check of all tables must take minutes; several runs are drawn of all."""
+    one = docs.figures.TABLES["teams"]()
+    work = {case.key: docs.figures._work(case) for case in one.cases}
+    quarter = sorted(work.values())[len(work) // 4]
+    drawn = {docs.figures.drawn(one, seed)[0].case.key for seed in range(100)}
+    assert drawn == {key for key, size in work.items() if size <= quarter}
+    assert len(drawn) < len(work) / 2
+
+
+def test_a_run_that_raised_ends_the_command(
+    docs: SimpleNamespace, short: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An error is no result: nothing is kept, and the table, the run and the error are named."""
+    failed = Result(key="", outcome=ERROR, reason="ValueError: no", numbers={})
+    monkeypatch.setattr(docs.figures, "map_on_cores", lambda *_: iter([(1, failed)]))
+    tasks = docs.figures.missing(short, {})
+    before = docs.kept.file_of("short").read_bytes()
+    with pytest.raises(SystemExit, match=r"short: paper: .*: ValueError: no"):
+        docs.figures.complete(short, tasks)
+    assert docs.kept.file_of("short").read_bytes() == before
+
+
+def test_a_check_draws_as_many_runs_as_asked_for(
+    docs: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the tables whose pages are right, by the given seed."""
+    tables = {name: SimpleNamespace(name=name) for name in ("right", "wrong")}
+    monkeypatch.setattr(
+        docs.figures, "TABLES", {n: lambda one=one: one for n, one in tables.items()}
+    )
+    monkeypatch.setattr(docs.figures, "problems_of_pages", lambda _tables: ["wrong: differs"])
+    monkeypatch.setattr(docs.figures, "problems_of_drawn", lambda *given, turns: [(*given, turns)])
+    for turns in (False, True):
+        asked = ([tables["right"]], 7, 5, turns)
+        found = docs.figures.check(["right", "wrong"], 7, 5, turns=turns)
+        assert found == ["wrong: differs", asked]
+
+
+def test_a_page_tells_the_origins_of_its_tables(
+    docs: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once where all have one, else each with the names of its tables; one without results is an older one."""
+    monkeypatch.setattr(docs.kept, "file_of", lambda name: name)
+    monkeypatch.setattr(docs.kept, "read", lambda name: {"run": name[0]} if name != "none" else {})
+    monkeypatch.setattr(docs.kept, "origin_lines", "".join)
+    a1, a2, b, none = (SimpleNamespace(name=name) for name in ("a1", "a2", "b", "none"))
+    assert docs.figures.origins_of_page([a1, a2]) == "a"
+    assert docs.figures.origins_of_page([a1, b, a2, none]).split("\n\n") == [
+        "`a1`, `a2`: a", "`b`: b", "`none`: *an earlier version, not yet renewed.*",
+    ]  # fmt: skip
+
+
+def test_a_run_is_found_by_its_scenario_and_seed(docs: SimpleNamespace) -> None:
+    """Whatever addresses it uses, and whether a default is written out."""
+
+    def run_id(*settings: str) -> str:
+        return str(docs.kept.run_id(read_scenario(find_scenario("paper"), settings)))
+
+    assert run_id("network.base_port=9000") == run_id("links.delay_s=0.0") == run_id()
+    assert len({run_id(), run_id("seed=1"), run_id("links.delay_s=0.1")}) == 3
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "is_same"),
+    [
+        (float("nan"), float("nan"), True),  # no UAV left that could be measured
+        (float("nan"), 1.0, False),
+        (None, None, True),
+        (None, 0.0, False),
+        (1e-10, -1e-10, True),  # rounding errors
+        (0.0, 1e-8, False),
+        (2.0, 2.00001, True),
+        (2.0, -2.0, False),
+    ],
+)
+def test_numbers_that_are_kept_and_repeated(
+    docs: SimpleNamespace, before: float | None, now: float | None, is_same: bool
+) -> None:
+    """Six digits, of which the last may differ; a number that is missing differs from any other."""
+    origin = docs.kept.Origin(
+        commit="c", versions="v", machine="m", rounding=docs.kept.rounding_id()
+    )
+
+    def result(value: float | None, outcome: str = "completed") -> Result:
+        return Result(key="run", outcome=outcome, reason="", numbers={"x_m": value, "lost_s": 3.0})
+
+    kept = docs.kept.KeptRun(
+        origin=origin, case="", seed=0, result=docs.kept.rounded("run", result(before))
+    )
+    assert (docs.kept.difference(kept, result(now)) == "") is is_same
+    ended = docs.kept.difference(kept, result(before, "diverged"))
+    assert ended == "kept completed, now diverged"
+
+
+def test_results_are_of_this_code_by_commit_and_versions(docs: SimpleNamespace) -> None:
+    """Another machine has the same code."""
+    here = docs.kept.Origin.here()
+    assert replace(here, machine="another", rounding="another").is_of_this_code
+    assert not replace(here, commit=OTHER_COMMIT).is_of_this_code
+    assert not replace(here, versions="another").is_of_this_code
+
+
+def test_cells_are_of_completed_runs(docs: SimpleNamespace) -> None:
+    """In their unit, over all seeds; a cell of a grid is that of its own run, empty without one."""
+    program = docs.simulations
+
+    def result(outcome: str, rms_m: float) -> Result:
+        return Result(
+            key="",
+            outcome=outcome,
+            reason="",
+            numbers={"rms_m": rms_m, "cost_mean": 2.0, "lost_s": 7.25},
+        )
+
+    flown = [result("completed", 0.02), result("completed", 0.04), result("diverged", 9.0)]
+    lost, collided = [result("diverged", 9.0)], [result("collided", 9.0)]
+    centimetres = program.cell("rms_m", "{:.1f} cm", 100.0)
+    assert [centimetres(runs) for runs in (flown, lost)] == ["3.0 cm", ""]
+    assert program.cell("rms_m", "{:.1f} cm", 100.0, max)(flown) == "4.0 cm"
+    assert program.cell("cost_mean")(flown) == "2.00"
+    assert program.completed(flown) == "2 of 3"
+    assert program.interval("rms_m", 2, 100.0)(flown).startswith("3.00")
+    ends = [program.outcome(runs) for runs in (flown, lost, collided)]
+    assert ends == ["completes", "**diverges** at 7.2 s", "**is collided** at 7.2 s"]
+    both = program.unless_diverged(centimetres, program.cell("cost_mean"))
+    assert [both(flown[:1]), both(lost)] == ["2.0 cm, 2.00", "**diverges** at 7.2 s"]
+
+    shown = program.grid("a grid", [""], ["one", "other"], {"row": []}, centimetres)
+    one, other = shown.columns.values()
+    assert [one(flown, None), other(flown, None)] == ["3.0 cm", ""]
 
 
 def test_a_run_that_this_machine_cannot_repeat_is_not_drawn(
