@@ -1,5 +1,7 @@
 """Samples of a reference after a target, (75)."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -48,6 +50,7 @@ def test_samples_after_a_target_are_those_of_the_whole_path() -> None:
     close(led.sampled.Y, Y)
     track = led.sampled.track
     assert track is not None
+    assert replace(track, first=track.first + 1).key != track.key
     last = track.first + len(track.X)
     assert last < INSTANTS, "no instant is held"
     close(track.X, X[track.first : last])

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from copy import deepcopy
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import casadi as ca
@@ -16,7 +17,7 @@ from tests.support.runs import completed, ready
 from tests.support.same_flight import flight_bits
 from tests.support.systems import ring
 from transport.model.arrays import ShapeError
-from transport.model.kernels import compiler, native
+from transport.model.kernels import casadi_functions, compiler, native
 from transport.model.kernels.casadi_functions import Compiled, compile_functions, functions
 from transport.model.kernels.compiled_step import Feedback
 from transport.model.linear.discretisation import by_exponential, zero_order_hold
@@ -287,3 +288,70 @@ def test_a_home_that_cannot_be_written_has_no_cache(
     folder = compiler.cache_folder()
     assert folder.is_relative_to(tmp_path / ".cache") == is_writable
     assert str(os.getuid()) in folder.name or is_writable
+
+
+def test_a_library_is_that_of_its_source_flags_and_processor(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Another source, other flags or another processor have another file: none loads code made for the other."""
+    files = [
+        compiler.compiled_file("one", b"source", ("-O3",)),
+        compiler.compiled_file("one", b"other", ("-O3",)),
+        compiler.compiled_file("one", b"source", ("-O1",)),
+    ]
+    monkeypatch.setattr(compiler, "_processor", lambda: "another")
+    files.append(compiler.compiled_file("one", b"source", ("-O3",)))
+    assert len(set(files)) == len(files)
+
+
+def test_compiled_models_follow_from_all_code_of_the_model(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A change of any module whose code builds the functions gives another library."""
+    read = set()
+
+    class Reading(type(Path())):  # type: ignore[misc]
+        """A path that tells what is read."""
+
+        def read_bytes(self) -> bytes:
+            read.add(str(self))
+            return bytes(super().read_bytes())
+
+    monkeypatch.setattr(casadi_functions, "Path", Reading)
+    casadi_functions._digest.__wrapped__()
+
+    used = set[str]()
+    ahead: list[ModuleType] = [casadi_functions.dynamics, casadi_functions.outputs_and_sensors]
+    ahead.append(casadi_functions.projection_of_rods)
+    while ahead:
+        module = ahead.pop()
+        used.add(module.__name__)
+        for value in vars(module).values():
+            is_module = isinstance(value, ModuleType)
+            name = value.__name__ if is_module else getattr(value, "__module__", None)
+            if str(name).startswith("transport.model.") and name not in used:
+                ahead.append(sys.modules[str(name)])
+    assert {sys.modules[name].__file__ for name in used} <= read
+    assert casadi_functions.__file__ in read
+
+
+def test_the_folder_named_for_the_cache_comes_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Then that of the desktop for all programs, in which the project has one of its own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "all"))
+    monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(tmp_path / "own"))
+    assert compiler.cache_folder() == tmp_path / "own"
+    monkeypatch.delenv("PAYLOAD_TRANSPORT_CACHE")
+    assert compiler.cache_folder() == tmp_path / "all" / "payload-transport"
+
+
+def test_the_compiler_of_the_environment_comes_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """CC names the compiler, also beside the usual ones."""
+    own = tmp_path / "own-cc"
+    own.write_text("", encoding="utf-8")
+    own.chmod(0o700)
+    monkeypatch.setenv("CC", str(own))
+    assert compiler.find_compiler() == str(own)

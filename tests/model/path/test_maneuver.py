@@ -1,5 +1,7 @@
 """The path of the payload and the references that follow from it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -228,7 +230,8 @@ def test_a_landing_after_a_target_does_not_press() -> None:
     aside = PathTarget(since_s=given_s, point_I=np.array([1.0, 1.0, -2.0]), approach=approach)
     times_s = np.linspace(0.0, 17.0, 341)
     before = times_s <= given_s
-    landing, led = delivery(), delivery().with_target(aside)
+    again = replace(aside, since_s=11.5)  # during the landing that does not take place
+    landing, led = delivery(), delivery().with_target(aside).with_target(again)
     for expected, actual in zip(landing.press(times_s), led.press(times_s), strict=True):
         np.testing.assert_array_equal(actual[before], expected[before])
         assert np.abs(actual[~before]).max() < PATH_TOLERANCE_M
@@ -258,3 +261,62 @@ def test_after_a_landing_comes_a_take_off(kind: PhaseKind, *, rests: bool) -> No
     up = Phase(name="up", kind="take_off", duration_s=8.0, displacement_I=[0.0, 0.0, -2.0])
     again = Maneuver(start_I=[0.0, 0.0, -2.125], phases=[*phases[:-1], up, along])
     assert again.phases[-1] is along
+
+
+SPLINE = Curve(
+    kind="spline", duration_s=6.0, ramp_s=2.0, times_s=[2.0, 6.0], points_I=[[1, 0, 0], [2, 1, 0]]
+)
+
+
+@pytest.mark.parametrize("way", [None, SPLINE], ids=["straight", "spline"])
+def test_a_longer_phase_is_the_same_way_slower(way: Curve | None) -> None:
+    """At a time that is longer by the factor it is at the same place; the other phases take as long as before."""
+    rest = Phase(name="rest", duration_s=2.0, displacement_I=[0.0, 0.0, 0.0])
+    end = Phase(name="end", duration_s=3.0, displacement_I=[0.0, 1.0, 0.0])
+    go = Phase(name="go", duration_s=6.0, displacement_I=[2.0, 1.0, 0.0], way=way)
+    before = Maneuver(start_I=[0.0, 0.0, -9.0], phases=[rest, go, end], profile="min_jerk")
+    after = before.with_longer(2, 1.5)
+    assert [phase.duration_s for phase in after.phases] == [2.0, 9.0, 3.0]
+
+    t_s = np.linspace(0.0, 6.0, 31)
+    r, v = before.path(2.0 + t_s)
+    slower_r, slower_v = after.path(2.0 + 1.5 * t_s)
+    np.testing.assert_allclose(slower_r[:-1], r[:-1], atol=PATH_TOLERANCE_M)
+    np.testing.assert_allclose(1.5 * slower_v[:-1], v[:-1], atol=PATH_TOLERANCE_M)
+    for each_s in (1.0, 9.5):
+        later_s = each_s if each_s < 2.0 else each_s + 3.0
+        np.testing.assert_allclose(
+            after.path(np.array([later_s])), before.path(np.array([each_s])), atol=PATH_TOLERANCE_M
+        )
+
+
+def test_along_a_table_the_speed_is_constant_between_rows() -> None:
+    """At a row it is that of the way ahead, and none before the first row and from the last one on."""
+    table = [[0.0, 0.0, 0.0, 0.0], [1.0, 2.0, 0.0, 0.0], [3.0, 2.0, -1.0, 0.5]]
+    phase = Phase(name="go", duration_s=3.0, displacement_I=[2.0, -1.0, 0.5], way=table)
+    maneuver = Maneuver(start_I=[0.0, 0.0, 0.0], phases=[phase])
+    r, v = maneuver.path(np.array([-0.5, 0.0, 0.5, 1.0, 2.0, 3.0, 4.0]))
+    still, along, across = [0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, -0.5, 0.25]
+    np.testing.assert_array_equal(v, [still, along, along, across, across, still, still])
+    half, end = [2.0, -0.5, 0.25], [2.0, -1.0, 0.5]
+    np.testing.assert_array_equal(r, [still, still, [1.0, 0.0, 0.0], along, half, end, end])
+
+
+@pytest.mark.parametrize(
+    ("field", "rows", "text"),
+    [
+        ("way", [[0, 0, 0, 0]], "expected rows from"),
+        ("way", [[0, 0, 0, 0], [2, 1, 0, 0], [3, 1, 1, 1]], "expected rows from"),
+        ("way", [[0, 0, 1, 0], [3, 1, 0, 0]], "expected rows from"),
+        ("way", [[0, 0, 0, 0], [2, 1, 0, 0], [2, 1, 0, 0], [3, 1, 0, 0]], "row 3: .* > 2 s, got 2"),
+        ("formation", [[0.0, 1, 1]], "expected rows of shares"),
+        ("formation", [[0.5, 1, 1], [0.5, 2, 1]], "expected rows of shares"),
+        ("formation", [[1.1, 1, 1]], "expected rows of shares"),
+        ("formation", [[1.0, 0.0, 1]], "expected rows of shares"),
+        ("formation", [[1.0, 1, -1.0]], "expected rows of shares"),
+    ],
+)
+def test_impossible_tables_are_refused(field: str, rows: list[list[float]], text: str) -> None:
+    """A table leads from zero to the end of its phase in rising times; shares rise to 1 at most, sizes are positive."""
+    with pytest.raises(ParameterError, match=f"phase 'go' {field}: .*{text}|{text}"):
+        Phase(name="go", duration_s=3.0, displacement_I=[1.0, 0.0, 0.0], **{field: rows})

@@ -55,3 +55,40 @@ def test_losses_add_up() -> None:
         slowed = slowed.with_slowing(Slowing(since_s=since_s, lost_s=3.0, ramp_s=2.0))
         after = np.linspace(30.0, 35.0, 11)
         assert np.allclose(slowed.jets(after), path.jets(after - 4.0), atol=1e-10)
+
+
+@pytest.mark.parametrize("ahead_s", [0.0, 0.4, -0.4])
+def test_path_formation_and_ground_load_follow_one_time(ahead_s: float) -> None:
+    """With losses and another clock each is, at any time, what it is without losses at the progress of then.
+
+    Before the begin of that clock it is that of the begin.
+    """
+    up = Phase(name="up", kind="take_off", duration_s=4.0, displacement_I=[0.0, 0.0, -2.0])
+    wide = [[0.5, 1.2, 0.9], [1.0, 1.1, 1.3]]
+    go = Phase(name="go", duration_s=6.0, displacement_I=[3.0, 1.0, 0.0], formation=wide)
+    before = Maneuver(
+        start_I=(0.0, 0.0, 0.0), phases=(up, go), profile="min_jerk", press_m=0.2, ahead_s=ahead_s
+    )
+    slowed = before.with_slowing(Slowing(since_s=0.5, lost_s=0.7, ramp_s=1.0))
+    slowed = slowed.with_slowing(Slowing(since_s=6.0, lost_s=1.5, ramp_s=1.0))
+    t_s = np.array([0.0, 0.2, 0.6, 1.0, 2.0, 5.0, 6.5, 7.0, 9.0, 14.0])
+    along_s = np.array([slowed.progress(float(each_s)) for each_s in t_s])
+    begins_s = max(ahead_s, 0.0)
+    assert slowed.progress(0.0) + ahead_s == begins_s
+    assert along_s[-1] == pytest.approx(t_s[-1] - 2.2)
+
+    np.testing.assert_allclose(slowed.path(t_s)[0], before.path(along_s)[0], atol=1e-12)
+    np.testing.assert_allclose(slowed.press(t_s)[0], before.press(along_s)[0], atol=1e-12)
+    clock_s = np.maximum(t_s + ahead_s, 0.0)
+    sizes, expected = slowed.formation(clock_s)[0], before.formation(along_s + ahead_s)[0]
+    np.testing.assert_allclose(sizes, expected, atol=1e-12)
+    ends = before.formation(np.array([4.0, 7.0, 10.0]))[0]
+    np.testing.assert_allclose(ends, [[1.0, 1.0], [1.2, 0.9], [1.1, 1.3]], atol=1e-12)
+
+    # Rates are the derivatives, losses included.
+    inside = t_s[2:]
+    for value in (lambda at_s: slowed.path(at_s), lambda at_s: slowed.press(at_s)):
+        slope = (value(inside + STEP_S)[0] - value(inside - STEP_S)[0]) / (2.0 * STEP_S)
+        np.testing.assert_allclose(value(inside)[1], slope, atol=TOLERANCE)
+    slope = (slowed.formation(inside + STEP_S) - slowed.formation(inside - STEP_S)) / (2.0 * STEP_S)
+    np.testing.assert_allclose(slowed.formation(inside)[1], slope[0], atol=TOLERANCE)

@@ -1,12 +1,19 @@
 """Physical parameters: what is refused and how, what is kept, and the paper's Table I."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from transport.model.arrays import ArrayLike, ShapeError
-from transport.model.physics.parameters import Payload, Uav, table_1
+from transport.model.physics.parameters import (
+    Payload,
+    Uav,
+    payload_half_size,
+    resting_height,
+    table_1,
+)
 
 NAN, INF = float("nan"), float("inf")
 
@@ -87,3 +94,20 @@ def test_table_1_has_the_papers_values() -> None:
     ]
     assert [own.rod_length for own in system.uavs] == [3.2] * 4
     assert (system.N, system.n, system.m, system.total_mass) == (4, 60, 16, 9.0)
+
+
+def test_a_flat_body_is_one() -> None:
+    """Its largest principal moment is the sum of the others: exactly, and up to rounding."""
+    for largest in (2.0, 2.0 * (1.0 + 1e-15)):
+        assert Payload(mass=1.0, inertia=[1.0, 1.0, largest]).inertia[2, 2] == largest
+
+
+def test_the_box_of_a_payload_by_hand() -> None:
+    """It reaches the attachment points, about the point taken for the centre of mass, and has a least height."""
+    bodies = table_1()
+    flat = [replace(one, rho=np.array([*one.rho[:2], 0.0])) for one in bodies.uavs]
+    payload = replace(bodies.payload, centre=np.array([0.1, 0.0, 0.01]))
+    system = replace(bodies, payload=payload, uavs=tuple(flat))
+    assert payload_half_size(bodies).tolist() == [0.25, 0.25, 0.125]
+    assert payload_half_size(system) == pytest.approx([0.35, 0.25, 0.05])
+    assert resting_height(bodies, -2.0) == -2.125

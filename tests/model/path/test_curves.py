@@ -1,0 +1,70 @@
+"""Shapes of curves and their speed, by hand; their derivatives are in test_flatness.py."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.model.path.test_flatness import CURVES, ROUNDING
+from transport.model.arrays import Array
+from transport.model.path.curves import Curve
+
+SIZE_I = np.array([2.0, 1.0, 0.5])
+# Of a polygon through the points at which the speed is sought.
+SAMPLED = 1e-5
+
+
+def curve(kind: str, laps: float = 1.5) -> Curve:
+    """Return a circle, an eight or a straight curve of that size, from rest to rest in 8 s."""
+    size_I = tuple(SIZE_I.tolist())
+    shape = "circle" if kind == "circle" else "eight" if kind == "eight" else None
+    return Curve(kind=shape, duration_s=8.0, ramp_s=3.0, size_I=size_I, laps=laps)
+
+
+@pytest.mark.parametrize("kind", ["circle", "eight", "straight"])
+def test_shape_over_the_covered_share(kind: str) -> None:
+    """With phi of 2 pi laps s: a sin phi, b (1 - cos phi) or b sin 2 phi, c sin phi; straight: s times the size."""
+    t_s = np.linspace(-1.0, 9.0, 41)
+    one = curve(kind)
+    s = one.covered(t_s, 1)[0]
+    phi = 2.0 * np.pi * 1.5 * s
+    across = 1.0 - np.cos(phi) if kind == "circle" else np.sin(2.0 * phi)
+    shape = np.column_stack([np.sin(phi), across, np.sin(phi)])
+    if kind == "straight":
+        shape = np.column_stack([s, s, s])
+    np.testing.assert_allclose(one.path(t_s, 1)[0], SIZE_I * shape, atol=ROUNDING)
+    assert (s[0], s[-1]) == (0.0, pytest.approx(1.0, abs=ROUNDING))
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected_m"),
+    [
+        ("circle", 3.0 * np.pi * np.hypot(2.0, 0.5)),  # where cos phi is 1
+        ("eight", 3.0 * np.pi * np.sqrt(2.0**2 + 2.0**2 + 0.5**2)),  # at its centre
+        ("straight", float(np.linalg.norm(SIZE_I))),
+    ],
+)
+def test_largest_speed_by_hand(kind: str, expected_m: float) -> None:
+    """The largest derivative of the place by the covered share."""
+    assert curve(kind).fastest() == pytest.approx(expected_m, rel=SAMPLED)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in CURVES if kind != "table"])
+def test_with_another_ramp_the_places_are_the_same(kind: str) -> None:
+    """The ramp changes when, not where: places and speed along the shape are those of the covered share."""
+    one = CURVES[kind]
+    other = replace(one, duration_s=2.0 * one.duration_s, ramp_s=one.duration_s)
+    ends = [each.path(np.array([0.0, each.duration_s]), 1)[0] for each in (one, other)]
+    middles = [each.path(np.array([each.duration_s / 2.0]), 1)[0] for each in (one, other)]
+    np.testing.assert_allclose(*ends, atol=ROUNDING)
+    np.testing.assert_allclose(*middles, atol=ROUNDING)
+    assert one.fastest() == other.fastest()
+
+
+def test_a_table_ends_where_its_rows_end() -> None:
+    """The smoothed table begins at zero and holds its last row, not that of a least square."""
+    table: Array = np.array([[0.0, 0, 0, 0], [3.0, 1.0, 0.5, -0.2], [6.0, 2.0, 0.0, 0.3]])
+    smooth = Curve(kind=None, duration_s=6.0, ramp_s=0.0, table=table.tolist())
+    ends = smooth.path(np.array([-1.0, 0.0, 6.0, 7.0]), 1)[0]
+    expected = [np.zeros(3)] * 2 + [table[-1, 1:]] * 2
+    np.testing.assert_allclose(ends, expected, atol=ROUNDING)
