@@ -29,7 +29,13 @@ _SAMPLES = 2000  # points of a shape at which its largest speed is sought
 _x = Polynomial([0.0, 1.0])
 _bell = _x**_FLAT * (1.0 - _x) ** _FLAT
 _S = _bell.integ() / _bell.integ()(1.0)
-_INTEGRAL_OF_S = _S.integ()
+_J = _S.integ()
+# Coefficients of the derivatives of J, (orders, degree + 1), and what makes Taylor coefficients of derivatives.
+_DERIVATIVES_OF_J = np.zeros((_J.degree() + 1, _J.degree() + 1))
+for _order in range(len(_DERIVATIVES_OF_J)):
+    _coefficients = _J.deriv(_order).coef
+    _DERIVATIVES_OF_J[_order, : len(_coefficients)] = _coefficients
+_FACTORIALS = np.array([float(factorial(order)) for order in range(len(_DERIVATIVES_OF_J))])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,10 +74,10 @@ class Curve:
         # s' = (S(t / t_r) - S((t - T + t_r) / t_r)) / (T - t_r), integrated.
         span_s = self.duration_s - self.ramp_s
         inside = np.clip(t_s, 0.0, self.duration_s)
-        since_start = _integral_of_ramp(inside, self.ramp_s, orders)
-        since_slowing = _integral_of_ramp(inside - span_s, self.ramp_s, orders)
+        since_s = np.array([inside, inside - span_s])  # since the start, and since slowing down
+        integrals_s = _integral_of_ramp(since_s, self.ramp_s, orders)
 
-        s = (since_start - since_slowing) / span_s
+        s = (integrals_s[:, 0] - integrals_s[:, 1]) / span_s
         s[1:, inside != t_s] = 0.0
         return s
 
@@ -171,22 +177,37 @@ def _taylor(spline: Any, x: Array, orders: int) -> Array:
 
 
 def _integral_of_ramp(t_s: Array, ramp_s: float, orders: int) -> Array:
-    """Return the jets of t_r J(t / t_r), J the integral of S, (orders, k), s: (65).
+    """Return the jets of t_r J(t / t_r), J the integral of S, (orders, *t_s.shape), s: (65).
 
     The time since a smooth start over `ramp_s`, less half of it from then on.
     """
     x = t_s / ramp_s
-    first_half = jets.of_polynomial(_INTEGRAL_OF_S, np.clip(x, 0.0, 0.5), orders)
+    orders_first = (orders, *[1] * x.ndim)
+    taylor = _taylor_of_J(np.array([x, 1.0 - x]), orders)
+    first_half = taylor[:, 0]
 
     # J(x) = x - 1/2 + J(1 - x): better conditioned than the polynomial near its other end. Each
     # derivative of J(1 - x) changes its sign.
-    signs = (-1.0) ** np.arange(orders)[:, None]
-    mirrored = jets.of_polynomial(_INTEGRAL_OF_S, np.clip(1.0 - x, 0.0, 0.5), orders)
-    from_middle = mirrored * signs
+    signs = (-1.0) ** np.arange(orders)
+    from_middle = taylor[:, 1] * signs.reshape(orders_first)
     from_middle[0] += x - 0.5
     if orders > 1:
         from_middle[1] += 1.0
 
     # Coefficient j by t in place of x: t_r^-j.
-    scales = ramp_s ** np.arange(orders, dtype=np.float64)[:, None]
-    return np.asarray(ramp_s * np.where(x < 0.5, first_half, from_middle) / scales)
+    scales = ramp_s ** np.arange(orders, dtype=np.float64)
+    integral = ramp_s * np.where(x < 0.5, first_half, from_middle)
+    return np.asarray(integral / scales.reshape(orders_first))
+
+
+def _taylor_of_J(x: Array, orders: int) -> Array:
+    """Return Taylor coefficients of J at the nearest x from 0 to 1/2: (orders, *x.shape)."""
+    x = np.clip(x, 0.0, 0.5)
+    orders_first = (orders, *[1] * x.ndim)
+
+    # Horner's scheme for all derivatives at once: the higher ones begin with zeros.
+    J = np.zeros((orders, *x.shape))
+    for power in reversed(range(_DERIVATIVES_OF_J.shape[1])):
+        J *= x
+        J += _DERIVATIVES_OF_J[:orders, power].reshape(orders_first)
+    return np.asarray(J / _FACTORIALS[:orders].reshape(orders_first))

@@ -4,7 +4,6 @@ A jet holds the coefficients F^(j)(t) / j! along the first axis (Griewank, Walth
 """
 
 from math import factorial
-from typing import Any
 
 import numpy as np
 
@@ -67,15 +66,3 @@ def sine(a: Array, lead: float = 0.0) -> Array:
     for j in range(len(a)):
         coefficients.append(np.sin(a[0] + lead + j * np.pi / 2.0) / factorial(j))
     return composed(np.array(coefficients), a)
-
-
-def of_polynomial(polynomial: Any, x: Array, orders: int) -> Array:
-    """Return Taylor coefficients 0..orders-1 of a polynomial at x, (k,): (orders, k).
-
-    Also of another function with `deriv`, as polynomials of NumPy have.
-    """
-    coefficients = []
-    for j in range(orders):
-        derived = polynomial.deriv(j) if j else polynomial
-        coefficients.append(derived(x) / factorial(j))
-    return np.array(coefficients)
