@@ -4,9 +4,10 @@ from collections.abc import Collection
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from tests.support import runs
-from transport.agent.estimation.team_estimate import TeamEstimate
+from transport.agent.estimation.team_estimate import Expected, TeamEstimate
 from transport.agent.received import Received
 from transport.model.arrays import Array
 from transport.mpc.controller import Controller
@@ -173,3 +174,28 @@ def test_a_target_completes_the_law_of_a_new_team(left: int | None, expected: in
         assert team.announced.law_since == left
     team.follow(_with_target(run, 40).run)
     assert team.announced.law_since == expected
+
+
+@pytest.mark.parametrize(
+    ("heard", "alone", "assumed_steps"),
+    [(0, 0.0, [5]), (0, 1.0, [0]), (2, 0.0, [5]), (3, 0.0, [])],
+)
+def test_an_agent_that_leaves_is_assumed_to_have_made_its_last_plan(
+    heard: int, alone: float, assumed_steps: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the last step foresaw, (32b), where that plan is not here; one alone is on its fail-safe at once."""
+    run = runs.ready("resilient")
+    team = _team(run)
+    for k in range(4):
+        received = _received(run, k, heard=heard if k == 3 else None)
+        plans = [structs.replace(one, alone=alone) for one in received.plans]
+        team.update(structs.replace(received, plans=plans))
+    foreseen = np.ones((5, run.system.m))
+    assumed: list[tuple[int, int, int]] = []
+    monkeypatch.setattr(team._controller, "foreseen", lambda *_: foreseen)
+    monkeypatch.setattr(
+        team.announced, "assume", lambda agent, start, U: assumed.append((agent, start, len(U)))
+    )
+    team.expected = Expected(start=3, prediction=None, inputs=foreseen)  # type: ignore[arg-type]
+    team.update(_received(run, 4, gone=[3]))
+    assert assumed == [(3, 3, steps) for steps in assumed_steps]
