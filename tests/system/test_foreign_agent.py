@@ -9,18 +9,22 @@ import runpy
 import subprocess
 import sys
 from pathlib import Path
+from queue import SimpleQueue
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 import transport
+from tests.support import runs
 from tests.support.commands import command, free_base, settings
 from tests.support.runs import ready
 from tests.test_architecture import LAYERS
 from transport.model.physics.parameters import table_1
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
-from transport.protocol.wire.codec import VERSION
+from transport.protocol.wire.codec import VERSION, decode, encode
 from transport.protocol.wire.messages import Note, Plan, PlantState
 
 # Height of a UAV as the agent computes it from its measurement, and as the plant has it.
@@ -166,3 +170,78 @@ def test_its_numbers_are_those_of_the_scenario() -> None:
     assert values["INERTIA"] == pytest.approx(uav.inertia.diagonal())
     assert values["THRUST"] == pytest.approx(run.hover.u[8])
     assert values["RHO"] == pytest.approx(uav.rho[:2])
+
+
+@pytest.fixture
+def example() -> dict[str, Any]:
+    """What the file of the agent defines."""
+    return runpy.run_path(str(EXAMPLE))
+
+
+def test_its_plans_and_measurements_are_those_of_the_protocol(example: dict[str, Any]) -> None:
+    """A plan that it packs is one of the project; a measurement comes with the others' plans of the tick before."""
+    run = ready("resilient")
+    x = run.initial_state()
+    plans = [runs.plan(run, agent, 4, x=x) for agent in (1, 2, 4)]
+    heights = [-3.0, -3.2, -3.1]
+    shared = [
+        structs.replace(plan, data=np.array([z])) for plan, z in zip(plans, heights, strict=True)
+    ]
+    measured = runs.measurement(run, 3, 5, x=x)
+    inbox: SimpleQueue[Any] = SimpleQueue()
+    # The measurement may come before the last plan: it waits.
+    for message in (*shared[:2], runs.measurement(run, 2, 5, x=x), measured, shared[2]):
+        data = encode(message)
+        inbox.put(SimpleNamespace(payload=SimpleNamespace(to_bytes=lambda data=data: data)))
+    inbox.put(None)
+    ((tick, fields, others, heard),) = example["measurements"](3, inbox)
+    assert tick == 5
+    np.testing.assert_array_equal(others, [plan.uav_states[0] for plan in plans])
+    assert sorted(heard) == sorted(heights)
+
+    answer = example["answer"](3, tick, fields, others, heard)
+    plan = decode(example["message"]("plan", "agent3", 0, tick, tick, *answer))
+    assert isinstance(plan, Plan)
+    assert (plan.agent, plan.start_tick, plan.uavs, plan.shared) == (3, 5, (3,), True)
+    np.testing.assert_array_equal(plan.uav_states, measured.uav_states)
+    own_z = run.model.outputs_along(x[None])[0, 8]  # z of UAV 3
+    np.testing.assert_allclose(plan.data, [own_z], atol=SAME_HEIGHT_M)
+    hover_N = run.hover.u[8]
+    pulled_N = 20.0 * (own_z - np.mean([own_z, *heights]))
+    assert plan.inputs[0, 0] == pytest.approx(hover_N + pulled_N, abs=1e-3)
+    np.testing.assert_allclose(plan.inputs[1:], np.tile([hover_N, 0.0, 0.0, 0.0], (19, 1)))
+
+
+def test_its_loops_work_against_deviations(example: dict[str, Any]) -> None:
+    """A low corner of the payload is raised, a tilted UAV is turned back, a turning one is slowed, within limits."""
+    run = ready("resilient")
+    x = run.initial_state()
+    payload = x[:12]
+    team = x[36:48]
+    control = example["control"]
+    hover = control(payload, team, team)
+    np.testing.assert_allclose(hover, run.hover.u[8:12], atol=1e-3)
+
+    rolled, pitched = payload.copy(), payload.copy()
+    rolled[6] = -0.01  # a roll to the left lowers its corner at the left rear
+    pitched[7] = 0.01  # and so does a nose that rises
+    assert control(rolled, team, team)[0] - hover[0] == pytest.approx(0.25)
+    assert control(pitched, team, team)[0] - hover[0] == pytest.approx(0.25)
+
+    rolling = payload.copy()
+    rolling[9] = -0.01  # 0.3 s ahead of the height
+    assert control(rolling, team, team)[0] - hover[0] == pytest.approx(0.075)
+
+    behind = team.copy()
+    behind[:2] += 0.001  # along its rod the UAV is behind and to the left: nose down, to the right
+    moment_Nm = 0.029 * 100.0 * 1.5 / 22.0725 * 40.0 * 0.001
+    np.testing.assert_allclose(control(payload, behind, team)[1:3], [moment_Nm, -moment_Nm])
+
+    own = team.copy()
+    own[6] += 0.001
+    own[10] += 0.01
+    roll_Nm, pitch_Nm, yaw_Nm = control(payload, own, team)[1:]
+    assert (roll_Nm, pitch_Nm) == (pytest.approx(-0.029 * 0.1), pytest.approx(-0.029 * 0.16))
+    assert yaw_Nm == 0.0
+    own[6:8] += 9.0
+    assert np.abs(control(payload, own, team)[1:3]).tolist() == [0.5, 0.5]
