@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from transport.experiments.arena import arena_runs as experiment_arena
-from transport.experiments.arena.arena_report import MEASURES, ArenaResult, conduct
+from transport.experiments.arena.arena_measures import MEASURES
+from transport.experiments.arena.arena_report import ArenaResult, conduct
 from transport.experiments.figures.experiment_figures import fill
 from transport.experiments.figures.figure_arena import draw_measure
 from transport.interface.figure import RunFigure, drawn

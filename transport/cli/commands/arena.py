@@ -9,7 +9,8 @@ from typer import Option
 from transport.cli.commands.experiment import ExperimentOptions
 from transport.cli.lazy import with_options
 from transport.cli.output import show
-from transport.experiments.arena.arena_report import MEASURES, conduct
+from transport.experiments.arena.arena_measures import MEASURES
+from transport.experiments.arena.arena_report import conduct
 from transport.experiments.arena.arena_runs import DECLARED, NAME
 from transport.experiments.arena.arena_runs import arena as arena_of
 from transport.experiments.arena.arena_tasks_and_networks import NETWORKS, TASKS

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-from transport.experiments.arena.arena_algorithms import REFERENCE
-from transport.experiments.arena.arena_runs import NAME, VIOLATION, ArenaRuns, judged
+from transport.experiments.arena.arena_measures import MEASURES, MISSING
+from transport.experiments.arena.arena_runs import NAME, ArenaRuns, judged
 from transport.experiments.arena.arena_tasks_and_networks import (
     NETWORK_TEXTS,
     NETWORKS,
@@ -32,76 +32,10 @@ from transport.protocol.scenario.files.atomic_writing import write_whole
 from transport.report.figures.style import RC, save
 
 RESULTS = "arena.json"
-_MISSING = "-"
 _REFUSED = "no"
 _TITLE_WIDTH = 60  # characters, of the longest title
 # Folder of the scenarios that were not completed.
 _ENDED = "ended"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ArenaAxis:
-    """A measure of the arena, with a table of its own, and a figure on request."""
-
-    title: str
-    number: str
-    drawn: str  # name and unit in a figure
-    factor: float = 1.0  # from the number to the unit
-    digits: int = 2
-
-    def text(self, one: PointStatistics) -> str:
-        """Return the mean of a point, with interval or range if there are several runs."""
-        if self.number != COST_RATIO and self.number not in one.numbers:
-            return _MISSING
-        value = one.estimate(self.number)
-        return _MISSING if value is None else value.scaled(self.factor).text(self.digits)
-
-
-# Measures by name.
-MEASURES: Mapping[str, ArenaAxis] = {
-    "cost": ArenaAxis(
-        title=f"Mean cost over that of `{REFERENCE}` on a perfect network",
-        number=COST_RATIO,
-        drawn="cost over centralized",
-    ),
-    "error": ArenaAxis(
-        title="Payload error, cm rms",
-        number="payload_rms_m",
-        drawn="payload error, cm rms",
-        factor=100.0,
-        digits=1,
-    ),
-    "distance": ArenaAxis(
-        title="Smallest distance of two UAVs, m",
-        number="separation_min_m",
-        drawn="distance, m",
-        digits=3,
-    ),
-    "violation": ArenaAxis(
-        title="Largest violation of the shared constraint, N",
-        number=VIOLATION,
-        drawn="violation, N",
-    ),
-    "plans": ArenaAxis(
-        title="Plans of the team to each other, kB/s",
-        number="plan_bytes_per_s",
-        drawn="plans, kB/s",
-        factor=1e-3,
-        digits=1,
-    ),
-    "airtime": ArenaAxis(
-        title="Airtime of the radio, %, 20 % of it traffic of others",
-        number="airtime_share",
-        drawn="airtime, %",
-        factor=100.0,
-        digits=1,
-    ),
-    "step": ArenaAxis(
-        title="Processor time of an agent's step, ms, median",
-        number="cpu_step_p50_ms",
-        drawn="step, ms",
-    ),
-}
 
 
 @dataclass(frozen=True)
@@ -150,7 +84,7 @@ class ArenaResult:
         measures = [
             self._table(axis.title, self.tasks, axis.text)
             for axis in MEASURES.values()
-            if any(axis.text(one) != _MISSING for one in flown)
+            if any(axis.text(one) != MISSING for one in flown)
         ]
         return [completed, *measures]
 
