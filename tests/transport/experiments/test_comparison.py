@@ -16,9 +16,18 @@ from tests.support.results import here
 from tests.support.runs import ticks
 from transport.experiments.cases import Case, cases_of
 from transport.experiments.paper import comparison, comparison_report
-from transport.experiments.paper.comparison import CENTRALIZED, GUSTS, MANEUVER, PAPER, STEPS, Cell
+from transport.experiments.paper.comparison import (
+    CENTRALIZED,
+    CLOSED_LOOP,
+    GUSTS,
+    MANEUVER,
+    PAPER,
+    SECONDS,
+    STEPS,
+    Cell,
+)
 from transport.experiments.paper.comparison_curves import ComparisonCurve, curves_of, equal_periods
-from transport.experiments.run_numbers import NUMBERS
+from transport.experiments.run_numbers import NUMBERS, resource_use
 from transport.experiments.simulation import Result
 from transport.experiments.statistics import estimate
 from transport.experiments.sweep import Swept
@@ -27,6 +36,35 @@ AGENTS = 4
 LONGEST_S = 0.1
 REFERENCE = Cell(controller=CENTRALIZED, period_s=0.05, horizon=20)
 PERIODS_S = [factor * REFERENCE.period_s for factor in comparison.GRID]
+
+
+def test_the_runs_of_the_comparison() -> None:
+    """Each cell once, timed in still air on a maneuver of its own; costs in still air, and in gusts by seed.
+
+    A horizon keeps the reference's 20 steps, or its second.
+    """
+    options = comparison_report.ComparisonOptions(settings=(), seeds=2, gust_mps=0.5, quick=True)
+    planned = comparison_report.plan(options, simulated_before=True)
+    assert planned.reference == REFERENCE
+    long, short = (0.05, 20), (0.025, 20)
+    in_seconds = [long, (0.025, 40)]
+    found = {curve: [cell[1:] for cell in cells] for curve, cells in planned.cells.items()}
+    assert found == {
+        (CENTRALIZED, STEPS): [long, short],
+        (CENTRALIZED, SECONDS): in_seconds,
+        (PAPER, SECONDS): in_seconds,
+        (PAPER, STEPS): [long, short],
+        (CLOSED_LOOP, SECONDS): in_seconds,
+    }
+    distinct = 3 + 3 + 2
+    assert len(planned.timed) == distinct
+    assert len(planned.cases) == distinct * (1 + 2)
+    for case in planned.timed:
+        assert [phase.duration_s for phase in case.scenario.maneuver.phase] == [0.4]
+    assert not any(case.scenario.plant.wind.gust_mps[0] for case in planned.timed)
+    gusts = [case.scenario.plant.wind.gust_mps for case in planned.cases]
+    assert gusts == [(0.0,) * 3] * distinct + [(0.5,) * 3] * 2 * distinct
+    assert all(case.more is resource_use for case in planned.timed)
 
 
 @pytest.mark.parametrize("exponent", [1.0, 2.3])

@@ -171,6 +171,20 @@ def test_a_column_is_named_in_the_unit_of_figures(column: str, title: str, text:
     assert (axis(column).title, axis(column).text(0.2)) == (title, text)
 
 
+def test_options_are_given_in_any_order_and_have_defaults_of_a_trial() -> None:
+    """Values of a list are sorted, each once; those of `--quick` are the defaults of a trial alone."""
+    declared = EXPERIMENTS["loss"]
+
+    def shares(*, quick: bool = False, **given: Any) -> list[str | float]:
+        points = declared.experiment(scenarios("paper"), given, quick=quick).points
+        return [point.labels["loss"] for point in points if point.labels["model"] == "bernoulli"]
+
+    assert shares(loss=[0.3, 0.1, 0.3]) == [0.1, 0.3]
+    assert shares(loss=[0.2], quick=True) == [0.2]
+    assert shares(loss=[]) == shares() == [0.1, 0.3, 0.6]
+    assert shares(quick=True) == [0.3]
+
+
 def test_an_ablation_changes_one_part_at_a_time() -> None:
     """Values that the scenario has anyway are left out, and those that its other settings exclude."""
     points = built("ablation", of=("paper",)).points

@@ -393,6 +393,9 @@ def test_bounds_of_a_file_are_read(tmp_path: Path) -> None:
     # Times that it does not give fit the run, as without a file.
     assert bounds.silence.start_s == (1.0, 20.0)
     assert read_bounds(file, 10.0).silence.start_s == (1.0, 8.0)
+    assert read_bounds(file, 10.0).targets.at_s == (1.0, 4.0)
+    short = read_bounds(file, 0.5)
+    assert short.silence.start_s == short.deaths.at_s == short.targets.at_s == (0.4, 0.4)
     file.write_text("[silence]\nstart_s = [3.0, 30.0]\n", encoding="utf-8")
     assert read_bounds(file, 10.0).silence.start_s == (3.0, 30.0)
 
