@@ -4,6 +4,8 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +13,9 @@ from msgspec.structs import replace as edited
 from typer.testing import CliRunner, Result
 
 from tests.support import logs, runs
-from transport.analysis.replay.replay_difference import Comparison
+from transport.analysis.replay.replay_difference import Comparison, Difference
 from transport.analysis.replay.replay_of_agent import Replay
+from transport.cli.commands import replay
 from transport.cli.main import app
 from transport.log.run_log import RunLog
 from transport.protocol.wire.messages import Measurement, Plan
@@ -187,6 +190,18 @@ def test_command_names_the_first_tick(folder: Path, tmp_path: Path) -> None:
     assert content["first"]["tick"] == 0
     assert content["first"]["kind"] == Plan.kind
     assert content["plans"] == 30
+    part = json.loads(ask(*what_if, "--from", "3", "--to", "6", "--format", "json").stdout)
+    assert (part["ticks"], part["plans"], part["first"]["tick"]) == ([3, 6], 4, 3)
+
+
+def test_a_field_is_told_by_its_largest_difference() -> None:
+    """With the first tick and the number of ticks at which it differs."""
+    sizes = ((4, 0.5), (4, 2.0), (6, 1.0), (7, None))
+    differences = [Difference(tick, "plan", 0, "inputs", "", "", "", size) for tick, size in sizes]
+    comparison: Any = SimpleNamespace(by_field={"plan.inputs": differences})
+    (row,) = replay._fields(comparison)
+    assert (row["field"], row["ticks"], row["first_tick"]) == ("plan.inputs", 3, 4)
+    assert (row["largest"]["tick"], row["largest"]["size"]) == (4, 2.0)
 
 
 def test_command_takes_another_controller(folder: Path) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 import transport
+from transport.interface import swept_runs
 from transport.model.kernels.casadi_functions import compile_functions
 
 PHASES = (
@@ -51,6 +52,17 @@ def test_points_and_runs(table: transport.Sweep) -> None:
     assert points[2]["plan_age_mean_ticks"] > points[0]["plan_age_mean_ticks"]
     assert len(table.to_pandas("runs")) == 6
     assert list(table.to_pandas().columns)[:3] == ["scenario", "links.delay_s", "loss"]
+
+
+def test_the_first_combination_of_each_base_is_its_baseline() -> None:
+    """Costs are compared within a base; switches are texts, as a figure has no axis for them."""
+    values = {"controller.disturbance.estimate": [False, True], "delay_s": [0.0, 0.1]}
+    plan = swept_runs._plan({"a": base(), "b": base("paper")}, values, 2)
+    assert [point.baseline for point in plan.points] == [True, False, False, False] * 2
+    assert [point.scenario for point in plan.points] == ["a"] * 4 + ["b"] * 4
+    switch = "controller.disturbance.estimate"
+    assert plan.points[3].labels == {switch: "True", "delay_s": 0.1}
+    assert len(plan.cases) == 8  # none has random parts
 
 
 def test_a_point_is_the_run_of_fly(table: transport.Sweep) -> None:
