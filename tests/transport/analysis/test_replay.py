@@ -197,7 +197,15 @@ def test_command_names_the_first_tick(folder: Path, tmp_path: Path) -> None:
 def test_a_field_is_told_by_its_largest_difference() -> None:
     """With the first tick and the number of ticks at which it differs."""
     sizes = ((4, 0.5), (4, 2.0), (6, 1.0), (7, None))
-    differences = [Difference(tick, "plan", 0, "inputs", "", "", "", size) for tick, size in sizes]
+    same: dict[str, Any] = {
+        "kind": "plan",
+        "negotiation": 0,
+        "name": "inputs",
+        "where": "",
+        "got": "",
+        "expected": "",
+    }
+    differences = [Difference(tick=tick, size=size, **same) for tick, size in sizes]
     comparison: Any = SimpleNamespace(by_field={"plan.inputs": differences})
     (row,) = replay._fields(comparison)
     assert (row["field"], row["ticks"], row["first_tick"]) == ("plan.inputs", 3, 4)

@@ -56,7 +56,10 @@ def test_points_and_runs(table: transport.Sweep) -> None:
 
 def test_the_first_combination_of_each_base_is_its_baseline() -> None:
     """Costs are compared within a base; switches are texts, as a figure has no axis for them."""
-    values = {"controller.disturbance.estimate": [False, True], "delay_s": [0.0, 0.1]}
+    values: dict[str, list[Any]] = {
+        "controller.disturbance.estimate": [False, True],
+        "delay_s": [0.0, 0.1],
+    }
     plan = swept_runs._plan({"a": base(), "b": base("paper")}, values, 2)
     assert [point.baseline for point in plan.points] == [True, False, False, False] * 2
     assert [point.scenario for point in plan.points] == ["a"] * 4 + ["b"] * 4
