@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import tomli_w
 
@@ -18,6 +19,7 @@ from transport.protocol.scenario.scenario_file import (
     validate,
 )
 from transport.protocol.scenario.sections.schema import Scenario
+from transport.protocol.scenario.setup.model_objects import maneuver_of
 from transport.protocol.scenario.setup.run_setup import Setup
 
 # A value of the same type that differs, for what cannot simply be counted up.
@@ -316,6 +318,24 @@ def test_settings(setting: str, path: tuple[str | int, ...], value: Any) -> None
     assert type(node) is type(value)
 
 
+def test_data_sheet_of_the_sensors() -> None:
+    """Noise, bias and age of positions, velocities, attitudes, rates and specific forces, in this order."""
+    keys = "position_m", "velocity_mps", "attitude_rad", "rate_rads", "specific_force_mps2"
+    delays = "position_s", "velocity_s", "attitude_s", "rate_s", "specific_force_s"
+    noise = [f"plant.noise.{key}=0.0{number}" for number, key in enumerate(keys, start=1)]
+    bias = [f"plant.noise.bias.{key}=0.00{number}" for number, key in enumerate(keys, start=1)]
+    # Three periods of 0.05 s are 0.15 s but for rounding: 0.15 / 0.05 < 3.
+    ages_s = zip(delays, (0.15, 0.3, 0.0, 0.05, 0.1), strict=True)
+    delay = [f"plant.noise.delay.{key}={age_s}" for key, age_s in ages_s]
+    vehicle = "plant.sensors=vehicle", "controller.estimator=kalman"
+    law = "controller.prediction=closed_loop", "controller.received_plans=by_age"
+    sheet = setup(*vehicle, *law, *noise, *bias, *delay).sensors
+    assert sheet.vehicle
+    assert sheet.noise.tolist() == [0.01, 0.02, 0.03, 0.04, 0.05]
+    assert sheet.bias.tolist() == [0.001, 0.002, 0.003, 0.004, 0.005]
+    assert sheet.ages == (3, 6, 0, 1, 2)
+
+
 def test_automatic_relaxation() -> None:
     """Relaxation "auto" is 1/M for M agents: the descent guarantee of cooperative distributed MPC."""
     assert setup("controller.relaxation=auto").settings.relaxation == 0.25
@@ -348,6 +368,23 @@ def test_a_spline_passes_different_way_points() -> None:
                 read_scenario(PAPER, [phase % (points, duration)])
     timed = read_scenario(PAPER, [phase % ("[[1,0,0],[1,0,0],[2,0,0]]", "times_s=[4,5,9]")])
     assert timed.maneuver.phase[0].duration_s == 9.0
+
+
+@pytest.mark.parametrize(
+    ("shape", "least_mps"),
+    [
+        ("kind='circle',size_m=[2,1,0.5]", 1.499),
+        ("kind='eight',size_m=[2,1,0],laps=2", 1.499),
+        ("kind='spline',points_m=[[5,0,0],[5,5,-1],[10,0,0]]", 1.2),  # fastest in a ramp
+    ],
+)
+def test_a_curve_has_the_largest_speed_given(shape: str, least_mps: float) -> None:
+    """The duration follows from `speed_mps`, with the ramps at both ends."""
+    phase = f"maneuver.phase=[{{name='s',{shape},speed_mps=1.5,ramp_s=2.0}}]"
+    maneuver = maneuver_of(read_scenario(PAPER, [phase]))
+    instants_s = np.linspace(0.0, maneuver.duration_s, 5_000)
+    speeds_mps = np.linalg.norm(maneuver.jets(instants_s)[1], axis=1)
+    assert least_mps < speeds_mps.max() < 1.501
 
 
 def test_events_after_the_end_are_told() -> None:

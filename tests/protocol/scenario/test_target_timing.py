@@ -15,6 +15,7 @@ from transport.model.path.curves import ORDERS
 from transport.protocol.scenario.checks.feasibility import exceeded, remaining_teams
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario, with_settings
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
+from transport.protocol.scenario.sections.path_instants import curve_instants
 from transport.protocol.scenario.sections.scenario_errors import (
     RequestError,
     ScenarioError,
@@ -22,7 +23,13 @@ from transport.protocol.scenario.sections.scenario_errors import (
 )
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.targets.target_checks import target_fields
-from transport.protocol.scenario.targets.target_timing import Window, straight, teams_flying
+from transport.protocol.scenario.targets.target_timing import (
+    Window,
+    fastest_way,
+    first_exceeded,
+    straight,
+    teams_flying,
+)
 from transport.protocol.scenario.teams.team_of_any_size import Team, resized
 from transport.protocol.wire.message_form import MAX_TARGETS
 from transport.protocol.wire.messages import Request
@@ -295,6 +302,18 @@ def test_times_are_feasible_by_the_factor_told() -> None:
     assert plan(losing(), HOVERS, points_m=points_m, times_s=[0.0, 1.002 * factor])["way_s"] > 1.0
     with pytest.raises(RequestError, match="times_s: expected"):
         plan(losing(), HOVERS, points_m=points_m, times_s=[0.0, 0.98 * factor])
+
+
+def test_a_way_with_tight_corners_is_slowed_as_a_whole() -> None:
+    """Without times and speed the way that the limits allow is taken, ramps included."""
+    setup = runs.ready("resilient")
+    zigzag_m = [[0.3 * number, 0.3 * (number % 2), -10.0] for number in range(6)]
+    section = requested(TargetSection, {"points_m": zigzag_m})
+    window = Window(since_s=0.5, last_s=LAST_S)
+    way = fastest_way(setup, section, window)
+    assert way.ramp_s > FIRST_RAMP_S
+    path = way.path(curve_instants(way))
+    assert first_exceeded(path, teams_flying(setup, window), setup) is None
 
 
 def test_the_way_down_has_half_the_speed() -> None:
