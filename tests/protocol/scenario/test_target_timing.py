@@ -325,6 +325,27 @@ def test_the_way_down_has_half_the_speed() -> None:
     assert numbers["way_s"] - numbers["way_ramp_s"] == pytest.approx(3.0 / 0.5)
 
 
+HERE_AND_THERE = [[0.0, 0.0, -10.0], [1.0, 0.0, -10.0]]
+
+
+@pytest.mark.parametrize(
+    ("given", "problem"),
+    [
+        ({"times_s": [3.0, 3.0]}, "times_s: expected rising times"),
+        ({"times_s": [3.0]}, "times_s: expected a time for each of 2 way points, got 1"),
+        ({"times_s": [0.0, 9.0], "speed_mps": 1.0}, "speed_mps: expected none next to times_s"),
+        ({"points_m": [HERE_AND_THERE[0]] * 2}, "points_m: expected each way point away from the"),
+        ({"points_m": []}, "points_m: expected at least one point, or land = true"),
+    ],
+)
+def test_requests_that_contradict_themselves_are_refused(
+    given: dict[str, Any], problem: str
+) -> None:
+    """Whatever the run, points differ and times rise, one for each point, without a speed."""
+    with pytest.raises(RequestError, match=problem):
+        requested(TargetSection, {"points_m": HERE_AND_THERE} | given)
+
+
 # The parabola through three points at equal distances, the first one higher by h than the others,
 # is lower than them by h / 8 between the second and the third.
 HIGHER_M = 0.3
