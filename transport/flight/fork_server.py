@@ -5,7 +5,7 @@ exit code, and is a child of the process that asked for it. Four kinds of proces
 
     caller   asks for some: arguments, environment, folder, two open files each (`ForkServer.start`)
     server   prepares, forks the next, and waits for its end            (`serve`)
-    between  forks the new ones, tells their ids to the server, ends    (`_started`)
+    between  forks the new ones, tells their ids to the server, ends    (`_fork_each`)
     new      waits until the caller has adopted it, as the process in between has ended and the caller
              is the reaper of its orphans; then it is the command       (`_become`)
 
@@ -135,31 +135,27 @@ class ForkServer:
         All at once take less time than one after the other.
         """
         environment = {**ENVIRONMENT, **os.environ, **extra}
-        processes: list[psutil.Process] = []
         with self._turn:
-            try:
-                while self._server is not None and len(processes) < len(starts):
-                    some = starts[len(processes) :][:_PROCESSES]
-                    forked = _forked(self._server.requests, some, environment)
-                    processes += forked
-                    if len(forked) < len(some):
-                        self.close()
-            except (OSError, ValueError, psutil.Error):
-                # Without an answer, or a current folder, the others are started anew. Those that the
-                # server has forked but not announced end with their input.
-                self.close()
+            forked = self._fork(starts, environment)
+        others = [_opened(start, environment) for start in starts[len(forked) :]]
+        return [*forked, *others]
 
-        for start in starts[len(processes) :]:
-            processes.append(
-                psutil.Popen(
-                    [*python("transport"), *start.arguments],
-                    stdin=start.stdin,
-                    stdout=start.output,
-                    stderr=subprocess.STDOUT,
-                    env=environment,
-                    start_new_session=True,
-                )
-            )
+    def _fork(
+        self, starts: Sequence[Start], environment: Mapping[str, str]
+    ) -> list[psutil.Process]:
+        """Return forked processes, fewer than asked for once the server is absent."""
+        processes: list[psutil.Process] = []
+        try:
+            while self._server is not None and len(processes) < len(starts):
+                some = starts[len(processes) :][:_PROCESSES]
+                forked = _forked(self._server.requests, some, environment)
+                processes += forked
+                if len(forked) < len(some):
+                    self.close()
+        except (OSError, ValueError, psutil.Error):
+            # No answer, or no current folder. Processes that the server has forked but not announced
+            # end with their input.
+            self.close()
         return processes
 
     def close(self) -> None:
@@ -171,6 +167,18 @@ class ForkServer:
                 server.process.kill()
             server.process.wait()
             _adopt_orphans(False)
+
+
+def _opened(start: Start, environment: Mapping[str, str]) -> psutil.Process:
+    """Start a process as a program of its own, which imports all that it needs."""
+    return psutil.Popen(
+        [*python("transport"), *start.arguments],
+        stdin=start.stdin,
+        stdout=start.output,
+        stderr=subprocess.STDOUT,
+        env=environment,
+        start_new_session=True,
+    )
 
 
 def _launched() -> _Serving:
@@ -289,28 +297,36 @@ def _started(
     reads, writes = os.pipe()
     between = os.fork()
     if between == 0:
-        id_between = os.getpid()
-        for number, arguments in enumerate(request["arguments"]):
-            try:
-                pid = os.fork()
-            except OSError:
-                break  # the error must not run up through `serve` in this process
-            if pid != 0:
-                os.write(writes, b"%d " % pid)
-                continue
-            # The command lets the end of its parent continue it (`wake_with_its_end`). Begun beside
-            # the process in between, it would be continued by the end of that one, although a
-            # script or a user may just have stopped it.
-            while os.getppid() == id_between:
-                time.sleep(1e-4)
-            stdin, output = descriptors[2 * number : 2 * number + 2]
-            _become(arguments, request["environment"], stdin, output, command)
-        os._exit(0)
+        _fork_each(request, descriptors, writes, command)
 
     os.close(writes)
     os.waitpid(between, 0)
     with os.fdopen(reads, "rb") as pipe:
         return list(map(int, pipe.read().split()))
+
+
+def _fork_each(
+    request: Mapping[str, Any], descriptors: list[int], writes: int, command: Callable[[], NoReturn]
+) -> NoReturn:
+    """Fork the new processes of a request in the one in between, write their ids to a pipe, and end."""
+    id_between = os.getpid()
+    for number, arguments in enumerate(request["arguments"]):
+        try:
+            pid = os.fork()
+        except OSError:
+            break  # the error must not run up through `serve` in this process
+        if pid != 0:
+            os.write(writes, b"%d " % pid)
+            continue
+
+        # The command lets the end of its parent continue it (`wake_with_its_end`). Begun beside the
+        # process in between, it would be continued by the end of that one, although a script or a
+        # user may just have stopped it.
+        while os.getppid() == id_between:
+            time.sleep(1e-4)
+        stdin, output = descriptors[2 * number : 2 * number + 2]
+        _become(arguments, request["environment"], stdin, output, command)
+    os._exit(0)
 
 
 def _become(

@@ -126,10 +126,10 @@ def own_keys(scenario: Scenario, folder: Path) -> Iterator[Path | None]:
 
     keys = folder.resolve() / "keys"
     file = keys / SHARED
-    with _telling(file):
+    with _told_as_run_error(file):
         keys.mkdir(mode=0o700)
     try:
-        with _telling(file):
+        with _told_as_run_error(file):
             file.touch(mode=0o600)
             if file.stat().st_mode & 0o077:
                 raise _readable_by_all(file)
@@ -142,8 +142,8 @@ def own_keys(scenario: Scenario, folder: Path) -> Iterator[Path | None]:
 
 
 @contextmanager
-def _telling(file: Path) -> Iterator[None]:
-    """Raise a RunError for an OSError on the way to a file of the run's secret."""
+def _told_as_run_error(file: Path) -> Iterator[None]:
+    """Turn an OSError about a file of the run's secret into a RunError."""
     try:
         yield
     except OSError as error:

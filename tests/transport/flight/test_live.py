@@ -1,6 +1,7 @@
 """The file of an active run: what was written is read; any other content is ignored."""
 
 import os
+import queue
 import subprocess
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -13,6 +14,7 @@ import transport
 from transport.flight import live
 from transport.flight.live import LiveRun
 from transport.interface.setting_arguments import ArgumentError
+from transport.protocol.scenario.links.link_changes import PERFECT
 from transport.protocol.wire.errors_and_exit_codes import TransportError
 
 HERE = LiveRun(
@@ -107,6 +109,86 @@ def test_an_active_run_is_asked_for_what_is_given(
             {"land": True, "land_at_m": [3.0, 4.0], "speed_mps": 0.25},
         )
     ]
+
+
+@pytest.mark.parametrize(
+    ("command", "request_", "answer", "result"),
+    [
+        (
+            lambda to: to.link((1, 3), {"loss": 0.5}),
+            ("coordinator", "link", {"from": "agent1", "to": "agent3", "settings": {"loss": 0.5}}),
+            {"tick": 7},
+            "links change: at tick 7",
+        ),
+        (
+            lambda to: to.link(None, {"delay_s": 0.1}),
+            ("coordinator", "link", {"from": "", "to": "", "settings": {"delay_s": 0.1}}),
+            {"tick": 7},
+            "links change: at tick 7",
+        ),
+        (
+            lambda to: to.cut([[1, 2], [3]]),
+            (
+                "coordinator",
+                "link",
+                {"groups": [["agent1", "agent2"], ["agent3"]], "settings": {"loss": 1.0}},
+            ),
+            {"tick": 7},
+            "links change: at tick 7",
+        ),
+        (
+            lambda to: to.clear(),
+            ("coordinator", "link", {"all": True, "settings": PERFECT}),
+            {"tick": 7},
+            "links change: at tick 7",
+        ),
+        (
+            lambda to: to.target(np.array([1.0, 2.0, -3.0]), (2,)),
+            ("coordinator", "target", {"points_m": [[1.0, 2.0, -3.0]], "to": [2]}),
+            {"point_m": [1.0, 2.0, -3.0], "t_s": 4.0, "ends_s": 9.5},
+            "target (1, 2, -3) m, told to agent2: arrives at t = 9.5 s, in 5.5 s",
+        ),
+        (
+            lambda to: to.land(),
+            ("coordinator", "target", {"land": True}),
+            {"point_m": [1.0, 2.0, 0.0], "t_s": 4.0, "ends_s": 9.5},
+            "landing (1, 2, 0) m: arrives at t = 9.5 s, in 5.5 s",
+        ),
+        (
+            lambda to: to.fault("kill", "agent2"),
+            ("recorder", "fault", {"do": "kill", "target": "agent2"}),
+            {"tick": 7},
+            "kill agent2: at tick 7",
+        ),
+        (
+            lambda to: to.land(),
+            ("coordinator", "target", {"land": True}),
+            TransportError("too late"),
+            "too late",
+        ),
+    ],
+)
+def test_commands_of_a_page_are_requests_whose_results_are_told(
+    command: Callable[[live.Commands], None],
+    request_: tuple[str, str, Any],
+    answer: Mapping[str, Any] | TransportError,
+    result: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A sentence about each, marked where the request is refused; without agents a target is told to all."""
+    asked: list[tuple[str, str, Any]] = []
+    told: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()
+
+    def ask(_: LiveRun, *given: Any) -> Mapping[str, Any]:
+        asked.append(given)
+        if isinstance(answer, TransportError):
+            raise answer
+        return answer
+
+    monkeypatch.setattr(LiveRun, "ask", ask)
+    command(live.Commands(HERE, lambda *given: told.put(given)))
+    assert told.get(timeout=20.0) == (result, isinstance(answer, TransportError))
+    assert asked == [request_]
 
 
 @pytest.mark.parametrize(

@@ -66,9 +66,8 @@ class AgentRow:
     plan_ages: list[int] | None = None
     lost: int = 0  # plans lost on their links to the agent
     late: int = 0  # plans older than one tick when they came
-    missed: int = (
-        0  # plans of the agent that were not there when the next tick opened, in real time
-    )
+    # Plans of the agent that were not there when the next tick opened, in real time.
+    missed: int = 0
     fallbacks: int = 0
     failures: int = 0  # steps whose solve failed
     rejected: int = 0  # messages that the agent refused

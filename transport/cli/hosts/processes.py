@@ -10,6 +10,7 @@ import signal
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -270,18 +271,17 @@ def vehicle(
     section = setup.scenario.vehicles
     limits = setup.scenario.controller.limits
     links = LinkOptions(link=link, autopilot=autopilot, pose=pose, key=key)
-    driver = open_autopilot(section, limits, uav, links)
-    try:
+    with closing(open_autopilot(section, limits, uav, links)) as driver:
         if check:
-            raise typer.Exit(check_autopilot(driver, typer.echo))
-        place = options.place(vehicle_name(uav))
-        offset_ns = wall_offset_ns()
-        conduct = Conduct(section=section, stands=stands)
-        node = VehicleNode(setup.run, uav, driver, conduct, place.incarnation, offset_ns)
-        node.warm_up()
-        raise typer.Exit(_run(node, place, setup))
-    finally:
-        driver.close()
+            code = check_autopilot(driver, typer.echo)
+        else:
+            place = options.place(vehicle_name(uav))
+            conduct = Conduct(section=section, stands=stands)
+            offset_ns = wall_offset_ns()
+            node = VehicleNode(setup.run, uav, driver, conduct, place.incarnation, offset_ns)
+            node.warm_up()
+            code = _run(node, place, setup)
+    raise typer.Exit(code)
 
 
 @with_options(ProcessOptions)
