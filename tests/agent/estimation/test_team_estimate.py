@@ -1,5 +1,6 @@
 """What an agent's estimate of its team takes from rosters, failures and targets."""
 
+import math
 from collections.abc import Collection
 
 import numpy as np
@@ -90,6 +91,45 @@ def test_uavs_alone_hold_what_was_estimated_with_the_team(monkeypatch: pytest.Mo
     law, _ = team.alone(UAV, silent)
     step = run.settings.sampling_period_s / law.follows_s
     _assert_balances(team, run, silent, BEFORE + step * (NOW - BEFORE), run.system.N)
+
+
+def test_drag_is_estimated_with_the_team_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Own measurements do not tell it: in a silence that of the team stays, (32f)."""
+    run = runs.ready("eight", FORCES)
+    team = _team(run)
+    assumed: list[list[float]] = []
+    monkeypatch.setattr(team._alone, "assume_drag", lambda drag: assumed.append(drag.tolist()))
+    silent = 60
+    for k in (0, silent):
+        forces = np.zeros(4 + 3 * run.system.N + 2)
+        forces[-2:] = [0.1 + k, 0.2 + k]
+        monkeypatch.setattr(TeamEstimate, "forces", forces)
+        team.update(_received(run, k))
+    assert team.share_alone(silent) == 1.0
+    assert assumed == [[0.1, 0.2]]
+
+
+def test_forces_on_the_ground_are_those_of_the_flight() -> None:
+    """What the ground carries is no force that lasts: from the end of a landing on."""
+    low = (
+        "maneuver.start_m=[0,0,-1.3]",
+        "maneuver.phase=[{name='hover',duration_s=30,displacement_m=[0,0,0]}]",
+    )
+    run = runs.ready("flight", *low)
+    given = requested(TargetSection, {"land": True})
+    target = Outbox("coordinator", 0).stamp(Target, number=1, **target_fields(run, given, 5))
+    landing = run.after([structs.replace(target, lands=True)])
+    team = _team(run)
+    team.update(_received(run, 0))
+    team.follow(landing.run)
+    ends = math.ceil(landing.maneuver.targets[-1].ends_s / run.settings.sampling_period_s)
+    found = []
+    for k in (ends - 1, ends):
+        team.update(_received(run, k))
+        on_ground = np.full(4 + 3 * run.system.N, float(k))
+        team.estimator.forces = on_ground  # type: ignore[misc]
+        found.append(team.forces is on_ground)
+    assert found == [True, False]
 
 
 def test_uavs_that_are_left_hold_the_force_on_the_payload(monkeypatch: pytest.MonkeyPatch) -> None:
