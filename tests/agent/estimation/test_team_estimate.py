@@ -109,14 +109,10 @@ def test_drag_is_estimated_with_the_team_alone(monkeypatch: pytest.MonkeyPatch) 
     assert assumed == [[0.1, 0.2]]
 
 
-def test_forces_on_the_ground_are_those_of_the_flight() -> None:
+def test_forces_on_the_ground_are_those_of_the_flight(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the ground carries is no force that lasts: from the end of a landing on."""
-    low = (
-        "maneuver.start_m=[0,0,-1.3]",
-        "maneuver.phase=[{name='hover',duration_s=30,displacement_m=[0,0,0]}]",
-    )
-    run = runs.ready("flight", *low)
-    given = requested(TargetSection, {"land": True})
+    run = runs.ready("resilient", "plant.engine=mujoco", "plant.ground_m=0.0")
+    given = requested(TargetSection, {"points_m": [[0.5, 0.0, -10.0]]})
     target = Outbox("coordinator", 0).stamp(Target, number=1, **target_fields(run, given, 5))
     landing = run.after([structs.replace(target, lands=True)])
     team = _team(run)
@@ -127,7 +123,7 @@ def test_forces_on_the_ground_are_those_of_the_flight() -> None:
     for k in (ends - 1, ends):
         team.update(_received(run, k))
         on_ground = np.full(4 + 3 * run.system.N, float(k))
-        team.estimator.forces = on_ground  # type: ignore[misc]
+        monkeypatch.setattr(type(team.estimator), "forces", on_ground)
         found.append(team.forces is on_ground)
     assert found == [True, False]
 
