@@ -7,7 +7,7 @@ that of ADMM has its distance from the centralized optimum as well. Names of alg
 import importlib
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -101,15 +101,19 @@ def panel_of(panel: Axes, runs: Mapping[str, Flight], series: str, title: str) -
     head(panel, title, legend=False)
 
 
+def legend_of(networks: Iterable[str]) -> list[Line2D]:
+    """Return the entries of a legend, a line for each network."""
+    return [
+        Line2D([], [], label=TEXTS[net], color=STYLES[net][0], linestyle=STYLES[net][2])
+        for net in networks
+    ]
+
+
 def draw(name: str, runs: Mapping[str, Flight]) -> Path:
     """Draw payload error and cost of an algorithm over the maneuver; return the file."""
     with mpl.rc_context({**RC, "svg.hashsalt": name}):
         figure = Figure()
-        legend = [
-            Line2D([], [], label=TEXTS[net], color=STYLES[net][0], linestyle=STYLES[net][2])
-            for net in runs
-        ]
-        error, cost = column_panels(figure, [0.9, 0.9], legend=legend)
+        error, cost = column_panels(figure, [0.9, 0.9], legend=legend_of(runs))
         panel_of(error, runs, "payload_error_norm_m", "payload error, m")
         panel_of(cost, runs, "cost", "stage cost")
         cost.set_ylim(bottom=1e-6)
@@ -199,11 +203,9 @@ def draw_admm(runs: Mapping[str, Flight]) -> tuple[Path, str]:
     in_flight = {network: distances_in_flight(run, setup) for network, run in runs.items()}
     with mpl.rc_context({**RC, "svg.hashsalt": "admm"}):
         figure = Figure()
-        legend = [
-            Line2D([], [], label=TEXTS[net], color=STYLES[net][0], linestyle=STYLES[net][2])
-            for net in runs
-        ]
-        over, during = column_panels(figure, [1.0, 1.0], legend=legend, room=Room(gap_in=0.42))
+        over, during = column_panels(
+            figure, [1.0, 1.0], legend=legend_of(runs), room=Room(gap_in=0.42)
+        )
         colour, marker, _ = STYLES[PERFECT]
         over.semilogy(
             range(1, len(iterated) + 1), iterated, color=colour, marker=marker, markersize=1.5

@@ -170,6 +170,19 @@ def test_a_page_tells_the_origins_of_its_tables(
     ]  # fmt: skip
 
 
+@pytest.mark.usefixtures("docs")
+def test_the_comparison_has_timed_runs_and_runs_for_costs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Results come in this order, each half with the cases and the experiment of its own."""
+    program = import_module("results_page")
+    monkeypatch.setattr(program, "swept", lambda *given: given)
+    planned = SimpleNamespace(
+        measurement="times", timed=["t1", "t2"], experiment="costs", cases=["c1", "c2", "c3"]
+    )
+    timed, costs = program._halves(planned, [1, 2, 3, 4, 5])
+    assert timed == ("times", ["t1", "t2"], [1, 2])
+    assert costs == ("costs", ["c1", "c2", "c3"], [3, 4, 5])
+
+
 def test_a_run_is_found_by_its_scenario_and_seed(docs: SimpleNamespace) -> None:
     """Whatever addresses it uses, and whether a default is written out."""
 

@@ -87,3 +87,12 @@ def test_types_and_ranges_as_text(
     """A value that may be left out has the text of its type; lists have their number of entries."""
     monkeypatch.syspath_prepend(ROOT / "docs")
     assert import_module("reference_page").type_of(annotation) == text
+
+
+def test_a_list_of_many_commands_is_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Up to ten are named, commands of a group as the group."""
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    of_group = import_module("reference_page")._of_group
+    names = [f"group{number % 10} command{number}" for number in range(20)]
+    assert of_group(names) == [f"group{number}" for number in range(10)]
+    assert of_group([*names, "another"]) == ["most"]
