@@ -9,6 +9,7 @@ import tomli_w
 
 from tests.support.runs import PAPER, completed, plant_states
 from transport.model import state
+from transport.protocol.scenario.files.named_files import delays_of, points_of
 from transport.protocol.scenario.scenario_file import ScenarioError, read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 
@@ -232,3 +233,23 @@ def test_files_of_settings_are_the_callers(
     for setting in ("links.trace=roof.csv", "links={trace='roof.csv'}"):
         assert read_scenario(scenario, [setting]).links.trace == [[0.0, 0.02], [1.0, 0.03]]
     assert read_scenario(scenario, ["maneuver.phase.2.name=turn"]).maneuver.phase[1].way is not None
+
+
+@pytest.mark.parametrize(
+    ("text", "times_s"),
+    [("x,y,z\n1,2,-3\n4,5,-6\n", None), ("t, x, y, z\n0.5,1,2,-3\n\n9,4,5,-6\n", [0.5, 9.0])],
+)
+def test_way_points_come_with_or_without_times(
+    text: str, times_s: list[float] | None, tmp_path: Path
+) -> None:
+    """A table of way points has the columns of a place, and may have one of times before them."""
+    file = tmp_path / "points.csv"
+    file.write_text(text, encoding="utf-8")
+    assert points_of(file) == ([[1.0, 2.0, -3.0], [4.0, 5.0, -6.0]], times_s)
+
+
+def test_measured_delays_are_in_ascending_order(tmp_path: Path) -> None:
+    """The order of a file changes no draw from it."""
+    file = tmp_path / "delays.csv"
+    file.write_text("0.5, 0.02\n0.01 0.3,\n", encoding="utf-8")
+    assert delays_of(file) == [0.01, 0.02, 0.3, 0.5]
