@@ -22,6 +22,7 @@ from transport.model.kernels.casadi_functions import Compiled, compile_functions
 from transport.model.kernels.compiled_step import Feedback
 from transport.model.linear.discretisation import by_exponential, zero_order_hold
 from transport.model.linear.linearisation import Linearisation, Model
+from transport.model.physics import dynamics, outputs_and_sensors, projection_of_rods
 from transport.model.physics.hover import hover
 from transport.mpc.program.prediction import free_response
 
@@ -321,8 +322,7 @@ def test_compiled_models_follow_from_all_code_of_the_model(
     casadi_functions._digest.__wrapped__()
 
     used = set[str]()
-    ahead: list[ModuleType] = [casadi_functions.dynamics, casadi_functions.outputs_and_sensors]
-    ahead.append(casadi_functions.projection_of_rods)
+    ahead: list[ModuleType] = [dynamics, outputs_and_sensors, projection_of_rods]
     while ahead:
         module = ahead.pop()
         used.add(module.__name__)

@@ -7,7 +7,7 @@ import pytest
 
 from tests.model.path.test_flatness import CURVES, ROUNDING
 from transport.model.arrays import Array
-from transport.model.path.curves import Curve
+from transport.model.path.curves import Curve, ShapeKind
 
 SIZE_I = np.array([2.0, 1.0, 0.5])
 # Of a polygon through the points at which the speed is sought.
@@ -17,8 +17,8 @@ SAMPLED = 1e-5
 def curve(kind: str, laps: float = 1.5) -> Curve:
     """Return a circle, an eight or a straight curve of that size, from rest to rest in 8 s."""
     size_I = tuple(SIZE_I.tolist())
-    shape = "circle" if kind == "circle" else "eight" if kind == "eight" else None
-    return Curve(kind=shape, duration_s=8.0, ramp_s=3.0, size_I=size_I, laps=laps)
+    shape: dict[str, ShapeKind] = {"circle": "circle", "eight": "eight"}
+    return Curve(kind=shape.get(kind), duration_s=8.0, ramp_s=3.0, size_I=size_I, laps=laps)
 
 
 @pytest.mark.parametrize("kind", ["circle", "eight", "straight"])
@@ -56,8 +56,8 @@ def test_with_another_ramp_the_places_are_the_same(kind: str) -> None:
     other = replace(one, duration_s=2.0 * one.duration_s, ramp_s=one.duration_s)
     ends = [each.path(np.array([0.0, each.duration_s]), 1)[0] for each in (one, other)]
     middles = [each.path(np.array([each.duration_s / 2.0]), 1)[0] for each in (one, other)]
-    np.testing.assert_allclose(*ends, atol=ROUNDING)
-    np.testing.assert_allclose(*middles, atol=ROUNDING)
+    np.testing.assert_allclose(ends[0], ends[1], atol=ROUNDING)
+    np.testing.assert_allclose(middles[0], middles[1], atol=ROUNDING)
     assert one.fastest() == other.fastest()
 
 

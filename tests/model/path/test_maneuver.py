@@ -1,6 +1,7 @@
 """The path of the payload and the references that follow from it."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -318,5 +319,6 @@ def test_along_a_table_the_speed_is_constant_between_rows() -> None:
 )
 def test_impossible_tables_are_refused(field: str, rows: list[list[float]], text: str) -> None:
     """A table leads from zero to the end of its phase in rising times; shares rise to 1 at most, sizes are positive."""
+    table: dict[str, Any] = {field: rows}
     with pytest.raises(ParameterError, match=f"phase 'go' {field}: .*{text}|{text}"):
-        Phase(name="go", duration_s=3.0, displacement_I=[1.0, 0.0, 0.0], **{field: rows})
+        Phase(name="go", duration_s=3.0, displacement_I=[1.0, 0.0, 0.0], **table)

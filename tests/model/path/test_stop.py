@@ -87,7 +87,7 @@ def test_path_formation_and_ground_load_follow_one_time(ahead_s: float) -> None:
 
     # Rates are the derivatives, losses included.
     inside = t_s[2:]
-    for value in (lambda at_s: slowed.path(at_s), lambda at_s: slowed.press(at_s)):
+    for value in (slowed.path, slowed.press):
         slope = (value(inside + STEP_S)[0] - value(inside - STEP_S)[0]) / (2.0 * STEP_S)
         np.testing.assert_allclose(value(inside)[1], slope, atol=TOLERANCE)
     slope = (slowed.formation(inside + STEP_S) - slowed.formation(inside - STEP_S)) / (2.0 * STEP_S)
