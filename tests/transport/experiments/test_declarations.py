@@ -261,6 +261,9 @@ def test_losses_are_comparable(share: float) -> None:
         assert abs(lost.mean() - share) < 4.0 * deviation
     ends = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
     lengths = ends[1::2] - ends[::2]
+    model = read_scenario(find_scenario("paper"), bursts.settings).links.gilbert_elliott
+    assert model is not None
+    assert 1.0 / model.leave == pytest.approx(5.0)
     # A geometric length of mean 5 has a standard deviation of 4.5.
     assert abs(lengths.mean() - 5.0) < 4.0 * 4.5 / math.sqrt(len(lengths))
 

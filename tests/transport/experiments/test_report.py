@@ -137,7 +137,7 @@ def test_every_column_of_a_table_has_its_unit() -> None:
         "plans_shared_share": 0.456,
         "cpu_step_p50_ms": 1.75,
         "cpu_step_p99_ms": 2.75,
-        "cpu_team_tick_ms": 7.25,
+        "cpu_team_tick_ms": 725.4,  # large: without decimals
         "plan_bytes_per_s": 5678.0,
     }
     run = Result(key="k", outcome="completed", reason="", numbers={**numbers, "lost_s": None})
@@ -173,7 +173,7 @@ def test_every_column_of_a_table_has_its_unit() -> None:
         "plans\nsent (%)": "45.6",
         "CPU step\np50 (ms)": "1.75",
         "p99\n(ms)": "2.75",
-        "team\n(ms)": "7.2",
+        "team\n(ms)": "725",
         "plans\n(kB/s)": "5.7",
     }
     assert found["done"] == "1/2"
