@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.support.nodes import AgentNode
+from tests.support.nodes import AgentNode, refused
 from tests.support.runs import end, integrated, measurement, plan, roster, setup
 from transport.model import state
 from transport.model.arrays import Array
@@ -86,6 +86,22 @@ def test_report(run: Setup, node: AgentNode) -> None:
     assert (fourth.delivered, fourth.late) == (4, 1)
     assert fourth.solver == "active_set"
     assert 0.0 <= fourth.residual < 1e-6  # passed the solver's residual check
+
+
+def test_one_that_joins_waits_for_plans_from_its_first_tick_on(run: Setup) -> None:
+    """Plans of the tick before are not for it; a measurement that its start has no part in is refused."""
+    node = AgentNode(run, 1, incarnation=2)
+    tell(node, roster({2: 1, 3: 1, 4: 1}, k=4, version=2))
+    assert tell(node, measurement(run, 1, 4, version=2)) == []
+    assert [reason for _, reason, _ in refused(node)] == ["past"]
+    assert tell(node, measurement(run, 1, 5, version=3)) == []
+    answer(tell(node, roster({1: 2, 2: 1, 3: 1, 4: 1}, k=5, version=3)))
+
+    assert tell(node, measurement(run, 1, 6, version=3)) == []
+    assert tell(node, *[plan(run, agent, 5, incarnation=1) for agent in OTHERS[:-1]]) == []
+    made, _ = answer(tell(node, plan(run, OTHERS[-1], 5, incarnation=1)))
+    assert made.tick == 6
+    assert len(refused(node)) == 1
 
 
 def test_plan_is_the_controllers(run: Setup, node: AgentNode) -> None:
