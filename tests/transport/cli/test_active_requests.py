@@ -11,7 +11,7 @@ from transport.cli.main import app
 from transport.flight import live
 
 # Ends of a request that is accepted.
-ANSWER = {"tick": 12, "t_s": 0.6}
+ANSWER = {"tick": 12, "t_s": 0.6, "reached_s": 4.0, "ends_s": 5.0, "point_m": [3.0, -4.0, 0.0]}
 GROUPS = {"groups": [["agent1", "agent2"], ["agent3"]], "settings": {"loss": 1.0}}
 
 
@@ -53,6 +53,22 @@ def sent(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, Any]]:
         ),
         ("link set --between 1,2/3 --loss 1", ("coordinator", "link", GROUPS)),
         ("link set --between 1,2|agent3 --loss 1", ("coordinator", "link", GROUPS)),
+        ("target 3 0 -12", ("coordinator", "target", {"points_m": [[3.0, 0.0, -12.0]]})),
+        (
+            "target 3 0 -12 --speed 1.5 --to 2 --to 3",
+            (
+                "coordinator",
+                "target",
+                {"points_m": [[3.0, 0.0, -12.0]], "speed_mps": 1.5, "to": [2, 3]},
+            ),
+        ),
+        ("land", ("coordinator", "target", {"land": True})),
+        (
+            "land 3 -4 --speed 0.25",
+            ("coordinator", "target", {"land": True, "land_at_m": [3.0, -4.0], "speed_mps": 0.25}),
+        ),
+        ("abort", ("coordinator", "abort", {})),
+        ("release", ("coordinator", "release", {})),
     ],
 )
 def test_requests(
@@ -73,6 +89,9 @@ def test_requests(
         ("link set --delay nan", "delay_s: "),
         ("link set --between 1,2 --loss 1", "--between: expected groups with a slash or |"),
         ("link set", "expected at least one of --delay"),
+        ("target 3 0", "expected X Y Z, or --file, got 2 numbers"),
+        ("target 3 0 nan", "points_m"),
+        ("land 3", "expected X Y, or none of them, got 1 number"),
     ],
 )
 def test_refused_without_asking(words: str, problem: str, sent: list[tuple[str, str, Any]]) -> None:

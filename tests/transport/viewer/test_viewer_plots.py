@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 
 from tests.support import runs
 from tests.support.browser import connected_pages
@@ -35,7 +36,7 @@ from transport.viewer import html
 from transport.viewer.camera import FIELD_OF_VIEW
 from transport.viewer.link_controls import ALL_LINKS, LinkControls, groups_of
 from transport.viewer.plots import Plots, rounded_range
-from transport.viewer.server import Page
+from transport.viewer.server import Page, Receipts
 from transport.viewer.timeline import TimelineEvent, events_around, events_of
 from transport.viewer.viewer import Viewer, may_send
 
@@ -122,6 +123,18 @@ def test_a_dead_agent_uses_no_plan(builder: SceneBuilder) -> None:
     times_s, *curves = ages.data
     is_dead = (times_s > 9.5 * PERIOD_S) & (times_s < 19.5 * PERIOD_S)
     assert (curves[1] > ages.scales["y"]["range"][1]).tolist() == is_dead.tolist()
+    np.testing.assert_allclose(curves[0][times_s > 0.5 * PERIOD_S], PERIOD_S)  # all plans are fresh
+
+
+def test_an_axis_fits_its_curves(builder: SceneBuilder) -> None:
+    """It grows with them, and shrinks once they need less than 30 % of it."""
+    gui = Gui()
+    plots = Plots(gui, builder, whole=True)
+    ranges = []
+    for highest in (5.0, 1.6, 1.4, 4.9):
+        plots._set_range(0, np.array([[0.0, highest, np.nan]]))
+        ranges.append(gui.plots[0].scales["y"]["range"])
+    assert ranges == [[0.0, 5.0], [0.0, 5.0], [0.0, 1.5], [0.0, 5.0]]
 
 
 @given(low=st.floats(-1e6, 1e6), length=st.floats(1e-6, 1e6))
@@ -238,6 +251,19 @@ def test_what_a_page_cannot_show_is_dropped() -> None:
     assert frames_sent([page(), page()], {0: 0.05}, 60.0) > 570
 
 
+def test_a_receipt_of_an_older_frame_does_not_count() -> None:
+    """A page shows the newest frame once it tells so; other addresses are no receipts."""
+    receipts = Receipts()
+    receipts.pages[3] = page()
+    for frame in (1, 2):
+        receipts.pages[3].send(frame, 0.0)
+    shown = []
+    for path in ("/shown/3/1", "/shown/4/2", "/shown/3/2x", "/shown/3/2"):
+        taken = receipts.take(path)
+        shown.append((taken, receipts.pages[3].unshown))
+    assert shown == [(True, 2), (True, 2), (False, 2), (True, 0)]
+
+
 def test_the_viewer_tells_how_far_behind_it_is(live: Viewer) -> None:
     """The age of what is shown of an active run: of the newest entry of its log, and the page's delay."""
     with connected_pages(live.address, 1):
@@ -267,6 +293,11 @@ def test_the_result_of_a_request_ends(live: Viewer) -> None:
     live._end_result(ends_s - 0.1)
     assert live.notice == "agent 2 killed at tick 8"
     live._end_result(ends_s)
+    assert live.notice == "live"
+
+    live._is_over = True  # the end matters more
+    live._show_result("agent 2 killed at tick 9", False)
+    live._end_result(np.inf)
     assert live.notice == "live"
 
 
@@ -319,6 +350,25 @@ def test_a_page_shows_the_whole_team(live: Viewer, builder: SceneBuilder, team: 
         np.testing.assert_array_equal(client.camera.position, camera_I)
         moved = np.abs(places[0] - places[-1])[1:].mean()
         assert bool(moved < STAYS) is team
+
+
+def test_a_diverged_run_leaves_the_view_as_it_is(live: Viewer, builder: SceneBuilder) -> None:
+    """What is farther away than the size of the maneuver, or no number, makes nothing else a dot."""
+    drawing = live.view3d._drawing
+    state = builder.history.plant_states[LAST]
+    for far_m in (1e6, np.nan):
+        builder._positions.clear()
+        builder.history.plant_states[LAST] = structs.replace(state, x=state.x + far_m)
+        points_I = live.view3d._path_points()
+        assert (points_I <= drawing.high + drawing.size).all()
+        assert (points_I >= drawing.low - drawing.size).all()
+
+
+def test_a_released_uav_needs_no_room(live: Viewer, builder: SceneBuilder) -> None:
+    """The view of the team has room for the payload, and for each UAV on its rod with its arrow."""
+    assert len(live.view3d._team_points()) == 1 + 2 * 4
+    live.view3d.shown = replace(builder.at(LAST), released=(2,))
+    assert len(live.view3d._team_points()) == 1 + 2 * 3
 
 
 def test_a_page_that_connects_late_shows_the_team(live: Viewer, builder: SceneBuilder) -> None:
