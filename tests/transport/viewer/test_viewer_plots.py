@@ -296,9 +296,11 @@ def test_the_result_of_a_request_ends(live: Viewer) -> None:
     assert live.notice == "live"
 
     live._is_over = True  # the end matters more
+    live._set_notice("the run has ended", warning=False)
     live._show_result("agent 2 killed at tick 9", False)
+    assert live.notice == "the run has ended"
     live._end_result(np.inf)
-    assert live.notice == "live"
+    assert live.notice == "the run has ended"
 
 
 def seen_points(client: Any, position_I: Any) -> Any:
