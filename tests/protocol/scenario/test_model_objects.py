@@ -10,9 +10,9 @@ from transport.protocol.scenario.sections.maneuver_sections import ObstacleSecti
 from transport.protocol.scenario.setup.model_objects import obstacle_of, system_of
 
 CENTRE_M = (10.0, -20.0, -5.0)
-ACROSS = {"heading_deg": 90.0}  # the first axis is y, the second one -x
-BOX = {"kind": "box", "size_m": (2.0, 4.0, 6.0), **ACROSS}
-GAP = {"kind": "gap", "width_m": 3.0, "thickness_m": 0.4, **ACROSS}
+HEADING_DEG = 30.0
+BOX = {"kind": "box", "size_m": (2.0, 4.0, 6.0)}
+GAP = {"kind": "gap", "width_m": 3.0, "thickness_m": 0.4}
 ROUNDING_M = 1e-9
 
 
@@ -21,22 +21,25 @@ ROUNDING_M = 1e-9
     [
         ({"kind": "sphere", "radius_m": 2.0}, (0.0, -3.0, 4.0), 3.0),
         ({"kind": "cylinder", "radius_m": 2.0}, (0.0, -3.0, 400.0), 1.0),
-        (BOX, (0.0, 1.5, 0.0), 0.5),
-        (BOX, (-2.5, 0.0, 0.0), 0.5),
+        (BOX, (1.5, 0.0, 0.0), 0.5),
+        (BOX, (0.0, -2.5, 0.0), 0.5),
         (BOX, (0.0, 0.0, 3.5), 0.5),
         (GAP, (0.0, 0.0, 0.0), 1.5),
-        (GAP, (1.0, 0.0, 70.0), 0.5),
-        (GAP, (-1.2, 0.0, -70.0), 0.3),
-        (GAP, (50.0, 0.9, 0.0), 0.7),
-        (GAP, (-50.0, -0.1, 0.0), -0.1),
+        (GAP, (0.0, 1.0, 70.0), 0.5),
+        (GAP, (0.0, -1.2, -70.0), 0.3),
+        (GAP, (0.9, 50.0, 0.0), 0.7),
+        (GAP, (-0.1, -50.0, 0.0), -0.1),
     ],
 )
 def test_an_obstacle_is_where_its_section_says(
     given: dict[str, Any], point_m: tuple[float, float, float], distance_m: float
 ) -> None:
-    """Distances from its surface, of points relative to its centre; a gap is open for its width, along its heading."""
-    section = ObstacleSection(at_m=CENTRE_M, margin_m=1.0, **given)
-    point_I = np.add(CENTRE_M, point_m)
+    """Distances from its surface of points along its heading, across and below; a gap is open for its width."""
+    section = ObstacleSection(at_m=CENTRE_M, margin_m=1.0, heading_deg=HEADING_DEG, **given)
+    cos, sin = np.cos(np.radians(HEADING_DEG)), np.sin(np.radians(HEADING_DEG))
+    along, across, down = point_m
+    # From x towards y; seen along z, down.
+    point_I = np.add(CENTRE_M, (cos * along - sin * across, sin * along + cos * across, down))
     distances_m = [solid.from_points(point_I)[0] for solid in obstacle_of(section).solids]
     assert min(distances_m) == pytest.approx(distance_m, abs=ROUNDING_M)
 

@@ -368,8 +368,8 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         "expected a range that contains the hover thrust 22.07 N of UAV1, got [0.0, 20.0]",
     ),
     (
-        "controller.separation.minimum_m=0.6",
-        "expected at most 0.500 m (UAV1 and UAV2 at hover), got 0.6",
+        "controller.separation.minimum_m=0.501",
+        "expected at most 0.500 m (UAV1 and UAV2 at hover), got 0.501",
     ),
     (
         "system.payload.inertia_kgm2=[1,1,3]",

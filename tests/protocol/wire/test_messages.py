@@ -149,7 +149,7 @@ def test_well_formed_garbage() -> None:
             "status: expected str, got int",
         ),
         (
-            packed(*content(sample(Plan))[:-7], array(4, 1, 1, 1), "solved"),
+            packed(*content(sample(Plan))[:-7], array(4, 1, 1, 1, values=bytes(8)), "solved"),
             "agent2",
             "malformed",
             "array of 4 axes",
