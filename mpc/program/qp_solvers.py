@@ -16,7 +16,6 @@ from transport.model.kernels import native
 from transport.mpc.program.quadratic_program import (
     NO_RESIDUALS,
     QP,
-    RESIDUAL_TOLERANCE,
     RESIDUALS,
     Residuals,
     Solution,
@@ -26,6 +25,8 @@ from transport.mpc.program.quadratic_program import (
 )
 from transport.mpc.settings_period_horizon_weights import SolverName
 
+# Largest residual of a solved QP, relative to its data: solvers then agree in the stage cost to 1e-6.
+RESIDUAL_TOLERANCE = 1e-6
 # A usual QP needs one guess of its active bounds, others two or three; the limit ends a cycle.
 MOST_GUESSES = 8
 # Largest entry of a row that is solved as it is, and the inverse of the smallest one.

@@ -17,10 +17,6 @@ from transport.model.kernels import native
 
 Status = Literal["solved", "infeasible", "limit", "numerical"]
 
-# Largest residual of a solved QP, relative to its data: solvers then agree in the stage cost to
-# 1e-6.
-RESIDUAL_TOLERANCE = 1e-6
-
 
 @dataclass(frozen=True, kw_only=True)
 class QP:

@@ -11,8 +11,8 @@ import pytest
 
 from tests.support.programs import collected, random_qp, without_solution
 from transport.model.arrays import Array
-from transport.mpc.program.qp_solvers import solve, solve_clarabel, solve_daqp
-from transport.mpc.program.quadratic_program import QP, RESIDUAL_TOLERANCE, residuals
+from transport.mpc.program.qp_solvers import RESIDUAL_TOLERANCE, solve, solve_clarabel, solve_daqp
+from transport.mpc.program.quadratic_program import QP, residuals
 from transport.mpc.settings_period_horizon_weights import SolverName
 
 # Relative to the largest entry: two solvers meeting the residual tolerance on well-conditioned
