@@ -135,7 +135,7 @@ def agents_of(setup: Setup, x: Array) -> list[Any]:
     admm = importlib.import_module("admm").ADMM
     objects = []
     for agent in setup.agents:
-        run = run_of(setup, agent)
+        run = run_of(setup.run, agent)
         run.agents = setup.agents
         one = admm()
         one.start(run)
@@ -182,7 +182,7 @@ def distances_over_iterations(setup: Setup) -> Array:
 
 def distances_in_flight(run: Flight, setup: Setup) -> tuple[Array, Array]:
     """Return times, s, and the largest distance of an applied input from the centralized optimum."""
-    one = run_of(setup, 1)
+    one = run_of(setup.run, 1)
     team = importlib.import_module("program").Program(one, range(4))
     states = {state.tick: state for state in run.log.of(PlantState)}
     U = np.tile(one.u_hover, (one.horizon, 1))

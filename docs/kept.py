@@ -24,8 +24,8 @@ from transport.experiments.cases import Case
 from transport.experiments.simulation import Result
 from transport.flight.run_files import machine, versions
 from transport.model.kernels import compiler, native
+from transport.protocol.scenario.files.atomic_writing import write_whole
 from transport.protocol.scenario.sections.schema import Scenario
-from transport.report.report import write_whole
 
 FOLDER = ROOT / "docs" / "results"
 
