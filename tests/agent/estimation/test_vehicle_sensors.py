@@ -1,8 +1,24 @@
 """Estimator from the vehicles' sensors: any order of arrival, same bits."""
 
-import numpy as np
+from collections.abc import Mapping, Sequence
 
-from tests.agent.estimation.swing import TICKS, filtered, in_time
+import numpy as np
+import pytest
+
+from tests.agent.estimation.swing import (
+    PERIOD_S,
+    TICKS,
+    filtered,
+    in_time,
+    measured,
+    moving,
+    no_feedback,
+)
+from transport.agent.communication.announced_inputs import AnnouncedInputs
+from transport.agent.estimation.filter.belief import Belief
+from transport.agent.estimation.filter.team_filter import TeamFilter
+from transport.agent.estimation.predicted_motion import PredictedMotion
+from transport.agent.estimation.sensor_estimator import SensorEstimator
 from transport.model import state
 
 
@@ -21,3 +37,36 @@ def test_messages_in_any_order_give_the_same_bits() -> None:
 
     assert late.x.tobytes() == straight.x.tobytes()
     assert late.covariance.P.tobytes() == straight.covariance.P.tobytes()
+
+
+@pytest.mark.parametrize("ages", [(0, 0, 0, 0, 0), (2, 1, 0, 1, 0)])
+def test_late_measurements_give_the_bits_of_those_in_time(ages: Sequence[int]) -> None:
+    """A measurement is of quantities up to its age before, and has the inputs of the period before it.
+
+    Those are not the announced ones here.
+    """
+    run, _, U, Z = moving(3)
+    last = 11
+
+    def belief(arrivals: Mapping[int, int]) -> Belief:
+        """Return the belief at the last tick, with some measurements that arrive at later ticks."""
+        motion = PredictedMotion(
+            model=run.model, reference=lambda tick: run.X_ref[tick], period_s=PERIOD_S
+        )
+        estimator = SensorEstimator(
+            motion, run.owned[0], TeamFilter(run.run), no_feedback(run), ages
+        )
+        announced = AnnouncedInputs(run.owned, run.hover.u, own=1)
+        for k in range(last + 1):
+            for tick in range(k + 1):
+                if arrivals.get(tick, tick) == k:
+                    estimator.measure(measured(run, tick, U[tick], Z[tick]))
+            estimator.estimate(k, announced)
+        assert estimator.belief is not None
+        return estimator.belief
+
+    in_order = belief({})
+    for late in ({5: last}, {4: 6, 5: last, 8: 9}):
+        found = belief(late)
+        assert found.x.tobytes() == in_order.x.tobytes()
+        assert found.covariance.P.tobytes() == in_order.covariance.P.tobytes()
