@@ -14,6 +14,10 @@ from transport.cli.main import app
         (["view", "none", "--host", ""], "--host: expected an address"),
         (["run", "paper", "--view", "--host", " "], "--host: expected an address"),
         (["agent", "--id", "1", "--join-timeout", "inf"], "--join-timeout: expected 0 to 1e+06 s"),
+        (
+            ["agent", "--id", "1", "--join-timeout", "nan"],
+            "'--join-timeout': expected greater than or equal to 0, got 'nan'",
+        ),
     ],
 )
 def test_a_value_that_cannot_be_used_is_refused(

@@ -288,6 +288,24 @@ def test_a_run_whose_plant_is_gone_is_aborted(do: str) -> None:
     assert plant_states(messages)[-1].tick in {9, 10}
 
 
+def test_a_restarted_agent_has_the_tick_of_its_return() -> None:
+    """Killed at its measurement of tick 6, it is on the roster and plans from tick 10 on, not from 11."""
+    events = "{target='agent2',do='kill',at_s=0.3},{target='agent2',do='restart',at_s=0.5}"
+    settings = (SHORT, "clock.on_agent_loss=continue", f"faults.event=[{events}]")
+    messages = recorded(setup(*settings))
+    planned = {plan.tick for plan in messages if isinstance(plan, Plan) and plan.agent == 2}
+    assert planned == {*range(TICKS)} - {6, 7, 8, 9}
+
+
+def test_a_coordinator_that_was_continued_can_be_killed_later() -> None:
+    """A stop that ends changes nothing in memory; the kill after it ends the run."""
+    events = "".join(
+        f"{{target='coordinator',do='{do}',at_s={at_s}}},"
+        for do, at_s in (("stop", 0.2), ("continue", 0.4), ("kill", 0.8))
+    )
+    assert memory.simulate(setup(SHORT, f"faults.event=[{events}]")).outcome == "aborted"
+
+
 def test_a_run_in_which_every_node_waits_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """A plant that never answers, and no wake-up of any node: an error names the deadlock, no endless loop."""
     monkeypatch.setattr(PlantNode, "receive", lambda *_: ())

@@ -116,7 +116,7 @@ class ProcessOptions:
         join_timeout_s = self.join_timeout
         if join_timeout_s is None:
             join_timeout_s = scenario.clock.join_timeout_s
-        elif not join_timeout_s <= LONGEST_WAIT_S:  # nor a NaN
+        elif join_timeout_s > LONGEST_WAIT_S:
             fail(f"--join-timeout: expected 0 to {LONGEST_WAIT_S:g} s, got {join_timeout_s:g}")
         return Place(
             run=run,
