@@ -29,8 +29,8 @@ class FailSafe:
     """The fail-safes of all UAVs: hover thrusts u_hover, (4 N,), or the inputs of a flat track.
 
     They follow the states X_ref, (K, n), the last one held, each UAV alone by its own motion;
-    without them they keep level. With the undisturbed motion of the whole team along X_ref they
-    follow that: its payload does not swing. UAVs alone have the gains.
+    without them they keep level. With a flat track, or the undisturbed motion of the whole team along
+    X_ref, they follow that: its payload does not swing. UAVs alone have the gains.
     """
 
     def __init__(
@@ -83,13 +83,10 @@ class FailSafe:
         u_hover = np.where(running, hover.u, self.u_hover)
 
         track = self.track
-        X_ref = self._X_ref
         if track is not None and released:
             system = with_released(self._system, released)
             track = flat.track(system, hover, track.paths, track.first, released)
-            if X_ref is not None:
-                X_ref = np.concatenate([X_ref[: track.first], track.X])
-        return FailSafe(self._system, u_hover, X_ref, track, gains=self.gains)
+        return FailSafe(self._system, u_hover, self._X_ref, track, gains=self.gains)
 
     def warm_up(self) -> None:
         """Compute what UAVs follow, as far as it has an end."""

@@ -1,15 +1,26 @@
 """The fail-safe, level or following the reference; its attitude loop is in test_schedule.py, the law in test_alone."""
 
+from dataclasses import replace
+from functools import lru_cache
+
 import numpy as np
 import pytest
 
+from tests.model.path.test_flatness import unequal
 from transport.model import state
-from transport.model.physics.hover import hover
+from transport.model.path.flat_reference import FlatReference, Track
+from transport.model.path.flatness import flight
+from transport.model.path.maneuver import Maneuver
+from transport.model.path.phase import Phase
+from transport.model.physics.hover import hover, hover_after_failures
 from transport.model.physics.parameters import table_1
 from transport.mpc.alone.fail_safe import FailSafe
+from transport.mpc.alone.uav_motion import setpoint_of
+from transport.mpc.settings_period_horizon_weights import AloneGains
 
 SYSTEM = table_1()
 AT_REST = hover(SYSTEM)
+PERIOD_S = 0.05
 
 
 def test_level_is_linear_in_the_attitude() -> None:
@@ -38,3 +49,93 @@ def test_one_that_follows_takes_over_soon(period_s: float, steps: int, expected:
     follows = FailSafe(SYSTEM, AT_REST.u, AT_REST.x[None])
     assert follows.played(steps, period_s) == expected
     assert FailSafe(SYSTEM, AT_REST.u).played(steps, period_s) == steps
+
+
+TEAM = unequal()
+HOVERING = hover(TEAM)
+OFF = 3
+ROUNDING = 1e-9
+
+
+@lru_cache
+def flown(first: int = 0) -> Track:
+    """Return a flat way along x, with drag, that rests from 3 s on."""
+    way = Phase(name="go", duration_s=3.0, displacement_I=[1.0, 0.0, -0.5])
+    maneuver = Maneuver(start_I=[0.0, 0.0, -9.0], phases=[way], profile="smooth")
+    system = replace(TEAM, has_drag=True)
+    return FlatReference(system, HOVERING, maneuver).track(70, PERIOD_S, first)
+
+
+def test_setpoints_are_rows_of_what_is_followed() -> None:
+    """At a tick those of a track or of reference states, the last one held; a later track has later rows."""
+    whole, later = flown(), flown(20)
+    states = FailSafe(TEAM, HOVERING.u, whole.X)
+    for tick in (20, 47, 69, 100):
+        row = min(tick, 69)
+        expected = setpoint_of(TEAM, 1, whole.X[row], whole.U[row])
+        for track in (whole, later):
+            found = FailSafe(TEAM, HOVERING.u, whole.X, track).setpoint(1, tick)
+            np.testing.assert_allclose(
+                found.motion.position_I, expected.motion.position_I, atol=ROUNDING
+            )
+            np.testing.assert_allclose(found.inputs, expected.inputs, atol=ROUNDING)
+        hovered = states.setpoint(1, tick)
+        np.testing.assert_array_equal(hovered.motion.position_I, expected.motion.position_I)
+        np.testing.assert_allclose(hovered.inputs, HOVERING.u[4:8], atol=ROUNDING)
+
+
+def test_setpoint_with_further_drag_is_that_of_bodies_that_have_it() -> None:
+    """Along a track state and inputs are those of the flat motion with that drag, to first order, (73)."""
+    track, tick, further = flown(), 30, np.array([1e-4, 2e-4])
+    paths = np.moveaxis(track.paths[tick : tick + 1], 0, 2)
+    system = replace(TEAM, has_drag=True)
+    forces = np.concatenate([np.zeros(16), further])
+    x = flight(system, HOVERING, np.ascontiguousarray(paths[0]), forces).x[0]
+    u = flight(system, HOVERING, np.ascontiguousarray(paths[1]), forces).u[0]
+    expected = setpoint_of(system, 1, x, u)
+    without = FailSafe(system, HOVERING.u, track.X, track).setpoint(1, tick)
+    found = FailSafe(system, HOVERING.u, track.X, track).setpoint(1, tick, further)
+    for value, of, before in (
+        (found.motion.Theta, expected.motion.Theta, without.motion.Theta),
+        (found.inputs, expected.inputs, without.inputs),
+    ):
+        assert np.abs(of - before).max() > 1e-6
+        np.testing.assert_allclose(value, of, atol=1e-8)
+
+
+@pytest.mark.parametrize("is_flat", [False, True], ids=["hover", "flat"])
+def test_after_a_release_the_others_carry_its_load(*, is_flat: bool) -> None:
+    """At rest their thrusts are those of the hover of the team left; a UAV off keeps one for its attitude, (51)."""
+    X_ref, track = flown().X, flown() if is_flat else None
+    whole = FailSafe(TEAM, HOVERING.u, X_ref, track)
+    left = whole.of_team({OFF}, {OFF})
+    at_rest = hover_after_failures(TEAM, {OFF}, {OFF})
+    for uav in range(TEAM.N):
+        expected = HOVERING.u if uav == OFF else at_rest.u
+        own = state.input_slice(uav)
+        np.testing.assert_array_equal(left.u_hover[own], expected[own])
+        if uav != OFF:
+            np.testing.assert_allclose(left.setpoint(uav, 200).inputs, at_rest.u[own], atol=1e-6)
+    assert whole.of_team((), ()) is whole
+    if is_flat:
+        assert left.track is not None
+        x, u = left.track.X[30], left.track.U[30]
+        np.testing.assert_array_equal(
+            left.setpoint(0, 30).motion.Theta, setpoint_of(TEAM, 0, x, u).motion.Theta
+        )
+
+
+def test_what_a_team_follows_from_tells_it_apart() -> None:
+    """Another track, other reference states or other gains give another key: results are shared by it."""
+    track = flown()
+    gains = AloneGains(position=3.0)
+    keys = [
+        FailSafe(TEAM, HOVERING.u, track.X, track).key,
+        FailSafe(TEAM, HOVERING.u, track.X, flown(20)).key,
+        FailSafe(TEAM, HOVERING.u, track.X[:40], track).key,
+        FailSafe(TEAM, HOVERING.u, track.X, track, gains=gains).key,
+        FailSafe(TEAM, HOVERING.u, track.X).key,
+        FailSafe(TEAM, HOVERING.u).key,
+    ]
+    assert len(set(keys)) == len(keys)
+    assert FailSafe(TEAM, HOVERING.u, track.X.copy(), track).key == keys[0]

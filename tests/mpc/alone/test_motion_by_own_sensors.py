@@ -108,41 +108,58 @@ def test_the_motion_is_only_read() -> None:
     np.testing.assert_array_equal(first.swing_I, second.swing_I)
 
 
-@pytest.mark.parametrize("ages", [(0, 0, 0, 0, 0), (3, 0, 2, 0, 0)])
+@pytest.mark.parametrize("ages", [(0, 0, 0, 0, 0), (3, 1, 2, 4, 2)])
 @pytest.mark.parametrize("ahead", [0, 1])
-def test_late_sensors_show_deviations_that_go_on(ages: tuple[int, ...], ahead: int) -> None:
-    """A UAV that deviates from a moving reference at constant rates is seen where it is, (31e)."""
+@pytest.mark.parametrize("k", [2, 10])
+def test_late_sensors_show_deviations_that_go_on(ages: tuple[int, ...], ahead: int, k: int) -> None:
+    """A UAV that deviates from a moving reference at constant rates is seen where it is, (31e).
+
+    The reference moves, turns and swings at changing rates; before the start there is none.
+    """
     sensors = own_sensors(ages)
     rest = motion_of(SYSTEM, UAV, AT_REST.x)
-    drift, turning, moving = (
-        np.array([0.1, -0.2, 0.3]),
-        np.array([0.2, 0.1, -0.1]),
-        np.array([2.0, 0.0, 0.0]),
-    )
+    rng = np.random.default_rng(4)
+    drift, turning = rng.normal(0.0, 0.2, (2, 3))
+    moving, faster, spinning = rng.normal(0.0, 1.0, (3, 3))
 
     def reference(tick: int) -> UavMotion:
+        assert tick >= 0
+        time_s = PERIOD_S * tick
+        leaning = rotation(np.array([0.1 * time_s, 0.2 * time_s, 0.0]))
         return UavMotion(
-            position_I=rest.position_I + PERIOD_S * tick * moving,
-            velocity_I=moving,
-            Theta=rest.Theta,
-            omega_B=rest.omega_B,
-            rod_I=rest.rod_I,
-            swing_I=rest.swing_I,
+            position_I=rest.position_I + time_s * moving + 0.5 * time_s**2 * faster,
+            velocity_I=moving + time_s * faster,
+            Theta=0.1 * time_s**2 * spinning,
+            omega_B=time_s * spinning,
+            rod_I=leaning @ rest.rod_I,
+            swing_I=time_s * moving,
         )
 
-    k = 10
+    # Each sensor shows the deviation of its time; the rod is that of the reference.
+    then = [reference(max(k - age, 0)) for age in ages]
+    since_s = [PERIOD_S * (k - age) for age in ages]
     z = np.zeros(state.SENSED)
-    z[state.POSITION] = reference(k - ages[0]).position_I + PERIOD_S * (k - ages[0]) * drift
-    z[state.VELOCITY] = moving + drift
-    z[state.THETA] = PERIOD_S * (k - ages[2]) * turning
-    z[state.OMEGA] = turning
+    z[state.POSITION] = then[0].position_I + since_s[0] * drift
+    z[state.VELOCITY] = then[1].velocity_I + drift
+    z[state.THETA] = then[2].Theta + since_s[2] * turning
+    z[state.OMEGA] = then[3].omega_B + turning
+    pull_I = TENSION_N / SYSTEM.uavs[UAV].rod_length * then[4].rod_I
+    force_B = rotation(z[state.THETA]).T @ pull_I - THRUST_N * DOWN
+    z[state.SPECIFIC_FORCE] = force_B / SYSTEM.uavs[UAV].mass
+
+    sensors.observe(z, THRUST_N, k, reference)
     motion = sensors.motion(z, k, k + ahead, reference)
-    there = PERIOD_S * (k + ahead)
-    np.testing.assert_allclose(
-        motion.position_I, reference(k + ahead).position_I + there * drift, atol=ROUNDING
-    )
-    np.testing.assert_allclose(motion.Theta, there * turning, atol=ROUNDING)
-    np.testing.assert_allclose(motion.velocity_I, moving + drift, atol=ROUNDING)
+    there, there_s = reference(k + ahead), PERIOD_S * (k + ahead)
+    expected = {
+        "position_I": there.position_I + there_s * drift,
+        "velocity_I": there.velocity_I + drift,
+        "Theta": there.Theta + there_s * turning,
+        "omega_B": there.omega_B + turning,
+        "rod_I": there.rod_I,
+        "swing_I": there.swing_I,
+    }
+    for name, value in expected.items():
+        np.testing.assert_allclose(getattr(motion, name), value, atol=ROUNDING, err_msg=name)
 
 
 def test_dead_reckoning_replaces_missing_measurements() -> None:

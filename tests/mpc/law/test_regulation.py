@@ -34,6 +34,7 @@ from transport.mpc.law.present_law import Regulation
 from transport.mpc.program.stage_cost import Cost
 from transport.mpc.reference import Sampled
 from transport.mpc.settings_period_horizon_weights import (
+    AloneGains,
     ControllerSettings,
     CostTerm,
     Limits,
@@ -351,3 +352,20 @@ def test_a_reference_that_is_changed_in_place_is_another_one() -> None:
     new = after.current.feedforward(*steps)
     np.testing.assert_array_equal(new, alone.current.feedforward(*steps))
     assert np.abs(new - before.current.feedforward(*steps)).max() > A_CORRECTION
+
+
+def test_uavs_without_agents_have_the_gains_of_their_own_team() -> None:
+    """Teams that differ in the gains of UAVs alone share no law in which such a UAV flies, (45)."""
+    system = table_1()
+    at, model, gone = hover(system), Model(system), 2
+    X_ref = reference_states(system, at, "ramp", INSTANTS)
+    own_gains = AloneGains(), AloneGains(position=3.0)
+    teams = []  # all alive: laws are shared as long as one has them
+    for gains in own_gains:
+        settings = changed(LQ, fail_safe="follow", alone=gains)
+        teams.append(Regulation(model, at, settings, Sampled(X=X_ref)))
+        teams[-1].form([gone], (), ())
+    for gains, regulation in zip(own_gains, teams, strict=True):
+        assert regulation.current.regulator is not None
+        expected = FailSafe(system, at.u, X_ref[:1], gains=gains).gain(gone)
+        np.testing.assert_array_equal(regulation.current.regulator.K[input_slice(gone)], expected)

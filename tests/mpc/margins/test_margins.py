@@ -1,9 +1,10 @@
 """The linear analysis of the sampled loop about hover (docs/equations.md (60))."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from tests.support.linear_model import PERIOD_S, difference
 from tests.support.random_systems import with_drag
@@ -197,6 +198,49 @@ def test_a_long_delay_is_unstable() -> None:
     assert _loop().growth(Mismatch(delay_s=10.0 * PERIOD_S)) > GROWTH
 
 
+@pytest.mark.parametrize("name", [field.name for field in fields(Mismatch) if field.default == 1.0])
+def test_step_is_that_of_the_actual_bodies(name: str) -> None:
+    """Each factor changes its own property: the step is the hold about the hover of bodies that have it."""
+    factor = 1.3
+    payload, uavs = SYSTEM.payload, SYSTEM.uavs
+    of = name.removeprefix("payload_").removeprefix("uav_")
+    if name.startswith("payload"):
+        payload = replace(payload, **{of: factor * getattr(payload, of)})
+    elif name != "gain":
+        uavs = tuple(replace(uav, **{of: factor * getattr(uav, of)}) for uav in uavs)
+    actual = System(payload=payload, uavs=uavs)
+    T = tangent(hover(SYSTEM).x)
+    expected = difference(actual, hover(actual))
+    step = delayed_step(SYSTEM, T, Mismatch(**{name: factor}), PERIOD_S).parts[0]
+    by_inputs = factor if name == "gain" else 1.0
+    np.testing.assert_allclose(step.A, T.T @ expected.A @ T, atol=SAME_STEPS)
+    np.testing.assert_allclose(step.B, by_inputs * T.T @ expected.B, atol=SAME_STEPS)
+
+
+@pytest.mark.parametrize("lag_s", [0.03, 1e-5])
+@pytest.mark.parametrize("system", [SYSTEM, RATES], ids=["moments", "rates"])
+def test_step_with_motors_is_their_exponential(system: System, lag_s: float) -> None:
+    """a' = (wrench - a) / lag, the wrench the command, or with commanded rates J K (command - rate): (53), (57)."""
+    linear = Model(SYSTEM).linearise(hover(SYSTEM).x, hover(SYSTEM).u)
+    n, m = linear.B_c.shape
+    by_state, by_command = np.zeros((m, n)), np.eye(m)
+    for i, uav in enumerate(system.uavs if system.rate_gains is not None else ()):
+        first = 4 * i + 1
+        gains = uav.inertia * np.array(system.rate_gains)
+        by_state[first : first + 3, uav_slice(i)][:, 9:] = -gains
+        by_command[first : first + 3, first : first + 3] = gains
+    whole = np.zeros((n + 2 * m, n + 2 * m))
+    whole[:n, : n + m] = np.hstack([linear.A_c, linear.B_c])
+    whole[n : n + m] = np.hstack([by_state, -np.eye(m), by_command]) / lag_s
+    hold = expm(PERIOD_S * whole)
+
+    T = tangent(hover(SYSTEM).x)
+    r = T.shape[1]
+    step = delayed_step(system, T, Mismatch(lag_s=lag_s), PERIOD_S).parts[0]
+    np.testing.assert_allclose(step.A[:r, :r], T.T @ hold[:n, :n] @ T, atol=SAME_STEPS)
+    np.testing.assert_allclose(step.B[:r], T.T @ hold[:n, n + m :], atol=SAME_STEPS)
+
+
 @pytest.mark.parametrize("delay_s", [0.0, 0.02])
 def test_commands_of_each_uav_arrive_at_their_own_time(delay_s: float) -> None:
     """The step is that of the motion in a hundred parts, in each of which each UAV has its newest command.
@@ -324,6 +368,11 @@ def test_ends_below_the_shortest_time_tried_are_stable() -> None:
     assert found["delay_s"] == Margin(nominal=0.0, lower=None, upper=0.0)
     assert found["lag_s"] == Margin(nominal=5e-4, lower=None, upper=5e-4)
     assert found["gain"] == Margin(nominal=1.0, lower=None, upper=None)
+
+
+def test_an_unstable_loop_has_no_margins() -> None:
+    """Where the plant as known is unstable there is no range about it."""
+    assert margins(_ShortDelayLoop(limit_s=-1.0, known_lag_s=0.0)) == {}
 
 
 def test_beyond_the_longest_lag_tried_a_known_one_is_within_its_margin() -> None:
