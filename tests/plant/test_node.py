@@ -8,7 +8,7 @@ import numpy as np
 from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, end, integrated, measurement, plan, roster, setup, tick
 from transport.model import state
-from transport.plant.actuator_schedule import FAIL_SAFE
+from transport.plant.actuator_schedule import BEFORE_ANY_PLAN, FAIL_SAFE
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Measurement, Message, PlantState, Presence
 
@@ -111,6 +111,19 @@ def test_lost_agents_uav_plays_on() -> None:
         )
         sources += [message.plan_ticks for message in found if isinstance(message, PlantState)]
     assert sources == [(1, 1, 1, 0), (2, 2, 2, 0), (3, 3, 3, FAIL_SAFE), (4, 4, 4, FAIL_SAFE)]
+
+
+def test_an_agent_that_has_not_answered_is_not_waited_for_any_longer() -> None:
+    """Its plan of a tick may still come until the next tick names those that have answered."""
+    run = setup(IMMEDIATE)
+    node = ready(run)
+    tell(node, tick(0))
+    assert tell(node, *[plan(run, agent, 0) for agent in (1, 2, 3)]) == []
+    assert tell(node, roster({1: 1, 2: 1, 3: 1}, k=1, version=2)) == []
+    found = tell(node, tick(1, answered=(1, 2, 3), members=(1, 2, 3), version=2))
+    assert kinds(found) == ["plant_state 0", *measured(1, 3)]
+    assert isinstance(found[0], PlantState)
+    assert found[0].plan_ticks == (0, 0, 0, BEFORE_ANY_PLAN)
 
 
 def test_end_of_the_run() -> None:
