@@ -52,7 +52,7 @@ _TOLD: Mapping[str, str] = {
     "perfect": "perfect network, n = 1",
     "200 ms, 30 % loss": "200 ms, 30 % loss, n = 10",
     "90 % loss": "90 % loss, n = 10",
-    "5 s, own sensors": "5 s, own sensors, n = 10",
+    "5 s, own sensors": "5 s of silence, own sensors, n = 10",
 }
 _WORDS: Mapping[str, str] = {
     "eager": "followed at once (`eager`)",

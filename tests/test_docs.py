@@ -220,6 +220,13 @@ def words(document: Path) -> int:
     return len(document.read_text(encoding="utf-8").split())
 
 
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_every_fence_of_code_is_closed(document: Path) -> None:
+    """After one fence too many a page has text as code and code as text."""
+    fences = re.findall(r"^ *```", document.read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(fences) % 2 == 0
+
+
 @pytest.mark.parametrize("document", [*GUIDE, *DEVELOPMENT], ids=lambda path: path.name)
 def test_a_page_that_teaches_is_short(document: Path) -> None:
     """A page has one subject: at most 1,500 words; what was measured belongs to docs/record."""
