@@ -53,6 +53,7 @@ def test_ends_with_its_parent(tmp_path: Path) -> None:
     ) as process:
         assert process.stdout is not None
         number = process.stdout.readline().strip()
-        assert wait_for(lambda: command_of(number)[:3] == ["transport", "plot", "/none"])
+        # A title by fork, or a program of its own where the fork server has not answered in time.
+        assert wait_for(lambda: "/none" in command_of(number))
         process.kill()
     assert wait_for(lambda: command_of(number) == [])
