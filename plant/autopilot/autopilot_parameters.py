@@ -39,6 +39,10 @@ _ALWAYS = {
     "PSC_POSZ_P": 0.3,
     "PSC_VELZ_P": 1.5,
     "PSC_ACCZ_I": 0.25,
+    # The same three as releases from 4.7 on name and scale them; each ignores the names of the other.
+    "PSC_D_POS_P": 0.3,
+    "PSC_D_VEL_P": 1.5,
+    "PSC_D_ACC_I": 0.025,
     "FS_GCS_ENABLE": 0.0,
     "FS_THR_ENABLE": 0.0,
     "FS_EKF_ACTION": 1.0,

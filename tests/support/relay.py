@@ -2,6 +2,7 @@
 
 import select
 import socket
+import sys
 import threading
 import time
 from types import TracebackType
@@ -35,9 +36,12 @@ class Relay:
             self._outer[i].bind((_LOCAL, 0))
         self._first = outer
         self._is_over = threading.Event()
+        self._switches_s = sys.getswitchinterval()
         self._thread = threading.Thread(target=self._pass_on, daemon=True)
 
     def __enter__(self) -> "Relay":
+        # The test reads logs meanwhile: at each packet the relay would wait 5 ms for the interpreter.
+        sys.setswitchinterval(1e-4)
         self._thread.start()
         return self
 
@@ -49,6 +53,7 @@ class Relay:
     ) -> None:
         self._is_over.set()
         self._thread.join()
+        sys.setswitchinterval(self._switches_s)
         for one in (*self._inner, *self._outer):
             one.close()
 
