@@ -27,7 +27,6 @@ from tests.support.commands import (
     wait_for,
 )
 from tests.support.live_log import LiveLog
-from tests.support.outside import BEHIND as BEHIND_PACE
 from tests.support.relay import Relay
 from tests.support.runs import SCENARIOS
 from tests.system.test_operate import invoke, succeed
@@ -194,11 +193,8 @@ def outside(
     try:
         yield scenario, world
     finally:
-        is_too_slow = world.poll() == BEHIND_PACE
         world.kill()
         world.wait()
-        if is_too_slow:
-            pytest.skip(f"this machine is too busy for a world at {speed:g} of real time")
 
 
 @installed
@@ -375,7 +371,7 @@ def test_each_failure_is_handled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     inner, outer = free_udp_ports(4), free_udp_ports(4)
     with (
         Relay(4, inner, outer) as relay,
-        outside(tmp_path, inner, 0.25, LOW) as (scenario, _),
+        outside(tmp_path, inner, 0.25, LOW) as (scenario, world),
     ):
         options = settings("clock.speed=0.25", LOW, f"network.vehicle_port={outer}")
         out = ("--out", "runs/failures", "--no-figures")
@@ -394,6 +390,9 @@ def test_each_failure_is_handled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
             _, errors = run.communicate(timeout=60)
         finally:
             run.kill()
+        assert world.poll() is None, (
+            "this machine is too busy for a world at a quarter of real time"
+        )
         assert run.returncode == 130, errors
         assert team.says("the team lands, and waits for `transport release`")
     truth = np.loadtxt(tmp_path / "autopilots" / "truth.csv", delimiter=",")
@@ -403,10 +402,8 @@ def test_each_failure_is_handled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     for uav in range(1, 5):
         rows = setpoints(tmp_path, uav)
         age_s = rows[:, 0] - rows[:, 1]
-        # By the clock of the world, which starts with its own tick 0, not with that of the run; on a busy machine
-        # a packet is some seconds on its way, a quarter of which pass in the world. That own laws take over is
-        # asserted above.
-        assert np.quantile(age_s, 0.98) - age_s.min() < TIMEOUT_S + 0.5
+        # By the clock of the world, which starts with its own tick 0, not with that of the run.
+        assert np.ptp(age_s) < TIMEOUT_S + 0.25
 
     log = read_log(tmp_path / "runs" / "failures" / "run.mcap")
     assert not list(log.of(PlantState))
