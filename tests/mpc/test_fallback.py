@@ -5,6 +5,7 @@ The shifted previous plan, a status that says so, never an exception.
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -127,6 +128,25 @@ def test_a_plan_out_of_range_is_not_called_solved() -> None:
     result = one.conclude(solution, broken, at.U, None)
     assert result.solution.status != "solved"
     assert np.array_equal(result.U, at.U[:, one.own])
+
+
+def test_corrections_out_of_range_are_not_announced() -> None:
+    """Inputs within their bounds may belong to corrections that no message carries: those announced go on."""
+    setup = paper_setup()
+    settings = ControllerSettings(horizon=HORIZON, prediction="closed_loop")
+    at = situation(setup, settings, seed=1)
+    one = controller(setup, settings, (0,))
+    law = one.law(at.x, np.tile(setup.x, (HORIZON, 1)), np.full_like(at.U, 0.01))
+    assert law is not None
+    linear = one.linearise(at.x, at.u)
+    prediction = one.predict(linear, one.discretise(linear), at.U, law)
+    solution = one.solve(one.condense(linear, prediction, at.y_ref, law))
+    assert solution.status == "solved"
+    far = msgspec.structs.replace(law, K=1e9 * law.K)
+    result = one.conclude(solution, prediction, at.U, far)
+    assert result.solution.status != "solved"
+    np.testing.assert_array_equal(result.c, law.c[:, one.own])
+    np.testing.assert_array_equal(result.U, at.U[:, one.own])
 
 
 @pytest.mark.parametrize("expression", [f"thrust2 <= {THRUST_LIMIT}", "thrust2 == thrust3"])

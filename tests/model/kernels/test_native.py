@@ -1,6 +1,7 @@
 """Compiled kernels against their equivalents in Python, and the behaviour without a compiler."""
 
 import os
+import platform
 import subprocess
 import sys
 from copy import deepcopy
@@ -89,6 +90,64 @@ def test_a_width_that_does_not_exist_is_reported(monkeypatch: pytest.MonkeyPatch
         assert compiler.processor_flags() == usual
 
 
+@pytest.mark.parametrize(
+    ("machine", "width", "expected"),
+    [
+        ("x86_64", "", ["-march=native"]),
+        ("x86_64", "2", ["-march=native", "-DLANES=2", "-mno-avx512f"]),
+        ("x86_64", "4", ["-march=native", "-DLANES=4", "-mno-avx512f"]),
+        ("x86_64", "8", ["-march=native", "-DLANES=8"]),
+        ("aarch64", "", ["-mcpu=native"]),
+        ("arm64", "2", ["-mcpu=native", "-DLANES=2"]),
+    ],
+)
+def test_flags_are_those_of_processor_and_width(
+    machine: str, width: str, expected: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Narrow vectors of x86 use no AVX-512, whose contraction would give other bits than processors without it."""
+    monkeypatch.setattr(platform, "machine", lambda: machine)
+    monkeypatch.setenv("PAYLOAD_TRANSPORT_NATIVE", width)
+    assert list(compiler.processor_flags()) == expected
+
+
+CPUINFO = """processor\t: 0
+model name\t: first of its kind
+cpu MHz\t\t: 1000
+flags\t\t: fma avx2
+
+processor\t: 1
+model name\t: first of its kind
+flags\t\t: fma avx2
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "is_another"),
+    [
+        ("first of its kind", "second of its kind", True),
+        ("avx2", "avx512f", True),
+        ("flags\t\t: fma avx2", "Features\t: asimd sve", True),
+        ("1000", "2000", False),
+        ("processor\t: 1", "processor\t: 2", False),
+    ],
+)
+def test_a_processor_is_known_by_its_model_and_what_it_can(
+    old: str, new: str, monkeypatch: pytest.MonkeyPatch, *, is_another: bool
+) -> None:
+    """Its present frequency and its number of cores make no other processor."""
+
+    def identity(text: str) -> str:
+        monkeypatch.setattr(Path, "read_text", lambda *_, **__: text)
+        return compiler._processor.__wrapped__()
+
+    assert old in CPUINFO
+    before, after = identity(CPUINFO), identity(CPUINFO.replace(old, new))
+    arm = identity(CPUINFO.replace("flags\t\t: fma avx2", "Features\t: asimd"))
+    monkeypatch.undo()
+    assert (after != before) == is_another
+    assert arm != after
+
+
 def bits(built: dict[str, ca.Function], N: int) -> list[bytes]:
     """Every output of every function at a few random points."""
     rng = np.random.default_rng(N)
@@ -123,6 +182,26 @@ def test_compiled_functions_give_the_same_bits(
     assert {function.class_name() for function in compiled.values()} == {"External"}
     assert list(compiled) == list(interpreted)
     assert bits(compiled, 2) == bits(interpreted, 2)
+
+
+@needs_compiler
+def test_functions_that_a_library_lacks_are_interpreted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those that are too long to be compiled: all are there, with the same bits."""
+    monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(tmp_path))
+    monkeypatch.delenv("PAYLOAD_TRANSPORT_NATIVE", raising=False)
+    interpreted = functions(1)
+    lengths = {name: function.n_instructions() for name, function in interpreted.items()}
+    longest = sorted(lengths.values())[1]
+    monkeypatch.setattr(casadi_functions, "_MAX_LENGTH", longest)
+    assert compile_functions(1)
+    partly = functions(1)
+    compiled = {name for name, function in partly.items() if function.class_name() == "External"}
+    assert compiled == {name for name, length in lengths.items() if length <= longest}
+    assert 2 <= len(compiled) < len(interpreted)
+    assert list(partly) == list(interpreted)
+    assert bits(partly, 1) == bits(interpreted, 1)
 
 
 @pytest.mark.slow
@@ -176,6 +255,32 @@ def test_addresses_follow_their_arrays() -> None:
     kept = addresses.array("y")
     assert kept is not None
     assert kept.tolist() == [0.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    "array",
+    [np.zeros(3, dtype=np.float32), np.zeros(6)[::2], np.zeros((2, 3)).T, np.zeros(3, dtype=bool)],
+    ids=["single precision", "every second one", "by column", "truth values"],
+)
+def test_an_array_that_a_kernel_cannot_read_is_refused(array: Any) -> None:
+    """Only numbers of double precision and indices, one row after the other; read-only ones too, and empty ones."""
+    for each in (array, frozen_copy(array)):
+        with pytest.raises(
+            TypeError, match="expected a row-major array of float64 or indices, got"
+        ):
+            native.address(each)
+    fine = np.arange(6.0).reshape(2, 3)
+    begin = native.address(fine)
+    fine.setflags(write=False)
+    assert native.address(fine) == begin == fine.ctypes.data
+    assert native.address(np.zeros((0, 3))) == 0
+
+
+def frozen_copy(array: Any) -> Any:
+    """Return a view of an array that cannot be written."""
+    view = array.view()
+    view.setflags(write=False)
+    return view
 
 
 @needs_compiler

@@ -68,3 +68,25 @@ def test_a_table_ends_where_its_rows_end() -> None:
     ends = smooth.path(np.array([-1.0, 0.0, 6.0, 7.0]), 1)[0]
     expected = [np.zeros(3)] * 2 + [table[-1, 1:]] * 2
     np.testing.assert_allclose(ends, expected, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("points", [[[2.0, 0.0, 1.0]], [[1.0, 0.0, 0.0], [1.0, 1.0, -1.0]]])
+@pytest.mark.parametrize("times_s", [None, [3.0, 8.0]], ids=["by distance", "by time"])
+def test_through_few_way_points_the_shape_is_a_polynomial(
+    points: list[list[float]], times_s: list[float] | None
+) -> None:
+    """Of the covered share: straight to one way point, a parabola through two."""
+    times_s = None if times_s is None else times_s[-len(points) :]
+    one = Curve(kind="spline", duration_s=8.0, ramp_s=3.0, points_I=points, times_s=times_s)
+    through = np.vstack([np.zeros(3), points])
+    if times_s is None:
+        shares = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(through, axis=0), axis=1)))
+        shares /= shares[-1]
+    else:
+        shares = one.covered(np.array([0.0, *times_s]), 1)[0]
+    powers = np.linalg.solve(np.vander(shares), through)
+
+    t_s = np.linspace(0.0, 8.0, 33)
+    s = one.covered(t_s, 1)[0]
+    expected = np.vander(s, len(through)) @ powers
+    np.testing.assert_allclose(one.path(t_s, 1)[0], expected, atol=ROUNDING)

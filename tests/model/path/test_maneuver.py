@@ -231,7 +231,7 @@ def test_a_landing_after_a_target_does_not_press() -> None:
     aside = PathTarget(since_s=given_s, point_I=np.array([1.0, 1.0, -2.0]), approach=approach)
     times_s = np.linspace(0.0, 17.0, 341)
     before = times_s <= given_s
-    again = replace(aside, since_s=11.5)  # during the landing that does not take place
+    again = replace(aside, since_s=14.5)  # where the ground would take the weight
     landing, led = delivery(), delivery().with_target(aside).with_target(again)
     for expected, actual in zip(landing.press(times_s), led.press(times_s), strict=True):
         np.testing.assert_array_equal(actual[before], expected[before])

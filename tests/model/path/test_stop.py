@@ -1,5 +1,7 @@
 """Losses of time along a path: docs/equations.md (77)."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -92,3 +94,29 @@ def test_path_formation_and_ground_load_follow_one_time(ahead_s: float) -> None:
         np.testing.assert_allclose(value(inside)[1], slope, atol=TOLERANCE)
     slope = (slowed.formation(inside + STEP_S) - slowed.formation(inside - STEP_S)) / (2.0 * STEP_S)
     np.testing.assert_allclose(slowed.formation(inside)[1], slope[0], atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("ahead_s", [0.4, -0.4])
+@pytest.mark.parametrize("slows", [False, True])
+def test_by_a_clock_that_is_ahead_all_is_earlier(ahead_s: float, *, slows: bool) -> None:
+    """Path, formation and load of the ground at t are those of t + ahead, and of the begin before that."""
+    wide = [[0.5, 1.2, 0.9], [1.0, 1.1, 1.3]]
+    path = along()
+    (go,) = path.phases
+    path = replace(path, phases=(replace(go, formation=wide),))
+    straight = path.targets[0].approach
+    down = PathTarget(since_s=3.0, point_I=np.zeros(3), approach=straight, lands=True)
+    landing = replace(path, press_m=0.2, targets=(down,))
+    if slows:
+        loss = Slowing(since_s=5.0, lost_s=1.0, ramp_s=2.0)
+        path, landing = path.with_slowing(loss), landing.with_slowing(loss)
+
+    t_s = np.linspace(0.0, 14.0, 57)
+    clock_s = np.maximum(t_s + ahead_s, 0.0)
+    for by_clock, expected in (
+        (replace(path, ahead_s=ahead_s).jets(t_s), path.jets(clock_s)),
+        (replace(path, ahead_s=ahead_s).path(t_s), path.path(clock_s)),
+        (replace(landing, ahead_s=ahead_s).press(t_s), landing.press(clock_s)),
+    ):
+        np.testing.assert_array_equal(by_clock, expected)
+        assert np.ptp(expected[0], axis=0).max() > 0.1

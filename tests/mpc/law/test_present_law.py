@@ -24,7 +24,12 @@ SYSTEM = unequal()
 AT_REST = hover(SYSTEM)
 TARGET_TICK, INSTANTS = 60, 180
 TARGET = target(TARGET_TICK * PERIOD_S, [0.5, 0.5, -10.2], duration_s=4.0)
-LOST = {3}
+ELSEWHERE = target(TARGET_TICK * PERIOD_S, [-0.5, 0.2, -10.0], duration_s=4.0)
+# UAVs without an agent, without motors, cut loose.
+Team = tuple[set[int], set[int], set[int]]
+WHOLE: Team = (set(), set(), set())
+LOST: Team = ({3}, set(), set())
+RELEASED: Team = (set(), {3}, {3})
 SAME_GAIN = 1e-9
 
 
@@ -45,20 +50,26 @@ def corners() -> Reference:
     return Reference(HoverReference(SYSTEM, AT_REST, maneuver), PERIOD_S, INSTANTS)
 
 
-@pytest.mark.parametrize("gone", [set(), LOST], ids=["whole", "lost"])
-def test_after_a_target_the_gains_are_those_along_the_new_reference(gone: set[int]) -> None:
-    """Of the present team and of teams that were formed before, as of a controller that begins with it, (71), (75)."""
+@pytest.mark.parametrize("present", [WHOLE, LOST, RELEASED], ids=["whole", "lost", "released"])
+def test_after_a_target_the_gains_are_those_along_the_new_reference(present: Team) -> None:
+    """Of the present team and of teams that were formed before, as of a controller that begins with it, (71), (75).
+
+    Also where another controller of the process has followed another target.
+    """
     model = Model(SYSTEM)
     led = flat().with_target(TARGET).sampled
-    one = Regulation(model, AT_REST, SETTINGS, flat().sampled)
-    for team in (LOST, gone):
-        one.form(team, (), ())
+    other, one = (Regulation(model, AT_REST, SETTINGS, flat().sampled) for _ in range(2))
+    for regulation in (other, one):
+        for team in (LOST, present):
+            regulation.form(*team)
+    other.follow(flat().with_target(ELSEWHERE).sampled)
     assert not one.follow(led)
 
-    for team in (gone, set(), LOST):
-        one.form(team, (), ())
+    for team in (None, WHOLE, LOST):
+        if team is not None:
+            one.form(*team)
         fresh = Regulation(model, AT_REST, SETTINGS, led)
-        fresh.form(team, (), ())
+        fresh.form(*(team or present))
         for k in (TARGET_TICK, TARGET_TICK + 30, INSTANTS - 1):
             np.testing.assert_allclose(one.gain(k), fresh.gain(k), atol=SAME_GAIN)
     assert np.abs(one.gain(TARGET_TICK + 30)).max() > 0.1
@@ -68,26 +79,45 @@ def test_a_team_that_forms_again_has_its_gains_at_once() -> None:
     """An agent dies, comes back and dies again: the gains that were computed hold from that instant on."""
     one = Regulation(Model(SYSTEM), AT_REST, SETTINGS, flat().sampled)
     at_once = Regulation(Model(SYSTEM), AT_REST, changed(SETTINGS, horizon=9), flat().sampled)
-    at_once.form(LOST, (), ())
+    at_once.form(*LOST)
     k = 60
-    one.form(LOST, (), (), since=k)
+    one.form(*LOST, since=k)
     while not one.advance(k):
         k += 1
     assert k > 60
-    one.form((), (), ())
-    one.form(LOST, (), (), since=k + 5)
+    one.form(*WHOLE)
+    one.form(*LOST, since=k + 5)
     np.testing.assert_array_equal(one.gain(k + 5), at_once.gain(k + 5))
     assert not one.advance(k + 6), "nothing is under way"
 
 
-@pytest.mark.parametrize("gone", [set(), LOST], ids=["whole", "lost"])
-def test_before_a_target_the_present_team_keeps_its_preview(gone: set[int]) -> None:
+def test_before_a_target_the_gains_stay_as_they_were() -> None:
+    """Those of a team that was another one earlier, also beside an agent that has known only the present one."""
+    early, late = (Regulation(Model(SYSTEM), AT_REST, SETTINGS, flat().sampled) for _ in range(2))
+    since = TARGET_TICK - 40
+    early.form(*LOST)
+    late.form(*LOST, since=since)
+    k = since
+    while not late.advance(k):
+        k += 1
+    assert k < TARGET_TICK
+    instants = (since - 10, TARGET_TICK - 5)
+    before = [late.gain(instant) for instant in instants]
+    for one in (early, late):
+        one.follow(flat().with_target(TARGET).sampled)
+    for instant, gain in zip(instants, before, strict=True):
+        np.testing.assert_array_equal(late.gain(instant), gain)
+    assert (early.gain(since - 10) != late.gain(since - 10)).any()
+
+
+@pytest.mark.parametrize("team", [WHOLE, LOST], ids=["whole", "lost"])
+def test_before_a_target_the_present_team_keeps_its_preview(team: Team) -> None:
     """Feedforward of instants before it is as it was; from it on that of the new reference, (36c)."""
     settings = changed(LQ, fail_safe="follow")
     reference = corners()
     led = reference.with_target(TARGET).sampled
     one = Regulation(Model(SYSTEM), AT_REST, settings, reference.sampled)
-    one.form(gone, (), ())
+    one.form(*team)
     first = TARGET_TICK - 20
     before = one.current.feedforward(first, 60)
     one.follow(led)

@@ -150,6 +150,24 @@ def test_given_gains_are_flown_as_they_are() -> None:
     assert own.alone.holds
 
 
+@pytest.mark.parametrize(
+    ("gains", "expected"),
+    [
+        (AloneGains(position=0.05, velocity=2.0, integral=5e-5, swing=0.0), False),
+        (AloneGains(position=1.0, velocity=2.0, integral=0.3, swing=0.0), True),
+    ],
+    ids=["slower than the integral forgets", "faster"],
+)
+def test_deviations_that_last_are_not_held(gains: AloneGains, *, expected: bool) -> None:
+    """Deviations have to decay by `DECAY_PER_S`, not only to decay: half a minute later the UAVs would still be off."""
+    alone = replace(given(runs.ready("resilient"), gains), team_gain=None)
+    design = alone.design()
+    loop = alone.loop(gains)
+    assert max(loop.growth(plant) for plant in (Mismatch(), *REQUIRED)) < -0.01
+    assert (design.growth_per_s < -DECAY_PER_S) is expected
+    assert design.holds is expected
+
+
 def given(setup: Setup, gains: AloneGains) -> TeamAlone:
     """Return a team that has gains of its scenario."""
     alone = setup.team_alone(next_tick=setup.scenario.clock.next_tick)

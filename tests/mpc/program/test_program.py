@@ -1,7 +1,7 @@
 """Prediction and QP against the paper's stacked matrices, and the compiled kernels against the matrix products."""
 
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -15,13 +15,20 @@ from transport.model.linear.discretisation import Discrete
 from transport.mpc.controller import Controller
 from transport.mpc.program.feedback_law import FeedbackLaw
 from transport.mpc.program.horizon_and_terminal_cost import CostToGo
-from transport.mpc.program.prediction import Prediction, free_response, predict, stacked
+from transport.mpc.program.prediction import (
+    Prediction,
+    convolve,
+    free_response,
+    predict,
+    stacked,
+)
 from transport.mpc.program.qp_solvers import solve_clarabel, within_bounds
 from transport.mpc.program.quadratic_program import QP, residuals
 from transport.mpc.settings_period_horizon_weights import (
     ConstraintSection,
     ControllerSettings,
     CostTerm,
+    PredictionName,
     SeparationSection,
     TiltSection,
 )
@@ -173,6 +180,51 @@ def test_kernels_are_the_matrix_products(
     expected = problem(case)[1]
     for name in ("effect", "dX_free", "U_free", "U_all", "feedback", "dU_free"):
         assert close(getattr(prediction, name), getattr(expected, name), CANCELLED), name
+
+
+@pytest.mark.parametrize(
+    ("prediction", "terminal"),
+    [("open_loop", "riccati"), ("closed_loop", "multiple"), ("closed_loop", "riccati")],
+)
+def test_effort_of_the_others_counts_where_the_cost_to_go_has_it(
+    prediction: PredictionName, terminal: Literal["multiple", "riccati"]
+) -> None:
+    """Others that answer by the law cost their effort before a cost-to-go, which has it too: (26), (36e)."""
+    setup = paper_setup()
+    settings = ControllerSettings(horizon=6, prediction=prediction, terminal=terminal)
+    at = situation(setup, settings, 1, SMALL)
+    one = Controller(setup.model, setup.hover, settings, (1,))
+    law = one.law(at.x, np.tile(setup.x, (6, 1)), np.zeros_like(at.U))
+    end = one.end(at.x, setup.x)
+    linear = one.linearise(at.x, at.u)
+    found = one.predict(linear, one.discretise(linear), at.U, law)
+    assert isinstance(found, Prediction)
+    qp = one.condense(linear, found, at.y_ref, law, end)
+    others = np.setdiff1d(np.arange(setup.system.m), one.own)
+    scale = (settings.upper(1) - settings.lower(1)) / 2.0
+    Q, R = one.cost.Q, one.cost.R
+
+    def cost(z: Array) -> float:
+        v = z.reshape(6, 4) * scale
+        dX = found.dX_free[1:] + (stacked(found.effect) @ v.reshape(-1)).reshape(6, -1)
+        errors = linear.model.y + dX @ linear.model.C.T - at.y_ref[1:]
+        stages = errors**2 @ Q
+        total = stages[:-1].sum() + (found.U_free + v - linear.u_target[one.own]) ** 2 @ R[
+            one.own
+        ] @ np.ones(6)
+        if end is None:
+            return float(total + settings.weights.terminal * stages[-1])
+        total += np.sum((end.root @ (end.error + dX[-1])) ** 2) + 2.0 * end.slope @ dX[-1]
+        if law is not None:
+            U = found.U_all + convolve(found.feedback, v) - linear.u_target
+            total += (U[1:, others] ** 2 @ R[others]).sum()
+        return float(total)
+
+    rng = np.random.default_rng(3)
+    for _ in range(3):
+        z = 0.1 * rng.standard_normal(24)
+        expected = cost(z) - cost(np.zeros(24))
+        assert qp.objective(z) - qp.objective(np.zeros(24)) == pytest.approx(expected, rel=1e-9)
 
 
 @needs_kernels
