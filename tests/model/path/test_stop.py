@@ -100,7 +100,7 @@ def test_path_formation_and_ground_load_follow_one_time(ahead_s: float) -> None:
 @pytest.mark.parametrize("slows", [False, True])
 def test_by_a_clock_that_is_ahead_all_is_earlier(ahead_s: float, *, slows: bool) -> None:
     """Path, formation and load of the ground at t are those of t + ahead, and of the begin before that."""
-    wide = [[0.5, 1.2, 0.9], [1.0, 1.1, 1.3]]
+    wide = np.array([[0.5, 1.2, 0.9], [1.0, 1.1, 1.3]])
     path = along()
     (go,) = path.phases
     path = replace(path, phases=(replace(go, formation=wide),))

@@ -65,11 +65,11 @@ def test_after_a_target_the_gains_are_those_along_the_new_reference(present: Tea
     other.follow(flat().with_target(ELSEWHERE).sampled)
     assert not one.follow(led)
 
-    for team in (None, WHOLE, LOST):
-        if team is not None:
-            one.form(*team)
+    for formed in (None, WHOLE, LOST):
+        if formed is not None:
+            one.form(*formed)
         fresh = Regulation(model, AT_REST, SETTINGS, led)
-        fresh.form(*(team or present))
+        fresh.form(*(formed or present))
         for k in (TARGET_TICK, TARGET_TICK + 30, INSTANTS - 1):
             np.testing.assert_allclose(one.gain(k), fresh.gain(k), atol=SAME_GAIN)
     assert np.abs(one.gain(TARGET_TICK + 30)).max() > 0.1

@@ -44,6 +44,8 @@ LARGE = 12  # a drawn team of eight
 SOFT = 7042  # needs the soft family
 UNHELD = 9032  # decays, without margins
 OF_RATES = 8  # holds alone with the gains of rings, but not in mixtures with the team's law
+HOLDS_LESS = 11  # the stiffest gains hold, but not with other motors or another payload
+OTHER_PLANTS = {"gain": 0.85, "payload_mass": 1.15}
 SLOWEST = 9  # deviations grow if one of its UAVs acts alone among others on half the gains
 FASTEST = 3.5  # of the gains alone, nearly as much as the sampling period allows
 
@@ -166,6 +168,25 @@ def test_deviations_that_last_are_not_held(gains: AloneGains, *, expected: bool)
     assert max(loop.growth(plant) for plant in (Mismatch(), *REQUIRED)) < -0.01
     assert (design.growth_per_s < -DECAY_PER_S) is expected
     assert design.holds is expected
+
+
+def test_gains_that_also_hold_other_loads_come_first() -> None:
+    """Of those that hold the first one with motors 15 % weaker, and a payload 15 % heavier."""
+    setup = team(HOLDS_LESS)
+    assert setup.alone is not None
+    alone = setup.team_alone(next_tick=setup.scenario.clock.next_tick)
+
+    def has_margins(gains: AloneGains) -> bool:
+        loop = alone.loop(gains)
+        return all(loop.growth(Mismatch(**{name: by})) < 0.0 for name, by in OTHER_PLANTS.items())
+
+    members = list(alone._possible(FAMILY))
+    stiffer = members[: members.index(setup.alone.gains)]
+    holding = [gains for gains in stiffer if given(setup, gains).design().holds]
+    assert holding
+    assert not any(map(has_margins, holding))
+    assert setup.alone.holds
+    assert has_margins(setup.alone.gains)
 
 
 def given(setup: Setup, gains: AloneGains) -> TeamAlone:
