@@ -25,6 +25,7 @@ from transport.analysis.communication_metrics import (
     rest_of_tick_ms,
 )
 from transport.analysis.cost_and_tracking_metrics import cost_and_tracking, targets
+from transport.analysis.events import events
 from transport.analysis.series import series_of
 from transport.analysis.steps import steps_columns, steps_rows
 from transport.analysis.summary_assembly import summarise
@@ -39,6 +40,8 @@ from transport.protocol.scenario.targets.target_checks import target_fields
 from transport.protocol.wire.messages import (
     ActualInputs,
     Control,
+    FaultNote,
+    FaultOrigin,
     Message,
     Outcome,
     PlantState,
@@ -668,3 +671,149 @@ def test_changes_of_the_roster_are_events() -> None:
         (9, 0.45, 7.0, "notice", [], "other"),
         (9, 0.45, 8.0, "end", [], "stopped by hand"),
     ]
+
+
+def test_faults_are_told_in_the_words_of_their_kind() -> None:
+    """Those of the plant at their ticks, with their numbers; those of processes by their notes, with the origin.
+
+    Sensors that measure again are told as well.
+    """
+    run = runs.setup(
+        *(runs.SHORT, *runs.VEHICLE),
+        "faults.event=[{at_s=0.1,do='degrade',target='uav2',efficiency=0.8},"
+        "{at_s=0.2,do='sensors_off',target='uav3',sensors=['position','velocity'],duration_s=0.1},"
+        "{at_s=0.25,do='load',target='payload',mass_kg=2.5},"
+        "{at_s=0.35,do='load',target='payload',mass_kg=2.0,duration_s=0.1}]",
+    )
+    origins: tuple[FaultOrigin, ...] = ("script", "person", "unknown")
+    notes = [
+        FaultNote(
+            sender="recorder", incarnation=0, sequence=k, tick=k, target=f"agent{k}", what="killed",
+            origin=origin,
+        )
+        for k, origin in enumerate(origins, start=1)
+    ]  # fmt: skip
+    log = log_of([*(on_reference(run, k) for k in range(12)), *notes])
+    told = events(run, log, None)
+    assert {event["kind"] for event in told} == {"fault"}
+    assert [(event["tick"], event["processes"], event["what"]) for event in told] == [
+        (1, ["agent1"], "agent1 killed by script"),
+        (2, ["uav2"], "motors of uav2 degraded to 0.8 of their inputs by script"),
+        (2, ["agent2"], "agent2 killed by hand"),
+        (3, ["agent3"], "agent3 killed"),
+        (4, ["uav3"], "uav3 without position, velocity by script"),
+        (5, ["payload"], "payload changes: 2.5 kg by script"),
+        (6, ["uav3"], "uav3 has position, velocity again by script"),
+        (7, ["payload"], "payload changes gradually: 2 kg by script"),
+    ]
+
+
+def test_problems_of_a_kind_are_one_event_of_all_agents_that_have_it() -> None:
+    """A kind of a class is its exception at one line, or its text but for numbers; of the project the text itself."""
+    run = runs.setup(runs.SHORT)
+    at_3 = "controller mine:Mine: step raised ValueError: got 3 (mine.py:12)"
+    at_4 = "controller mine:Mine: step raised ValueError: got 4 (mine.py:12)"
+    below = "controller mine:Mine: step raised ValueError: got 4 (mine.py:13)"
+    slow, slower = (f"controller mine:Mine: step took {taken_s} s" for taken_s in (0.2, 0.3))
+    reported = [
+        *((2, at_3), (1, at_4), (1, below), (3, slow), (1, slower)),
+        *((3, "plan 1 is late"), (3, "plan 2 is late"), (4, "")),
+    ]
+    notes = [
+        replace(estimate_note(run, agent, k), problem=problem)
+        for k, (agent, problem) in enumerate(reported)
+    ]
+    told = events(run, log_of(notes), control(9))
+    assert {event["kind"] for event in told} == {"notice"}
+    assert [(event["tick"], event["processes"], event["what"]) for event in told] == [
+        (0, ["agent1", "agent2"], f"agent1, agent2: {at_3} (and 1 like it)"),
+        (2, ["agent1"], f"agent1: {below}"),
+        (3, ["agent1", "agent3"], f"agent1, agent3: {slow} (and 1 like it)"),
+        (5, ["agent3"], "agent3: plan 1 is late"),
+        (6, ["agent3"], "agent3: plan 2 is late"),
+    ]
+
+
+def test_a_roster_names_uavs_that_are_off_from_the_beginning_and_departures_before_joins() -> None:
+    """They are a fault of the first roster, and no fault of the next; who departs is told, not who joins instead."""
+    run = runs.setup(runs.SHORT)
+    rosters = [
+        replace(runs.roster(dict.fromkeys((1, 2, 4), 1)), reason="uav3 off", off=(3,)),
+        replace(runs.roster(dict.fromkeys((1, 2, 3), 1), k=1, version=2), reason="new", off=(3,)),
+    ]
+    told = events(run, log_of(rosters), None)
+    assert [(event["kind"], event["processes"], event["what"]) for event in told] == [
+        ("fault", ["uav3"], "uav3 off by script"),
+        ("detected", ["agent4"], "new"),
+    ]
+
+
+def test_the_header_tells_what_ran() -> None:
+    """Processes, versions by name, controller and engine of the log; without them those that are known."""
+    run = runs.setup(
+        *(HOVER, "agents.owned=[[1,3],[2,4]]", "controller.horizon=7"),
+        *("controller.negotiation_iterations=2", "controller.relaxation=0.5"),
+        *("controller.solver=clarabel", "controller.prediction=closed_loop", "seed=4"),
+    )
+    told = {
+        "run_id": "r7", "processes": "6", "versions": "python 3.12.1, libc of x 2.3, unknown",
+        "controller": "mine:Mine 1", "engine": "mujoco 3", "machine": "a machine",
+    }  # fmt: skip
+    log = dataclasses.replace(log_of([]), header=told)
+    summary = summarise(AnalysedRun.of(run, log))
+    assert {key: summary[key] for key in ("run_id", "processes", "engine", "machine", "seed")} == {
+        "run_id": "r7", "processes": 6, "engine": "mujoco 3", "machine": "a machine", "seed": 4,
+    }  # fmt: skip
+    assert summary["versions"] == {"python": "3.12.1", "libc of x": "2.3"}
+    assert summary["controller"] == {
+        "name": "mine:Mine 1", "agents": 2, "owned": [[1, 3], [2, 4]], "prediction": "closed_loop",
+        "relaxation": 0.5, "negotiation_iterations": 2, "sampling_period_s": 0.05, "horizon": 7,
+        "solver": "clarabel",
+    }  # fmt: skip
+
+    nothing = summarise(AnalysedRun.of(run, dataclasses.replace(log, header={})))
+    unknown = [nothing[key] for key in ("processes", "versions", "engine", "startup_s")]
+    assert unknown == [None, {}, run.scenario.plant.engine, None]
+    assert nothing["controller"]["name"] == "mpc"
+
+
+def test_a_log_without_the_end_lasts_until_its_last_message() -> None:
+    """From the first tick on, in the order in which messages were received."""
+    run = runs.setup(HOVER)
+    log = log_of([runs.roster(), runs.tick(0), runs.tick(1), on_reference(run, 0)], [5, 10, 14, 30])
+    summary = summarise(AnalysedRun.of(run, log))
+    assert (summary["outcome"], summary["exit_code"]) == ("unknown", None)
+    assert summary["wall_time_s"] == pytest.approx(0.020)
+
+
+def test_plans_that_are_late_and_messages_that_are_rejected_are_counted() -> None:
+    """Each by its own number; in real time an agent on no roster can use plans from its first step on."""
+    run = runs.setup(HOVER, *REALTIME)
+    refused = Rejected(
+        sender="agent1", incarnation=0, sequence=0, tick=0, offender="agent2", reason="malformed",
+        count=7, example="",
+    )  # fmt: skip
+    plans = [runs.plan(run, 1, k) for k in range(4)]
+    unshared = runs.plan(run, 1, 3, shared=False)
+    steps = [report(run, 2, k, delivered=1, lost=2, late=4) for k in (2, 3)]
+    found = plans_between_agents(run, log_of([*plans, unshared, refused]), steps, replaced=0)
+    assert found == {
+        "planned": 5, "shared": 4, "sent": 2, "delivered": 2, "lost": 4, "in_transit": 0, "late": 8,
+        "rejected": 7,
+    }  # fmt: skip
+
+
+def test_the_error_of_an_agent_is_that_of_its_uavs_on_their_rods() -> None:
+    """One of two that has been released leaves that of the other; both released leave none."""
+    release = ",".join(
+        f"{{at_s={at_s},do='release',target='uav{uav}'}}" for uav, at_s in ((3, 0.1), (1, 0.2))
+    )
+    run = runs.setup(HOVER, "agents.owned=[[1,3],[2,4]]", f"faults.event=[{release}]")
+
+    def away(x: Array, u: Array) -> None:
+        x[state.R0][0] += 0.25
+
+    series = series_of(run, log_of([on_reference(run, k, away) for k in (0, 3, 5)]))
+    assert series.uav_error_max_m(run.owned) == pytest.approx(
+        np.array([[0.25, 0.25], [0.25, 0.25], [np.nan, 0.25]]), nan_ok=True
+    )

@@ -14,11 +14,11 @@ from typer.testing import CliRunner, Result
 
 from tests.support import logs, runs
 from transport.analysis.replay.replay_difference import Comparison, Difference
-from transport.analysis.replay.replay_of_agent import Replay
+from transport.analysis.replay.replay_of_agent import Replay, _due_changes
 from transport.cli.commands import replay
 from transport.cli.main import app
 from transport.log.run_log import RunLog
-from transport.protocol.wire.messages import Measurement, Plan
+from transport.protocol.wire.messages import LinkChange, Measurement, Message, Plan
 
 CLOSED_LOOP = ("controller.prediction='closed_loop'", "controller.relaxation='auto'")
 POOR_LINKS = (
@@ -266,3 +266,33 @@ def test_a_log_without_a_roster_has_nothing_to_compare(tmp_path: Path) -> None:
     again = Replay(run, tick, 1)
     assert list(again.steps()) == []
     assert again.notes == ["agent1 is on no roster in the log"]
+
+
+def test_another_version_of_a_class_of_the_user_is_noted() -> None:
+    """Its name is that of the scenario; the log of a run with the same version has no note."""
+    name = "tests.support.own_classes:Chain"
+    run = runs.setup(runs.SHORT, f"agents.controller={name}")
+    for recorded_with, notes in (
+        (f"{name} 1", []),
+        (f"{name} 0", [f"the run was recorded with controller {name} 0, this is {name} 1"]),
+    ):
+        log = logs.log_of([runs.roster()])
+        again = Replay(run, replace(log, header={"controller": recorded_with}), 1)
+        assert list(again.steps()) == []
+        assert again.notes == notes
+
+
+@pytest.mark.parametrize(("version", "due"), [(0, 0), (1, 2), (2, 4), (3, 4)])
+def test_changes_are_due_with_the_roster_that_a_measurement_names(version: int, due: int) -> None:
+    """Those after it wait for the next one, with which they take effect."""
+    change = LinkChange(
+        sender="coordinator", incarnation=0, sequence=0, tick=3, number=1, source="", target="",
+        settings="{}",
+    )  # fmt: skip
+    changes: list[Message] = [
+        *(change, runs.roster()),
+        *(change, runs.roster(k=4, version=2)),
+        change,
+    ]
+    measurement = runs.measurement(runs.setup(runs.SHORT), 1, 4, version=version)
+    assert _due_changes(changes, measurement) == due

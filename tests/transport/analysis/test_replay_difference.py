@@ -1,5 +1,7 @@
 """Differences of two messages by hand: by field, by input and unit, and the first tick beyond a size."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -86,3 +88,54 @@ def test_a_commanded_rate_has_its_own_name() -> None:
     (difference,) = differences(replayed((1, 6, 0.25)), RECORDED, RATE_NAMES)
     assert difference.where == "[1, 6], UAV3 rate_y_rad_s, step 1 of the horizon"
     assert difference.size == 0.25
+
+
+STATES = np.zeros((2, 12))
+STATES[1, 3] = -0.5
+CORRECTIONS = np.zeros((5, 8))
+CORRECTIONS[2, 5] = 0.25
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"status": "limit"}, ("limit", "solved", "", None)),
+        ({"start_tick": 9}, ("9", "7", "", 2.0)),
+        ({"uav_states": STATES}, ("-0.5", "0.0", "[1, 3]", 0.5)),
+        (
+            {"corrections": CORRECTIONS},
+            ("0.25", "0.0", "[2, 5], UAV3 moment_x_Nm, step 2 of the horizon", 0.25),
+        ),
+        ({"inputs": -RECORDED.inputs}, ("-0.0", "0.0", "[0, 0], UAV1 thrust_N, step 0 of the horizon", 0.0)),
+    ],
+)  # fmt: skip
+def test_a_difference_is_told_by_both_values_and_its_entry(
+    change: dict[str, Any], told: tuple[str, str, str, float | None]
+) -> None:
+    """Numbers have a size, texts none; an entry of inputs has its UAV, and zeros of different signs differ."""
+    (one,) = differences(replace(RECORDED, **change), RECORDED)
+    assert (one.name, one.tick) == (*change, 7)
+    assert (one.got, one.expected, one.where, one.size) == told
+
+
+def test_a_tick_with_an_answer_that_the_log_lacks_is_not_compared() -> None:
+    """All or nothing: also the plan that the log has is left out."""
+    comparison = Comparison()
+    proposal = replace(RECORDED, negotiation=1)
+    comparison.add(ReplayedStep(tick=7, answers=(proposal, RECORDED), recorded=(None, RECORDED)))
+    assert (comparison.unrecorded, comparison.ticks, comparison.plans) == ([7], [], 0)
+
+
+def test_ignored_fields_do_not_count_and_inputs_are_those_of_the_last_iteration() -> None:
+    """Proposals of a negotiation are compared, but are not the inputs of a tick."""
+    proposal = replace(replayed((0, 0, 0.5)), negotiation=1)
+    last = replayed((0, 0, 0.25))
+    recorded = (replace(RECORDED, negotiation=1), RECORDED)
+    comparison = compared((proposal, last), recorded)
+    assert [apart.thrust_N for apart in comparison.inputs_apart] == [0.25]
+    assert (comparison.plans, comparison.identical) == (2, 0)
+
+    ignoring = Comparison()
+    step = ReplayedStep(tick=7, answers=(proposal, last), recorded=recorded)
+    ignoring.add(step, ignored=("plan.inputs",))
+    assert (ignoring.plans, ignoring.identical, ignoring.by_field) == (2, 2, {})

@@ -1,5 +1,6 @@
 """The arena: its combinations, entries of the user, tables, and resumption."""
 
+import hashlib
 from dataclasses import replace
 from importlib import import_module
 from itertools import product
@@ -24,6 +25,7 @@ from transport.experiments.arena.arena_tasks_and_networks import (
     NETWORK_TEXTS,
     NETWORKS,
     PERFECT,
+    SCENARIO,
     TASKS,
     VERSION,
     Task,
@@ -34,9 +36,10 @@ from transport.experiments.statistics import Estimate, PointStatistics
 from transport.interface.setting_arguments import ArgumentError
 from transport.model import state
 from transport.model.arrays import Array
+from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import requested
-from transport.protocol.scenario.sections.schema import ControllerSection
+from transport.protocol.scenario.sections.schema import ControllerSection, Scenario
 from transport.protocol.scenario.targets.target_checks import target_fields
 from transport.protocol.wire.messages import Target
 from transport.protocol.wire.node_interface import Outbox
@@ -545,3 +548,153 @@ def test_a_resumed_run_that_completes_has_not_ended(
     monkeypatch.setattr(Large, "start", Steady.start)  # declares no data
     fly()
     assert not (tmp_path / "ended").exists()
+
+
+def digest(*content: object) -> str:
+    """Return a fingerprint of settings."""
+    return hashlib.sha256(repr(content).encode()).hexdigest()[:8]
+
+
+# Versions with fingerprints of what they set. Results of different versions are not comparable: a change of
+# settings comes with a new version of the task, and of the arena, `VERSION`.
+ARENA_VERSION = (2, "b530fa09")
+TASK_VERSIONS = {
+    "maneuver": (1, "e1ce927f"),
+    "eight": (1, "05914ef1"),
+    "gusts": (1, "2d2174b2"),
+    "heavier": (1, "8658b520"),
+    "death": (1, "eaf2a2c9"),
+    "silence": (1, "52d32a9c"),
+    "shared": (1, "0f0febbf"),
+    "eight UAVs": (1, "5b4a4e4e"),
+    "told": (1, "7687842c"),
+    "follow": (1, "c0859c1e"),
+    "blocked": (1, "97873f89"),
+}
+
+
+def test_settings_that_change_are_a_new_version() -> None:
+    """A task has the version of its settings, failures and size; scenario and networks have that of the arena."""
+    found = {
+        name: (task.version, digest(task.settings, task.failures, task.uavs))
+        for name, task in TASKS.items()
+    }
+    assert found == TASK_VERSIONS
+    assert (VERSION, digest(SCENARIO, list(NETWORKS.items()))) == ARENA_VERSION
+
+
+def flown_in(task: str) -> Scenario:
+    """Return the scenario of a task of four UAVs with its failures."""
+    chosen = TASKS[task]
+    return read_scenario(find_scenario(SCENARIO), [*chosen.settings, *chosen.failures])
+
+
+def test_the_text_of_a_task_has_the_numbers_of_its_settings() -> None:
+    """Durations, distances, speeds, weather, deaths and limits of each task are those that its text names."""
+    of = {name: flown_in(name) for name, task in TASKS.items() if task.uavs == 4}
+    texts = {name: task.text for name, task in TASKS.items()}
+    lasting_s = {
+        name: sum(phase.duration_s for phase in one.maneuver.phase) for name, one in of.items()
+    }
+    assert texts["maneuver"] == f"the paper's maneuver, {lasting_s['maneuver']:g} s"
+
+    eight = of["eight"].maneuver.phase[1]
+    assert eight.size_m is not None
+    along_m, across_m, _ = eight.size_m
+    assert texts["eight"].startswith(
+        f"an eight of {along_m:g} m x {across_m:g} m at {eight.speed_mps:g} m/s"
+    )
+
+    gusts_mps = set(of["gusts"].plant.wind.gust_mps)
+    assert (
+        texts["gusts"] == f"hover of {lasting_s['gusts']:g} s in gusts of {gusts_mps.pop():g} m/s"
+    )
+    assert not gusts_mps
+
+    _, climb, translate, rest = of["heavier"].maneuver.phase
+    way_s = climb.duration_s + translate.duration_s
+    excess = 100.0 * (of["heavier"].plant.payload_mass_factor - 1.0)
+    assert (climb.displacement_m, translate.displacement_m) == ((0, 0, -1), (1, 0, 0))
+    assert texts["heavier"] == (
+        f"up and sideways by 1 m in {way_s:g} s and a hover of {rest.duration_s:g} s, with a payload "
+        f"{excess:.0f} % heavier than known"
+    )
+    for same in ("death", "silence", "shared"):
+        assert of[same].maneuver == of["heavier"].maneuver
+        assert texts[same].startswith("the same path")
+    assert texts["eight UAVs"] == "the same path with eight UAVs"
+    assert (*TASKS["eight UAVs"].settings, TASKS["heavier"].settings[1]) == TASKS[
+        "heavier"
+    ].settings
+
+    (death,) = of["death"].faults.event
+    assert (death.do, death.target, of["death"].clock.on_agent_loss) == (
+        "kill",
+        "agent3",
+        "continue",
+    )
+    assert f"agent 3 dies for good at {death.at_s:g} s" in texts["death"]
+
+    system = of["shared"].system
+    mass_kg = system.payload.mass_kg + sum(uav.mass_kg for uav in system.uav)
+    (limit,) = of["shared"].controller.constraint
+    most_N = float(limit.expression.partition("<=")[2])
+    assert limit.expression.startswith("thrust1+thrust2+thrust3+thrust4<=")
+    assert texts["shared"].endswith(
+        f"at most {most_N:g} N, at hover {mass_kg * system.gravity_mps2:.1f} N"
+    )
+
+    first, second = of["told"].maneuver.target
+    assert [first.to, second.to] == [[1], [1]]
+    away_m = np.linalg.norm(np.subtract(first.points_m[0], of["told"].maneuver.start_m))
+    assert texts["told"] == (
+        f"a hover of {lasting_s['told']:g} s; agent 1 alone is told a target {away_m:g} m away at "
+        f"{first.at_s:g} s, and another one at {second.at_s:g} s"
+    )
+
+    targets = of["follow"].maneuver.target
+    assert {tuple(target.to) for target in targets} == {(1,)}
+    assert np.diff([target.at_s for target in targets]) == pytest.approx([0.5] * 19)
+    places_m = np.array([target.points_m[0] for target in targets])
+    moved_m = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
+    assert moved_m / 0.5 == pytest.approx([1.0] * 19, abs=4e-3)  # places are in mm
+    assert texts["follow"].startswith("a platform at 1 m/s with random turns: every half second")
+
+    (wall,) = of["blocked"].obstacle
+    way = of["blocked"].maneuver.phase[1]
+    assert way.points_m is not None
+    assert texts["blocked"] == (
+        f"{way.points_m[-1][0]:g} m at {way.speed_mps:g} m/s past a wall that no agent knows before its own "
+        f"UAV is within {wall.seen_within_m:g} m"
+    )
+
+
+def test_the_origin_of_a_report_is_told_by_its_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A single seed has no spread; reasons that are the same are one sentence with all places."""
+    monkeypatch.setattr("transport.experiments.arena.arena_report.versions", lambda: "python 3")
+    monkeypatch.setattr("transport.experiments.arena.arena_report.machine", lambda: "a machine")
+    tuned: Any = SimpleNamespace(version="", tuned="nothing")
+    for seeds, told in ((1, "1 seed of each"), (2, "2 seeds of each random run, ±")):
+        points = [_counted(task, "late", "one", 0, 0) for task in ("a", "b", "c")]
+        arena_runs: Any = SimpleNamespace(
+            algorithms={"one": tuned}, refused={0: "why", 2: "why"}, seeds=seeds
+        )
+        result = ArenaResult(arena_runs, SimpleNamespace(measured=points))  # type: ignore[arg-type]
+        lines = result.markdown().splitlines()
+        assert lines[-1].startswith(f"*Arena {VERSION}, {told}")
+        assert lines[-1].endswith("; python 3; machine: a machine*")
+        assert lines[-5:-2] == [
+            "- one: tuned: nothing",
+            "- no: one: why: a on late, c on late",
+            f"- late: {NETWORK_TEXTS['late']}",
+        ]
+
+
+def test_an_obstacle_known_by_sight_alone_has_a_goal() -> None:
+    """The way to the goal is a number of a run in which obstacles have to be seen, and of no other."""
+    wall = "obstacle=[{{kind='sphere',at_m=[9.0,0.0,-10.0],radius_m=0.5,margin_m=0.3{}}}]"
+    summary = {"own_constraints": [], "solver": {"failures": 0}}
+    for seen, has_goal in ((",seen_within_m=1.2", True), ("", False)):
+        run = runs.setup(runs.ticks(100), wall.format(seen))
+        states = [runs.plant_state(run, k) for k in range(100)]
+        assert (FROM_GOAL in axes(run, summary, log_of(states))) is has_goal

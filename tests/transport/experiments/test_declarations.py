@@ -5,7 +5,9 @@ Points that can be simulated, impairments with the stated statistics, refused op
 
 import csv
 import math
+import re
 from collections.abc import Mapping
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from tests.support.logs import log_of
 from tests.support.results import here
 from tests.support.runs import ticks
 from transport.cli.commands.experiment import EXPERIMENTS
+from transport.experiments import information_experiment, weather_experiment
 from transport.experiments.cases import ExperimentError, Point, cases_of
 from transport.experiments.declaration import Experiment, axis
 from transport.experiments.information_experiment import away
@@ -367,6 +370,13 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ),
     ("kill", {"at": 8.0, "restart": 8.0}, "--restart: expected a time after --at 8 s, got 8"),
     ("horizon", {"horizon": [0]}, "controller.horizon=0: expected"),
+    (
+        "follow",
+        {"age": [0.04]},
+        "--age: expected at least a sampling period, 0.05 s, got 0.04",
+    ),
+    ("information", {"rule": ["bold"]}, "--rule: expected one of all told; eager; "),
+    ("information", {"network": ["good"]}, "--network: expected one of perfect; 200 ms; 500 ms; "),
     ("hover", {"duration": [math.nan]}, "duration_s=nan: expected"),
 ]
 
@@ -429,3 +439,228 @@ def test_agile_flies_every_case_at_every_speed() -> None:
         ExperimentError, match="expected a maneuver with speed_mps in a phase, got resilient"
     ):
         built("agile", of=("resilient",))
+
+
+def named_impairments(name: str) -> tuple[float, float]:
+    """Return the delay, s, and the loss that the name of a network tells."""
+    delay = re.search(r"(?:^|, )([\d.]+) (ms|s)(?=$|,| delay)", name)
+    loss = re.search(r"([\d.]+) % loss", name)
+    scale = 1e-3 if delay and delay[2] == "ms" else 1.0
+    return (
+        scale * float(delay[1]) if delay and "own sensors" not in name else 0.0,
+        float(loss[1]) / 100.0 if loss else 0.0,
+    )
+
+
+NAMED = {
+    **NETWORKS,
+    **weather_experiment.NETWORKS,
+    **information_experiment.NETWORKS,
+    "none": ("links.loss=1.0",),
+}
+
+
+@pytest.mark.parametrize("name", [name for name in NAMED if name != "none"])
+def test_a_network_has_the_delay_and_the_loss_of_its_name(name: str) -> None:
+    """Also a radio its rate and offsets; sensors of its own and gusts are told, and nothing else is set."""
+    scenario = scenarios("precise", settings=NAMED[name])["precise"]
+    links = scenario.links
+    assert (links.delay_s, links.loss) == pytest.approx(named_impairments(name))
+    radio = scenario.radio
+    assert (radio is not None) == ("radio" in name)
+    if radio is not None:
+        offsets = {"slots": "slots", "no slots": "none"}[name.partition(", ")[2]]
+        assert (f"radio {radio.rate_mbps:g} Mb/s" in name, radio.offsets) == (True, offsets)
+    if "own sensors" in name:
+        assert scenario.plant.sensors == "vehicle"
+        assert scenario.controller.disturbance.estimate
+    assert set(scenario.plant.wind.gust_mps) == ({1.0} if "gusts" in name else {0.0})
+
+
+def test_each_case_of_agile_changes_what_its_name_says() -> None:
+    """Network, payload, motors, wind, drag and agents; forces are estimated where they are unknown."""
+    found = {}
+    for point in built("agile", of=("eight",), speed=[3.0]).points:
+        s = point.read()
+        found[point.labels["case"]] = (
+            *(s.links.delay_s, s.links.loss, s.plant.payload_mass_factor, s.plant.motors.lag_s),
+            *(
+                s.plant.wind.speed_mps[0],
+                s.controller.disturbance.estimate,
+                s.controller.knows_drag,
+            ),
+            *(len(s.owned), s.controller.relaxation),
+        )
+    late, three = (0.2, 0.3), (3, 0.5)
+    assert found == {
+        "centralized": (0.0, 0.0, 1.0, 0.03, 0.0, False, True, 1, 1.0),
+        "perfect network": (0.0, 0.0, 1.0, 0.03, 0.0, False, True, *three),
+        "200 ms delay, 30 % loss": (*late, 1.0, 0.03, 0.0, False, True, *three),
+        "400 ms delay, 30 % loss": (0.4, 0.3, 1.0, 0.03, 0.0, False, True, *three),
+        "payload -43 %": (*late, 0.57, 0.03, 0.0, True, True, *three),
+        "payload -20 %": (*late, 0.8, 0.03, 0.0, True, True, *three),
+        "payload +20 %": (*late, 1.2, 0.03, 0.0, True, True, *three),
+        "payload +43 %": (*late, 1.43, 0.03, 0.0, True, True, *three),
+        "motor lag 60 ms": (*late, 1.0, 0.06, 0.0, False, True, *three),
+        "wind 5 m/s": (*late, 1.0, 0.03, 5.0, True, True, *three),
+        "unknown drag": (*late, 1.0, 0.03, 0.0, True, False, *three),
+    }
+
+
+def test_every_horizon_has_every_terminal_weight_on_both_networks() -> None:
+    """The scenario's own are always there, and the baseline; a cost-to-go takes the place of weights."""
+    points = built(
+        "horizon", of=("paper", "resilient"), horizon=[5], terminal=[2.0], delay=0.3
+    ).points
+    found = set()
+    for point in points:
+        scenario = point.read()
+        labels = point.labels
+        controller = scenario.controller
+        ends = {"cost-to-go", controller.weights.terminal}
+        assert labels["terminal"] in ends
+        assert scenario.links.delay_s == (0.0 if labels["network"] == "perfect" else 0.3)
+        assert labels["horizon"] == controller.horizon
+        found.add((point.scenario, *labels.values()))
+    networks = ("perfect", "300 ms delay")
+    assert found == {
+        *product(["paper"], networks, [5, 20], [2.0, 5.0]),
+        *product(["resilient"], networks, [5, 20], ["cost-to-go"]),
+    }
+    assert [(one.scenario, *one.labels.values()) for one in points if one.baseline] == [
+        ("paper", "perfect", 20, 5.0),
+        ("resilient", "perfect", 20, "cost-to-go"),
+    ]
+    texts = {one.labels["terminal"]: one.text for one in points if one.labels["horizon"] == 5}
+    assert texts == {
+        2.0: "N_p 5, terminal weight 2, 300 ms delay",
+        5.0: "N_p 5, terminal weight 5, 300 ms delay",
+        "cost-to-go": "N_p 5, cost-to-go, 300 ms delay",
+    }
+
+
+def test_a_long_hover_is_that_of_the_last_phase() -> None:
+    """The phases before it stay, and no run is a baseline; a last phase with a speed has no duration to set."""
+    points = built("hover", of=("paper",), duration=[7.0, 65.0]).points
+    usual_s = [phase.duration_s for phase in scenarios("paper")["paper"].maneuver.phase]
+    for point, hover_s in zip(points, (7.0, 65.0), strict=True):
+        lasting_s = [phase.duration_s for phase in point.read().maneuver.phase]
+        assert lasting_s == [*usual_s[:-1], hover_s]
+        assert (point.labels, point.baseline) == ({"hover_s": hover_s}, False)
+
+    fast = "maneuver.phase=[{name='go',kind='spline',points_m=[[6,0,0]],speed_mps=0.8,ramp_s=2.0}]"
+    with pytest.raises(ExperimentError, match="whose last phase has a duration, not a speed"):
+        EXPERIMENTS["hover"].experiment(scenarios("paper", settings=(fast,)), {})
+
+
+def test_deaths_are_at_random_ticks_of_random_agents() -> None:
+    """One death for good in each run, in the order of time, the same for the same seed; at most one at a tick."""
+
+    def deaths(count: int, draw: int, *settings: str) -> list[tuple[float, str]]:
+        flown = scenarios("resilient", settings=settings)
+        perfect, *points = (
+            EXPERIMENTS["deaths"].experiment(flown, {"count": count, "draw": draw}).points
+        )
+        assert (perfect.baseline, dict(perfect.labels)) == (
+            True,
+            {"agent": "none", "killed_s": 0.0},
+        )
+        killed = []
+        for point in points:
+            scenario = point.read(settings)
+            (event,) = scenario.faults.event
+            assert (event.do, scenario.clock.on_agent_loss) == ("kill", "continue")
+            assert event.target == f"agent{point.labels['agent']}"
+            assert event.at_s == point.labels["killed_s"]
+            killed.append((event.at_s, event.target))
+        return killed
+
+    killed = deaths(40, 3)
+    times_s = np.array([at_s for at_s, _ in killed])
+    assert len(killed) == 40
+    assert (np.diff(times_s) > 0.0).all()
+    assert 0.0 <= times_s[0] < 5.0
+    assert 20.0 < times_s[-1] < 25.0
+    assert times_s / 0.05 == pytest.approx(np.round(times_s / 0.05))
+    assert {target for _, target in killed} == {"agent1", "agent2", "agent3", "agent4"}
+    assert killed == deaths(40, 3) != deaths(40, 4)
+    assert [at_s for at_s, _ in deaths(40, 3, ticks(4))] == pytest.approx([0.0, 0.05, 0.1, 0.15])
+
+
+COMMON = {
+    "negotiation iterations": ["2", "4"],
+    "received states": ["as_received"],
+    "actuation": ["next_tick"],
+    "discretisation": ["euler"],
+}
+ABLATED = {
+    "paper": {
+        "prediction": ["closed_loop"],
+        "terminal": ["riccati"],
+        "relaxation": ["0.5", "0.25", "0.1"],
+        "received plans": ["by_age", "held"],
+        **COMMON,
+    },
+    "resilient": {
+        "prediction": ["open_loop"],
+        "terminal": ["multiple"],
+        "preview": ["false"],
+        "relaxation": ["1.0", "0.25", "0.1"],
+        "received plans": ["by_one", "held"],
+        **COMMON,
+    },
+}
+
+
+def test_an_ablation_has_all_values_that_change_a_scenario() -> None:
+    """Those of `paper` and `resilient`, each alone, on both networks; the baseline is the unchanged one."""
+    points = built("ablation").points
+    changes: dict[str, dict[str, list[str]]] = {}
+    for point in points:
+        part, value = str(point.labels["part"]), str(point.labels["value"])
+        if point.labels["network"] == "perfect" and value:
+            changes.setdefault(point.scenario, {}).setdefault(part, []).append(value)
+    assert changes == ABLATED
+    assert [(one.scenario, *one.labels.values()) for one in points if one.baseline] == [
+        (name, "perfect", "as it is", "") for name in BOTH
+    ]
+
+
+def test_the_kill_of_an_agent_is_told_with_its_return() -> None:
+    """By agent and by when it is back; the baseline has no kill."""
+    none, *points = built("kill", of=("paper",), at=2.0, restart=3.5).points
+    assert (none.baseline, none.labels, none.read().faults.event) == (
+        True, {"agent": "none", "restart_s": "none"}, [],
+    )  # fmt: skip
+    told = [(*point.labels.values(), point.text) for point in points]
+    assert told == [
+        *((f"{k}", 3.5, f"agent{k} restarted after 1.5 s") for k in (1, 2, 3, 4)),
+        *((f"{k}", "never", f"agent{k} not restarted") for k in (1, 2, 3, 4)),
+    ]
+
+
+TITLES = {
+    "std_s": ("standard deviation of the delay (ms)", 1e3),
+    "agent": ("agent killed", 1.0),
+    "network": ("network", 1.0),
+    "restart_s": ("restart (s)", 1.0),
+    "killed_s": ("time at which the agent is killed (s)", 1.0),
+    "hover_s": ("duration of the last hover (s)", 1.0),
+    "speed_mps": ("largest speed (m/s)", 1.0),
+    "uavs": ("number of UAVs", 1.0),
+    "age_s": ("mean age of the newest plan (s)", 1.0),
+    "terminal": ("terminal weight", 1.0),
+    "share_threshold": ("threshold (% of the input's range; 0: all plans sent)", 100.0),
+    "rule": ("rule of the agents that learn a target from plans", 1.0),
+    "cost_mean": ("mean cost ($10^{-3}$)", 1e3),
+    "away_rms_m": ("away, rms (cm)", 100.0),
+    "delay_s": ("delay of plans (ms)", 1e3),
+    "loss": ("loss of plans (%)", 100.0),
+}
+
+
+@pytest.mark.parametrize("column", TITLES)
+def test_a_column_of_an_experiment_has_a_title_and_a_unit(column: str) -> None:
+    """Numbers in the figure are those of the column times the factor to the unit."""
+    found = axis(column)
+    assert (found.title, found.factor) == TITLES[column]
