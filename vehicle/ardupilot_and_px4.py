@@ -62,7 +62,6 @@ class Dialect:
         health: Message that tells the health of the estimate.
         is_healthy: Whether that message says that attitude, velocity and position are valid.
         imu: Message with the specific force, and its unit, m/s^2.
-        streams_first: Whether setpoints have to come before the mode is accepted.
     """
 
     name: str
@@ -76,7 +75,6 @@ class Dialect:
     is_healthy: Callable[[Any], bool]
     imu: str
     imu_mps2: float
-    streams_first: bool
 
     def is_guided(self, custom_mode: int) -> bool:
         """Return whether a mode is the one that obeys setpoints."""
@@ -133,7 +131,6 @@ def ardupilot(setpoint_timeout_s: float) -> Dialect:
         is_healthy=_ekf_is_healthy,
         imu="SCALED_IMU",
         imu_mps2=9.80665e-3,  # thousandths of standard gravity
-        streams_first=False,
     )
 
 
@@ -165,7 +162,6 @@ def px4(setpoint_timeout_s: float) -> Dialect:
         is_healthy=_estimator_is_healthy,
         imu="HIGHRES_IMU",
         imu_mps2=1.0,
-        streams_first=True,
     )
 
 

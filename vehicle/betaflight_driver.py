@@ -53,7 +53,6 @@ _FLAGS = (
     *("position hold", "arm switch"),
 )
 _FAILED_RECEIVER = 0b110  # failsafe, receiver lost
-_ARM_SWITCH = 1 << 28
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

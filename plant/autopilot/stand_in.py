@@ -18,6 +18,7 @@ import struct
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -132,6 +133,11 @@ class StandIn:
         self._estimate = CopterEstimate((0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3)
         self._force: Vector = (0.0, 0.0, -9.8)
         self._outputs: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
+
+    def close(self) -> None:
+        """Close the link and the record of setpoints."""
+        self.link.close()
+        self._record.close()
 
     @property
     def _is_ready(self) -> bool:
@@ -391,8 +397,8 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
 def main(arguments: Sequence[str]) -> None:
     """Run until the physics are gone."""
     options = _options(arguments)
-    copter = StandIn(options)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as physics:
+    physics = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    with closing(StandIn(options)) as copter, physics:
         physics.settimeout(_AGAIN_S)
         there = options.sim_address, options.sim_port_out
         heard_s = time.monotonic()

@@ -2,7 +2,9 @@
 
 import json
 import math
+import signal
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,8 +13,16 @@ import pytest
 
 from transport.flight.roles import plant_run
 from transport.model.state import INPUTS, SENSED
-from transport.plant.autopilot.autopilot_processes import FOLDER, PROGRAM, Autopilots
+from transport.plant.autopilot import autopilot_processes
+from transport.plant.autopilot.autopilot_processes import (
+    FOLDER,
+    PROGRAM,
+    Autopilots,
+    program,
+    version,
+)
 from transport.protocol.scenario.scenario_file import read_scenario
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup
 
 SCENARIO = Path(__file__).resolve().parents[2] / "scenarios" / "flight.toml"
@@ -95,3 +105,83 @@ def test_each_autopilot_has_its_own_link_and_number(start: Start, tmp_path: Path
         lines = (tmp_path / f"uav{i + 1}" / options["--defaults"]).read_text().splitlines()
         assert "GUID_OPTIONS 8" in lines
     assert len(ports) == 4
+
+
+def test_options_and_parameters_are_those_of_a_simulated_copter(
+    start: Start, tmp_path: Path
+) -> None:
+    """Physics at 800 Hz decide its pace; it has one link, and the other serial lines go nowhere."""
+    bank = start(COPTER)
+    assert bank.step_s == 1.0 / 800.0
+    bank.inputs()
+    words = json.loads((tmp_path / "uav2" / "options.json").read_text())
+    options = dict(zip(words[1::2], words[2::2], strict=True))
+    assert int(options.pop("--sim-port-out")) > 1023
+    assert options == {
+        "--model": "JSON:127.0.0.1", "-I": "1", "--sysid": "2", "--home": "46.5,7.5,400.0,0",
+        "--speedup": "100", "--defaults": "defaults.parm", "--sim-address": "127.0.0.1",
+        "--serial0": "udpclient:127.0.0.1:9", "--serial1": "udpclient:127.0.0.1:14551",
+        "--serial2": "udpclient:127.0.0.1:9",
+    }  # fmt: skip
+    lines = (tmp_path / "uav2" / "defaults.parm").read_text(encoding="ascii").splitlines()
+    assert "SIM_RATE_HZ 800" in lines
+    # A quarter of the hover's thrust, (2 + 3 / 4) kg g, over 8.55 N.
+    assert f"MOT_THST_HOVER {2.75 * 9.81 / 34.2:.9g}" in lines
+
+
+def test_one_that_does_not_answer_ends_the_run(
+    start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After its time, without thrust; the others are not waited for."""
+    monkeypatch.setattr(autopilot_processes, "_LOOK_S", 0.05)
+    monkeypatch.setattr(autopilot_processes, "_PATIENCE_S", 0.1)
+    bank = start(f"#!{sys.executable} -IS\nimport time\ntime.sleep(60)\n")
+    assert not bank.inputs().any()
+    assert bank.failure == "the autopilot of UAV1 has not answered for 0.1 s"
+    monkeypatch.setattr(bank, "_received", None)
+    assert not bank.inputs().any()
+
+
+@pytest.mark.parametrize("is_kept", [True, False])
+def test_autopilots_end_with_their_plant(
+    start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_kept: bool
+) -> None:
+    """A folder of their own is removed, one that is given stays."""
+    made = tmp_path / "made"
+    made.mkdir()
+    monkeypatch.setattr(tempfile, "mkdtemp", lambda prefix: str(made))
+    if not is_kept:
+        monkeypatch.delenv(FOLDER)
+    bank = start(f"#!{sys.executable} -IS\nimport time\ntime.sleep(60)\n")
+    processes = bank._processes
+    assert (made / "uav1").exists() == (not is_kept)
+    del bank
+    assert [process.returncode for process in processes] == [-signal.SIGKILL] * 4
+    assert (tmp_path / "uav1").exists() == is_kept
+    assert made.exists() == is_kept
+
+
+def test_what_is_missing_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program that is not there, by the variable that names it, or the package of its messages."""
+    copter, stand_in = (
+        plant_run(Setup.of(read_scenario(SCENARIO, (f"plant.autopilot={name}",)), str(SCENARIO)))
+        for name in ("ardupilot", "stand_in")
+    )
+    expected = r"plant\.autopilot: expected the environment variable ARDUCOPTER to name .*, got "
+    monkeypatch.delenv(PROGRAM, raising=False)
+    with pytest.raises(ScenarioError, match=f"{expected}none; build it"):
+        version(copter)
+    monkeypatch.setenv(PROGRAM, "/nowhere/copter")
+    with pytest.raises(ScenarioError, match=f"{expected}'/nowhere/copter'"):
+        version(copter)
+    path = tmp_path / "copter"
+    path.write_text("")
+    path.chmod(0o755)
+    monkeypatch.setenv(PROGRAM, str(path))
+    assert version(copter) == "autopilots ardupilot, copter"
+    assert program(stand_in) == [sys.executable, "-m", "transport.plant.autopilot.stand_in"]
+    monkeypatch.setattr(autopilot_processes, "find_spec", lambda _: None)
+    with pytest.raises(
+        ScenarioError, match=r"expected the package pymavlink, got none; pip install"
+    ):
+        version(stand_in)

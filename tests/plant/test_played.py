@@ -8,6 +8,8 @@ import pytest
 
 from transport.flight.roles import plant_run
 from transport.model.arrays import Array
+from transport.model.physics.rotations import rotation
+from transport.plant.actuator_schedule import MOTOR_OFF
 from transport.plant.autopilot.node import PlayedPlant
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
@@ -16,12 +18,15 @@ from transport.protocol.wire.messages import Message, PlantState, Schedule
 SCENARIO = Path(__file__).resolve().parents[2] / "scenarios" / "flight.toml"
 MS, S = 10**6, 10**9
 WALL_NS = 1_700_000_000 * S
+FOUR_TICKS = "maneuver.phase=[{name='hover',duration_s=0.2,displacement_m=[0,0,0]}]"
+MOTOR_OFF_AT_TICK_2 = "faults.event=[{at_s=0.1,do='motor_off',target='uav2'}]"
+WIND = "plant.wind.speed_mps=[8.0,0.0,0.0]"
 
 
 @lru_cache(maxsize=2)
-def flight(speed: float = 1.0) -> Setup:
-    """The ready scenario at a pace."""
-    return Setup.of(read_scenario(SCENARIO, (f"clock.speed={speed}",)), str(SCENARIO))
+def flight(*settings: str) -> Setup:
+    """The ready scenario with some settings changed."""
+    return Setup.of(read_scenario(SCENARIO, settings), str(SCENARIO))
 
 
 class Constant:
@@ -45,9 +50,9 @@ class Constant:
         self.sensed.append(sensed.reshape(-1, 15).copy())
 
 
-def played(share: float, speed: float = 1.0) -> tuple[PlayedPlant, Constant]:
+def played(share: float, *settings: str) -> tuple[PlayedPlant, Constant]:
     """A plant above autopilots that give a share of the thrust of hover."""
-    run = flight(speed)
+    run = flight(*settings)
     bank = Constant(share * run.hover.u)
     return PlayedPlant(plant_run(run), bank, wall_offset_ns=WALL_NS), bank
 
@@ -85,7 +90,7 @@ def test_the_team_stands_until_tick_0() -> None:
 
 def test_autopilots_start_in_real_time() -> None:
     """A run at half of real time starts its autopilots in real time, and slows down when tick 0 is told."""
-    plant, bank = played(1.0, 0.5)
+    plant, bank = played(1.0, "clock.speed=0.5")
     go(plant, 0, 1 * S)
     assert len(bank.times_s) == 400
     plant.receive(schedule(2 * S), 1 * S)
@@ -137,3 +142,73 @@ def test_a_host_that_is_too_slow_ends_the_run() -> None:
     assert [state.diverged for state in again] == [states[-1].diverged] * len(again)
     assert len(again) in (1, 2)
     assert again[0].tick > states[-1].tick
+
+
+def test_steps_that_are_due_are_played_in_turns() -> None:
+    """At most 40 between two looks at messages; a plant that is behind wakes at once, else after 5 ms."""
+    plant, bank = played(1.0)
+    plant.poll(0)
+    found = []
+    for _ in range(3):
+        plant.poll(250 * MS)
+        found.append((len(bank.times_s), plant.wake_ns))
+    assert found == [(40, 250 * MS), (80, 250 * MS), (100, 255 * MS)]
+
+
+def test_after_the_last_tick_it_flies_on_without_a_record() -> None:
+    """Autopilots need their sensors until the coordinator ends the run; a second tick 0 changes nothing."""
+    plant, bank = played(1.0, FOUR_TICKS)
+    go(plant, 0, 1 * S)
+    plant.receive(schedule(-WALL_NS), 1 * S)  # not known yet
+    plant.receive(schedule(1 * S), 1 * S)
+    plant.receive(schedule(5 * S), 1 * S)
+    states = [message for message in go(plant, 1 * S, 2 * S) if isinstance(message, PlantState)]
+    assert [state.tick for state in states] == [0, 1, 2, 3]
+    assert len(bank.times_s) == 800
+    assert 0.0 < np.abs(bank.sensed[-1] - bank.sensed[-200]).max() < 1e-3
+
+
+@pytest.mark.parametrize(("fails_ms", "ticks"), [(1125, [2, 3, 3]), (1175, [3])])
+def test_the_end_is_told_again_each_second(fails_ms: int, ticks: list[int]) -> None:
+    """A failure ends the run within its period, and is told again as of the newest tick that the run has."""
+    plant, bank = played(1.0, FOUR_TICKS)
+    go(plant, 0, 1 * S)
+    plant.receive(schedule(1 * S), 1 * S)
+    go(plant, 1 * S, fails_ms * MS)
+    bank.failure = "gone"
+    played_before = len(bank.times_s)
+    said = go(plant, fails_ms * MS, 3200 * MS)
+    states = [message for message in said if isinstance(message, PlantState)]
+    assert [state.tick for state in states] == ticks
+    assert {state.diverged for state in states} == {"gone"}
+    assert len(bank.times_s) == played_before + 1
+    assert plant.wake_ns == 4200 * MS
+
+
+def test_failures_of_uavs_act_with_their_tick() -> None:
+    """Motors that are switched off at 0.1 s follow no autopilot from tick 2 on."""
+    plant, _ = played(1.0, MOTOR_OFF_AT_TICK_2)
+    go(plant, 0, 1 * S)
+    plant.receive(schedule(1 * S), 1 * S)
+    states = [message for message in go(plant, 1 * S, 1250 * MS) if isinstance(message, PlantState)]
+    assert [state.plan_ticks[1] == MOTOR_OFF for state in states] == [
+        False,
+        False,
+        True,
+        True,
+        True,
+    ]
+
+
+def test_accelerometers_feel_thrust_rods_and_wind() -> None:
+    """The specific force of a UAV is the change of its velocity less gravity, R f = dv/dt - g."""
+    plant, bank = played(1.1, WIND)
+    go(plant, 0, 1 * S)
+    plant.receive(schedule(1 * S), 1 * S)
+    go(plant, 1 * S, 1300 * MS)
+    sensed = np.array(bank.sensed[-60:])
+    rates = (sensed[2:, :, 3:6] - sensed[:-2, :, 3:6]) * 200.0
+    for step, now in enumerate(sensed[1:-1]):
+        for uav, own in enumerate(now):
+            felt = rotation(own[6:9]) @ own[12:15] + [0.0, 0.0, 9.81]
+            np.testing.assert_allclose(felt, rates[step, uav], atol=0.05)

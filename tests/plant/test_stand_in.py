@@ -1,7 +1,9 @@
 """The stand-in autopilot: its estimate, its frame, and the messages that it sends and obeys."""
 
 import json
+import socket
 import struct
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,10 +12,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.support.bench import free_udp_port
 from transport.plant.autopilot import stand_in
 from transport.plant.autopilot.copter_control import GUIDED
 from transport.plant.autopilot.stand_in import StandIn, Wandering
-from transport.protocol.network.mavlink import messages
+from transport.protocol.network.mavlink import Endpoint, MavlinkLink, messages
 
 # 10 m to the north and to the east of 47 deg N, 8 deg E on a sphere of 6,378,137 m, in 1e-7 deg:
 # 10 / 111,319.49, and that divided by cos 47 deg = 0.6819984.
@@ -198,3 +201,164 @@ def test_rotations() -> None:
     product = stand_in._multiplied(first, second)
     assert Rotation.from_quat(product, scalar_first=True).approx_equal(a * b, atol=1e-12)
     assert stand_in._euler(first) == pytest.approx(a.as_euler("ZYX")[::-1], abs=1e-12)
+
+
+def test_errors_begin_with_their_size() -> None:
+    """The first errors of many autopilots have the deviation named: each autopilot has its own ones."""
+    first = [Wandering(seed).values for seed in range(200)]
+    expected = {"position": 0.05, "velocity": 0.03, "attitude": 0.004, "gyro": 0.004, "force": 0.05}
+    for name, size in expected.items():
+        values = np.array([one[name] for one in first])
+        assert np.sqrt(np.mean(values**2)) == pytest.approx(size, rel=0.15), name
+        assert len(np.unique(values)) == values.size
+
+
+def test_its_estimate_is_the_state_of_the_physics_with_errors(
+    copter: StandIn, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each quantity has its own error; a shift that is asked for is to the north."""
+    turned = 0.002, -0.004, 0.006
+    monkeypatch.setattr(copter._errors, "advance", lambda _: None)
+    copter._errors.values = {
+        "position": (0.1, 0.2, 0.3), "velocity": (0.01, 0.02, 0.03), "attitude": turned,
+        "gyro": (0.04, 0.05, 0.06), "force": (0.07, 0.08, 0.09),
+    }  # fmt: skip
+    copter.parameters["STAND_JUMP"] = 5.0
+    copter.step(physics(2.5))
+    own = copter._estimate
+    assert own.position == pytest.approx((5.1, 0.2, 0.3), abs=1e-6)
+    assert own.velocity == pytest.approx((1.01, 2.02, 3.03))
+    assert own.gyro == pytest.approx((0.14, 0.25, 0.36))
+    assert copter._force == pytest.approx((1.050665, 2.04133, -9.71665))
+    expected = Rotation.from_quat(TILTED, scalar_first=True) * Rotation.from_rotvec(turned)
+    assert Rotation.from_quat(own.attitude, scalar_first=True).approx_equal(expected, atol=1e-6)
+
+
+def test_it_goes_on_by_the_time_of_the_physics(
+    copter: StandIn, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a step of 1/400 s at its start, after a gap of more than 1 s, and where time does not go on."""
+    steps_s: list[float] = []
+    monkeypatch.setattr(copter._errors, "advance", steps_s.append)
+    for time_s in (2.5, 2.75, 2.75, 3.75, 5.0, 4.5):
+        copter.step(physics(time_s))
+        assert copter.time_s == time_s
+    assert steps_s == [0.0025, 0.25, 0.0025, 1.0, 0.0025, 0.0025]
+
+
+def test_a_pilot_arms_it_once_it_is_ready(copter: StandIn) -> None:
+    """In GUIDED, if one is asked for; each time that it is disarmed."""
+    copter.step(physics(2.0))
+    assert not copter.control.is_armed
+    copter.parameters["STAND_PILOT"] = 1.0
+    copter.step(physics(1.9))
+    assert not copter.control.is_armed
+    for time_s in (2.0, 2.1):
+        copter.control.is_armed = False
+        copter.step(physics(time_s))
+        assert (copter.control.is_armed, copter.control.mode) == (True, GUIDED)
+
+
+def test_messages_come_at_their_intervals(copter: StandIn) -> None:
+    """HEARTBEAT and SYS_STATUS each second, others as asked for; after a gap two are made up for at most."""
+    m = messages()
+    copter._origin = [47.0, 8.0, 0.0]
+
+    def told(*times_s: float) -> list[str]:
+        sent: list[Any] = copter.link.sent  # type: ignore[attr-defined]
+        sent.clear()
+        for copter.time_s in times_s:
+            copter.tell()
+        return [one.msgname for one in sent]
+
+    both = ["HEARTBEAT", "SYS_STATUS"]
+    assert [told(time_s) for time_s in (0.0, 0.75, 1.0)] == [both, [], both]
+    every_250_ms = m.MAVLINK_MSG_ID_ATTITUDE, 250_000.0
+    accepted = command(copter, m.MAV_CMD_SET_MESSAGE_INTERVAL, *every_250_ms)
+    assert accepted == m.MAV_RESULT_ACCEPTED
+    found = [told(time_s) for time_s in (1.0, 1.125, 1.25, 1.5)]
+    assert found == [["ATTITUDE"], [], ["ATTITUDE"], ["ATTITUDE"]]
+    assert told(*[4.625] * 6).count("ATTITUDE") == 3
+    for never in (0.0, -1.0):
+        command(copter, m.MAV_CMD_SET_MESSAGE_INTERVAL, m.MAVLINK_MSG_ID_ATTITUDE, never)
+        assert "ATTITUDE" not in told(9.0)
+
+
+def test_a_message_or_parameter_is_told_once_when_asked_for(copter: StandIn) -> None:
+    """A command that it does not know is unsupported, a parameter that it does not have is neither told nor set."""
+    m = messages()
+    asked = command(copter, m.MAV_CMD_REQUEST_MESSAGE, m.MAVLINK_MSG_ID_SYS_STATUS)
+    sent: list[Any] = copter.link.sent  # type: ignore[attr-defined]
+    assert (asked, [one.msgname for one in sent]) == (0, ["SYS_STATUS", "COMMAND_ACK"])
+    assert command(copter, m.MAV_CMD_NAV_LAND, 0.0) == m.MAV_RESULT_UNSUPPORTED
+    copter._take(m.MAVLink_param_request_read_message(1, 1, b"GUID_TIMEOUT", -1))
+    told = sent[-1]
+    assert (told.param_id, told.param_value, told.param_type) == ("GUID_TIMEOUT", 3.0, 9)
+    before = len(sent), dict(copter.parameters)
+    copter._take(m.MAVLink_param_request_read_message(1, 1, b"NONE", -1))
+    copter._take(m.MAVLink_param_set_message(1, 1, b"NONE", 1.0, 9))
+    assert (len(sent), copter.parameters) == before
+
+
+def test_it_hears_what_is_for_its_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or for all, on a link with the key of its options; its packets have its number."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "key").write_text("ab" * 32)
+    port = free_udp_port()
+    key = bytes.fromhex("ab" * 32)
+    companion = MavlinkLink(Endpoint(False, "127.0.0.1", port), (255, 191), 3, key)
+    link = f"udpclient:127.0.0.1:{port}"
+    options = ["--sysid", "3", "--serial1", link, "--signing-key", "key"]
+    copter = StandIn(stand_in._options(options))
+    copter._say("here")
+    (heard,) = companion.receive(1.0)
+    assert (heard.get_srcSystem(), heard.get_srcComponent(), heard.text) == (3, 1, "here")
+    for system, charge, taken in ((3, 50.0, 50.0), (7, 20.0, 50.0), (0, 40.0, 40.0)):
+        for value in (charge + 1.0, charge):  # all messages that have come
+            companion.send(
+                messages().MAVLink_param_set_message(system, 1, b"STAND_BATTERY", value, 9)
+            )
+        copter.hear()
+        assert copter.parameters["STAND_BATTERY"] == taken
+    companion.close()
+    copter.close()
+
+
+def test_outputs_are_sent_again_until_the_physics_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same packet; an answer brings the next one; without physics it ends."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(stand_in, "_AGAIN_S", 0.05)
+    monkeypatch.setattr(stand_in, "_ORPHAN_S", 0.4)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as world:
+        world.bind(("127.0.0.1", 0))
+        world.settimeout(5.0)
+        port = str(world.getsockname()[1])
+        options = ["--sim-port-out", port, "--serial1", "udpclient:127.0.0.1:9"]
+        copter = threading.Thread(target=stand_in.main, args=(options,), daemon=True)
+        copter.start()
+        numbers = []
+        for _ in range(2):
+            packet, there = world.recvfrom(4096)
+            numbers.append(struct.unpack_from("<HHI", packet)[2])
+        world.sendto(physics(0.0025), there)
+        while numbers[-1] == 1:
+            numbers.append(struct.unpack_from("<HHI", world.recv(4096))[2])
+        copter.join(5.0)
+    assert not copter.is_alive()
+    assert numbers[:2] == [1, 1]
+    assert numbers[-1] == 2
+
+
+def test_options_are_those_of_ardupilots_simulator(tmp_path: Path) -> None:
+    """With its defaults; others are ignored. A file has a parameter a line, with a space or a comma."""
+    own = stand_in._options(["--wipe", "-I", "3", "--speedup", "100"])
+    assert vars(own) == {
+        "sysid": 1, "home": "47.0,8.0,0,0", "defaults": None, "sim_address": "127.0.0.1",
+        "sim_port_out": 9002, "serial1": "udpclient:127.0.0.1:14550", "signing_key": None,
+    }  # fmt: skip
+    path = tmp_path / "defaults.parm"
+    path.write_text("GUID_TIMEOUT 0.5\n\nMOT_THST_HOVER,0.25\n", encoding="ascii")
+    assert stand_in._read_parameters(path) == {"GUID_TIMEOUT": 0.5, "MOT_THST_HOVER": 0.25}
+    assert stand_in._read_parameters(None) == {}

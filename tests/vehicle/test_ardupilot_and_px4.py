@@ -16,6 +16,7 @@ ALL = ATTITUDE | VELOCITY | POSITION
     [
         (False, 8.0, True),
         (False, 8.1, False),
+        (False, 8.00001, False),
         (False, None, False),
         (True, 8.0, True),
         (True, 0.1, True),
@@ -79,6 +80,21 @@ def test_the_time_out_of_setpoints_is_a_parameter() -> None:
         for name, make in DIALECTS.items()
     }
     assert wanted["ardupilot"]["GUID_TIMEOUT"] == wanted["px4"]["COM_OF_LOSS_T"] == (0.4, True)
-    assert wanted["ardupilot"]["GUID_OPTIONS"] == (8, False)
-    assert wanted["ardupilot"]["MOT_THST_EXPO"] == wanted["px4"]["THR_MDL_FAC"] == (1, False)
-    assert wanted["px4"]["COM_OBL_RC_ACT"] == (5, False)
+    # Thrust curve, no thrust added, full range, no boost with the tilt, no slow jump of the position.
+    assert wanted["ardupilot"] == {
+        "GUID_OPTIONS": (8, False), "GUID_TIMEOUT": (0.4, True), "MOT_THST_EXPO": (1, False),
+        "MOT_SPIN_MIN": (0, False), "MOT_SPIN_MAX": (1, False), "ATC_ANGLE_BOOST": (0, False),
+        "EK3_POS_I_GATE": (200, True),
+    }  # fmt: skip
+    assert wanted["px4"] == {
+        "COM_OF_LOSS_T": (0.4, True), "COM_OBL_RC_ACT": (5, False), "THR_MDL_FAC": (1, False),
+    }  # fmt: skip
+
+
+def test_health_and_force_have_their_messages() -> None:
+    """Specific force in thousandths of standard gravity or in m/s^2."""
+    told = {name: make(0.4) for name, make in DIALECTS.items()}
+    assert {name: (one.health, one.imu, one.imu_mps2) for name, one in told.items()} == {
+        "ardupilot": ("EKF_STATUS_REPORT", "SCALED_IMU", 9.80665e-3),
+        "px4": ("ESTIMATOR_STATUS", "HIGHRES_IMU", 1.0),
+    }

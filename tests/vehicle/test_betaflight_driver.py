@@ -4,16 +4,31 @@ import math
 import socket
 import struct
 import threading
+import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.support.bench import free_udp_port
 from tests.support.commands import wait_for
 from transport.protocol.network.mavlink import Endpoint, MavlinkLink, messages
-from transport.vehicle.betaflight_driver import BetaflightAutopilot, BetaflightSettings
+from transport.vehicle.betaflight_driver import (
+    BetaflightAutopilot,
+    BetaflightSettings,
+    _armed_and_flags,
+    _delay_fits,
+    _procedure_fits,
+    _rates_fit,
+    _sensed,
+    _throttle_fits,
+    _unit_of,
+)
 from transport.vehicle.msp import MspLink, framed
 
 LARGEST_N = 34.2
@@ -34,6 +49,7 @@ class Firmware:
     Attributes:
         channels: Channels of the newest MSP_SET_RAW_RC.
         frames: Number of them.
+        asked: Number of requests by command.
     """
 
     def __init__(self) -> None:
@@ -42,6 +58,7 @@ class Firmware:
         self.flags, self.modes = NOTHING_AGAINST, 0
         self.channels: tuple[int, ...] = ()
         self.frames = 0
+        self.asked: Counter[int] = Counter()
         self.answers = {
             111: rates(roll=18, pitch=20, yaw=6),
             44: struct.pack("<BHHH", 0, 1900, 1500, 1050),
@@ -64,6 +81,7 @@ class Firmware:
             while len(received) >= 6 and len(received) >= 6 + received[3]:
                 command, payload = received[4], received[5 : 5 + received[3]]
                 received = received[6 + received[3] :]
+                self.asked[command] += 1
                 if command == 200:
                     self.channels = struct.unpack("<8H", payload)
                     self.frames += 1
@@ -153,10 +171,15 @@ def test_it_arms_once_nothing_is_against_it(
 
     firmware.flags = NOTHING_AGAINST
     assert wait_for(lambda: (state := driver.state()) is not None and not state.says)
+    assert firmware.frames == 100  # one each 20 ms
     driver.attend(2_400 * 10**6)
+    driver.attend(2_419 * 10**6)
+    assert wait_for(lambda: firmware.frames == 101)
+    assert firmware.channels[4] == 1000
     driver.attend(2_600 * 10**6)
     assert wait_for(lambda: firmware.channels[4] == 2000)
     assert firmware.channels[2] == 1000
+    assert firmware.frames == 102
 
 
 def test_thrust_and_rates_become_channels(firmware: Firmware, driver: BetaflightAutopilot) -> None:
@@ -187,3 +210,139 @@ def test_no_frame_without_a_setpoint(firmware: Firmware, driver: BetaflightAutop
     driver.command(20.0, np.zeros(3), 0.0)
     driver.close()
     assert firmware.frames == 1
+
+
+def test_the_status_says_what_is_against_arming(
+    firmware: Firmware, driver: BetaflightAutopilot
+) -> None:
+    """By the bits of fc/runtime_config.h; setpoints are of use unless the receiver has failed."""
+
+    def is_said(text: str) -> bool:
+        state = driver.state()
+        return state is not None and state.says == text
+
+    for bits, says, is_heard in (
+        ((2, 7, 28), "receiver lost, throttle, arm switch", False),
+        ((1,), "failsafe", False),
+        ((0, 3, 8, 12, 21), "no gyro, not disarmed, angle, calibrating, reboot required", True),
+    ):
+        firmware.flags = sum(1 << bit for bit in bits)
+        assert wait_for(partial(is_said, says))
+        state = driver.state()
+        assert state is not None
+        assert (state.takes_setpoints, state.mode) == (is_heard, "not armed")
+    firmware.modes = ARMED
+    assert wait_for(lambda: (now := driver.state()) is not None and now.armed)
+    state = driver.state()
+    assert state is not None
+    assert (state.mode, state.battery, state.thrust_N) == ("armed", -1.0, None)
+    # Modes beyond the first 32, whose number is in the lower half of a byte, stand before the flags.
+    status = struct.pack("<HHHIBHBBB", 0, 0, 0, 0b10, 0, 0, 3, 0, 0xF2)
+    assert _armed_and_flags(status + b"\xff\xff" + struct.pack("<BI", 29, 5)) == (False, 5)
+
+
+def test_it_is_silent_two_seconds_after_the_last_answer(
+    driver: BetaflightAutopilot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of its status or its sensors; a pose alone is none of the firmware. Age is that of the older one."""
+    s = 10**9
+    driver._is_closed = True
+    for thread in driver._threads:
+        thread.join()
+    assert driver._odometry is not None
+    driver._odometry = driver._odometry[0], 7 * s
+    for status_s, imu_s in ((3, 4), (4, 3)):
+        driver._answers[150] = driver._answers[150][0], status_s * s
+        driver._answers[102] = driver._answers[102][0], imu_s * s
+        monkeypatch.setattr(time, "monotonic_ns", lambda: 6 * s)
+        state = driver.state()
+        assert state is not None
+        assert (state.position_ns, state.attitude_ns) == (7 * s, imu_s * s)
+        monkeypatch.setattr(time, "monotonic_ns", lambda: 6 * s + 1)
+        assert driver.state() is None
+    assert driver.silence() == "no sign of life from the autopilot"
+
+
+def test_axes_of_the_firmware_are_forward_left_up() -> None:
+    """Left and up become right and down; roll, pitch and yaw are those of the motion capture's attitude."""
+    quaternion = Rotation.from_euler("ZYX", [1.1, -0.2, 0.3]).as_quat(scalar_first=True)
+    odometry = SimpleNamespace(x=1.0, y=2.0, z=-3.0, vx=0.1, vy=0.2, vz=0.3, q=quaternion)
+    imu = struct.pack("<9h", 512, 1024, 2048, 1638, 3277, -4915, 0, 0, 0)
+    sensed = _sensed(odometry, imu, 2048.0)
+    np.testing.assert_allclose(sensed[:9], [1.0, 2.0, -3.0, 0.1, 0.2, 0.3, 0.3, -0.2, 1.1])
+    rates = np.radians([100.0, -200.0, 300.0])  # of 2000 deg/s at 32768
+    np.testing.assert_allclose(sensed[9:12], rates, atol=1e-3)
+    np.testing.assert_allclose(sensed[12:], 9.80665 * np.array([0.25, -0.5, -1.0]))
+
+
+@pytest.mark.parametrize(
+    ("reading", "unit"),
+    [(250, 256), (370, 512), (1100, 1024), (2048, 2048), (4500, 4096), (0, 256)],
+)
+def test_the_unit_of_the_accelerometer_is_the_nearest_one(reading: int, unit: float) -> None:
+    """By the size of the specific force of a vehicle at rest, whichever way it lies."""
+    assert _unit_of(struct.pack("<9h", 0, -reading, 0, *[0] * 6)) == unit
+
+
+def test_rates_have_to_be_linear_and_large_enough() -> None:
+    """Each byte of MSP_RC_TUNING on which they depend is looked at; a rate that is exactly enough is."""
+    fitting = rates(roll=18, pitch=17, yaw=6)
+    least_deg_s = np.array([180.0, 170.0, 60.0])
+    assert _rates_fit(fitting, least_deg_s) == (True, "type 3, linear, 180, 170, 60 deg/s")
+    for axis in range(3):
+        assert not _rates_fit(fitting, least_deg_s + 0.1 * np.eye(3)[axis])[0]
+    # Rates at the centre, expo, and largest rates, about roll, pitch and yaw; the type.
+    changed = {at: bytes([*fitting[:at], fitting[at] + 1, *fitting[at + 1 :]]) for at in range(23)}
+    wrong = [at for at, tuning in changed.items() if not _rates_fit(tuning, least_deg_s)[0]]
+    assert wrong == [0, 1, 2, 3, 4, 10, 11, 12, 13, 22]
+    assert _rates_fit(changed[13], least_deg_s)[1] == "type 3, not linear, 180, 170, 60 deg/s"
+    assert [at for at, tuning in changed.items() if not _throttle_fits(tuning)[0]] == [7, 14]
+    assert _throttle_fits(changed[7])[1] == "expo 1, limit 0"
+
+
+@pytest.mark.parametrize(("tenths", "fits"), [(4, True), (5, True), (6, False)])
+def test_the_fail_safe_begins_in_time_and_lands(tenths: int, fits: bool) -> None:
+    """Its delay in tenths of a second, and its procedure by name."""
+    failsafe = struct.pack("<BBHBHB", tenths, 60, 1480, 0, 100, 2)
+    assert _delay_fits(failsafe, 5.0) == (fits, str(tenths))
+    assert _procedure_fits(failsafe) == (False, "GPS-RESCUE")
+
+
+def test_settings_are_asked_for_until_they_are_known(
+    firmware: Firmware, driver: BetaflightAutopilot
+) -> None:
+    """Those that have no answer yet do not fit, and have no value; sensors and status are asked for on."""
+    answers, driver._answers = driver._answers, {}
+    unknown = driver.findings()
+    driver._answers = answers
+    assert {(one.got, one.is_met) for one in unknown} == {("", False)}
+    assert wait_for(lambda: all(finding.got for finding in driver.findings()))
+    before = dict(firmware.asked)
+    assert wait_for(lambda: firmware.asked[102] >= before[102] + 70)  # 0.7 s; settings each 0.5 s
+    assert {before[command] == firmware.asked[command] for command in (111, 44, 75, 90)} == {True}
+    assert firmware.asked[150] > before[150]
+
+
+def test_setpoints_are_cut_to_what_channels_can_tell(
+    firmware: Firmware, driver: BetaflightAutopilot
+) -> None:
+    """Thrust between idle and full, rates of full sticks; none before the settings are known or after a landing."""
+    answers, driver._answers = driver._answers, {}
+    driver.command(20.0, np.zeros(3), 0.0)
+    assert not driver._has_flown
+    driver._answers = answers
+    assert wait_for(lambda: all(finding.got for finding in driver.findings()))
+    given: list[tuple[int, ...]] = []
+    for thrust_N, rate in ((-1.0, -9.0), (0.0, 0.0), (2.0 * LARGEST_N, 9.0)):
+        driver.command(thrust_N, np.full(3, rate), 0.0)
+        assert wait_for(lambda: firmware.frames == len(given) + 1)
+        given.append(firmware.channels)
+    assert given == [
+        (1000, 2000, 1052, 1000, 2000, 1000, 1000, 1000),
+        (1500, 1500, 1052, 1500, 2000, 1000, 1000, 1000),
+        (2000, 1000, 2000, 2000, 2000, 1000, 1000, 1000),
+    ]
+    driver.land()
+    driver.command(20.0, np.zeros(3), 0.0)
+    driver.close()
+    assert firmware.frames == 3

@@ -236,3 +236,137 @@ def test_it_asks_for_what_it_lacks(flight: Flight) -> None:
     assert "SET_GPS_GLOBAL_ORIGIN" not in {one.get_type() for one in again}
     left = {one.param_id for one in again if one.get_type() == "PARAM_REQUEST_READ"}
     assert left == wanted - values.keys()
+
+
+@pytest.fixture
+def later(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """Hold the clock of the driver, and return how it goes on by a time, s."""
+    now_ns = time.monotonic_ns()
+
+    def move(seconds: float) -> None:
+        nonlocal now_ns
+        now_ns += round(1e9 * seconds)
+
+    monkeypatch.setattr(time, "monotonic_ns", lambda: now_ns)
+    return move
+
+
+def test_any_message_is_a_sign_of_life(flight: Flight, later: Callable[[float], None]) -> None:
+    """There is a state until 2 s after the last message of any kind; place and attitude have their own times."""
+    start_ns = time.monotonic_ns()
+    sent = [messages().MAVLink_heartbeat_message(2, 3, 0, GUIDED, 0, 3), *motion()]
+    for message in sent:
+        flight.link.send(message)
+    assert wait_for(lambda: (now := flight.driver.state()) is not None and now.sensed is not None)
+    later(1.5)
+    flight.link.send(messages().MAVLink_attitude_message(4_000, *[0.0] * 6))
+    assert wait_for(
+        lambda: (now := flight.driver.state()) is not None and now.attitude_ns > start_ns
+    )
+    state = flight.driver.state()
+    assert state is not None
+    assert (state.position_ns, state.attitude_ns) == (start_ns, start_ns + 1_500_000_000)
+    later(2.0)
+    assert flight.driver.state() is not None
+    later(1e-9)
+    assert flight.driver.state() is None
+
+
+def test_other_components_are_not_the_autopilot(flight: Flight) -> None:
+    """A camera or gimbal of the same system changes nothing."""
+    flight.in_mode(GUIDED)
+    gimbal = MavlinkLink(Endpoint(True, "127.0.0.1", flight.port), (1, 154), 0)
+    gimbal.send(messages().MAVLink_heartbeat_message(26, 8, ARMED, 0, 0, 3))
+    said = messages().MAVLink_statustext_message(4, b"after the gimbal")
+    flight.tell(said, until=lambda: (now := flight.driver.state()) is not None and bool(now.says))
+    gimbal.close()
+    state = flight.driver.state()
+    assert state is not None
+    assert (state.takes_setpoints, state.armed) == (True, False)
+
+
+def test_it_is_an_onboard_computer_that_lives(flight: Flight) -> None:
+    """One heartbeat a second; questions each half second."""
+    flight.in_mode(GUIDED)
+    kinds = [{one.get_type() for one in flight.asked(s)} for s in (0.0, 0.1, 0.6, 1.2)]
+    assert ["HEARTBEAT" in each for each in kinds] == [True, False, False, True]
+    assert ["PARAM_REQUEST_READ" in each for each in kinds] == [True, False, True, True]
+    (beat,) = (one for one in flight.asked(3.0) if one.get_type() == "HEARTBEAT")
+    told = beat.get_srcSystem(), beat.get_srcComponent(), beat.type, beat.autopilot
+    assert told == (255, 191, 18, 8)  # onboard controller, no autopilot
+
+
+def test_messages_are_asked_for_again_once_they_do_not_come(flight: Flight) -> None:
+    """Each at its rate, until it comes, and again after 2 s without."""
+    m = messages()
+    flight.in_mode(GUIDED)
+    flight.tell(
+        *motion(),
+        until=lambda: (now := flight.driver.state()) is not None and now.sensed is not None,
+    )
+
+    def rates_hz(later_s: float) -> dict[int, float]:
+        asked = flight.asked(later_s)
+        commands = [one for one in asked if one.get_type() == "COMMAND_LONG"]
+        assert {(one.target_system, one.target_component) for one in commands} == {(1, 1)}
+        return {
+            round(one.param1): 1e6 / one.param2
+            for one in commands
+            if one.command == m.MAV_CMD_SET_MESSAGE_INTERVAL
+        }
+
+    others = {
+        m.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 5.0,
+        m.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
+        m.MAVLINK_MSG_ID_ATTITUDE_TARGET: 10.0,
+    }
+    assert rates_hz(0.0) == pytest.approx(others)
+    fast = dict.fromkeys(
+        (
+            m.MAVLINK_MSG_ID_ATTITUDE,
+            m.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+            m.MAVLINK_MSG_ID_SCALED_IMU,
+        ),
+        2.0 * SECTION.setpoint_hz,
+    )
+    assert rates_hz(2.5) == pytest.approx(others | fast, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("away_mm", "where"), [(0, "the common one"), (40, "the common one"), (60, "its own")]
+)
+def test_an_origin_of_its_own_is_told(flight: Flight, away_mm: int, where: str) -> None:
+    """Known is enough; within 5 cm it is the common one."""
+    flight.in_mode(GUIDED)
+    assert str(flight.driver.findings()[-1]) == (
+        "origin: expected known, got no answer yet (positions of all UAVs need one frame)"
+    )
+    height_mm = round(1e3 * ORIGIN[2]) + away_mm
+    origin = messages().MAVLink_gps_global_origin_message(470_000_000, 80_000_000, height_mm)
+    flight.tell(origin, until=lambda: flight.driver.findings()[-1].is_met)
+    got = flight.driver.findings()[-1].got
+    assert got == f"{where}, {away_mm / 1e3:.2f} m from the common one"
+
+
+@pytest.mark.parametrize(("remaining", "battery"), [(-1, -1.0), (0, 0.0), (100, 1.0)])
+def test_the_battery_is_a_share(flight: Flight, remaining: int, battery: float) -> None:
+    """An empty one is not one that is not known."""
+    flight.in_mode(GUIDED)
+    m = messages()
+    status = m.MAVLink_sys_status_message(*[0] * 4, 16_000, 500, remaining, *[0] * 6)
+    said = m.MAVLink_statustext_message(4, b"told")
+    flight.tell(
+        status, said, until=lambda: (now := flight.driver.state()) is not None and bool(now.says)
+    )
+    state = flight.driver.state()
+    assert state is not None
+    assert state.battery == battery
+
+
+def test_knowledge_from_before_tick_0_has_a_time(flight: Flight) -> None:
+    """Times of setpoints are of 32 bits: -50 ms is 2^32 - 50 ms."""
+    flight.in_mode(GUIDED, ARMED)
+    flight.sent()
+    flight.driver.command(7.5, np.zeros(3), -0.05)
+    (given,) = flight.sent()
+    assert given.time_boot_ms == 2**32 - 50

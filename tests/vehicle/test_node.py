@@ -4,11 +4,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace as changed
 
 from transport.model import state
 from transport.model.arrays import Array
@@ -114,7 +116,7 @@ class Recording:
 class Flight:
     """A vehicle and its autopilot in virtual time."""
 
-    def __init__(self, *settings: str, stands: bool = False) -> None:
+    def __init__(self, *settings: str, stands: bool = False, speaks: bool = True) -> None:
         self.setup = flight(*settings)
         self.autopilot = Recording(self.setup)
         conduct = Conduct(section=self.setup.scenario.vehicles, stands=stands)
@@ -123,8 +125,9 @@ class Flight:
         )
         self.said: list[Message] = []
         self.now_ns = START_NS - 2 * S
-        self.tell(self.schedule(0))
-        self.tell(self.roster(1))
+        if speaks:
+            self.tell(self.schedule(0))
+            self.tell(self.roster(1))
 
     def tell(self, event: Message | Presence) -> None:
         """Pass an event to the vehicle."""
@@ -185,6 +188,35 @@ class Flight:
             inputs=inputs,
             corrections=np.zeros((0, 4)),
             status="solved",
+        )
+
+    def target(self, *, lands: bool = False) -> Target:
+        """A target from tick 11 on, 5 s away."""
+        return Target(
+            sender="coordinator",
+            incarnation=0,
+            sequence=3,
+            tick=11,
+            number=1,
+            points=np.array([[1.0, 0.0, -10.0]]),
+            times=np.zeros(1),
+            approach_s=5.0,
+            approach_ramp_s=2.0,
+            way_s=0.0,
+            way_ramp_s=0.0,
+            lands=lands,
+        )
+
+    def end(self, outcome: Any) -> Control:
+        """The end of the run."""
+        return Control(
+            sender="coordinator",
+            incarnation=0,
+            sequence=9,
+            tick=10,
+            outcome=outcome,
+            reason="",
+            exit_code=0,
         )
 
     def statuses(self) -> list[VehicleStatus]:
@@ -423,31 +455,25 @@ def test_at_the_end_the_autopilot_takes_over(at_end: str, outcome: Any, asked: s
     run = Flight(f"vehicles.at_end={at_end}")
     run.begin()
     run.until(0.5)
-    run.tell(
-        Control(
-            sender="coordinator",
-            incarnation=0,
-            sequence=9,
-            tick=10,
-            outcome=outcome,
-            reason="",
-            exit_code=0,
-        )
-    )
+    run.tell(run.end(outcome))
     assert run.autopilot.asked == [asked]
     assert run.node.finished is not None
 
 
-def test_off_its_rod_the_autopilot_takes_over() -> None:
-    """A UAV that is released gets no setpoint any more; its process tells on how it is."""
-    run = Flight()
+@pytest.mark.parametrize("at_end", ["hold", "land"])
+def test_off_its_rod_the_autopilot_takes_over(at_end: str) -> None:
+    """A UAV that is released gets no setpoint any more; its process tells on how it is, without a source."""
+    run = Flight(f"vehicles.at_end={at_end}")
     run.begin()
     run.until(0.5)
-    run.tell(run.roster(2, released=(UAV,)))
+    run.tell(run.roster(2, released=(1, 3, 4)))
+    assert run.autopilot.asked == []
+    run.tell(run.roster(3, released=(UAV,)))
     before = len(run.autopilot.commands)
     run.until(1.5)
-    assert (run.autopilot.asked, len(run.autopilot.commands)) == (["hold"], before)
-    assert run.statuses()[-1].phase == "released"
+    assert (run.autopilot.asked, len(run.autopilot.commands)) == ([at_end], before)
+    told = run.statuses()[-1]
+    assert (told.phase, told.plan_tick) == ("released", -3)
 
 
 def test_vehicles_tell_each_other_what_one_missed() -> None:
@@ -455,21 +481,7 @@ def test_vehicles_tell_each_other_what_one_missed() -> None:
     run = Flight()
     run.begin()
     run.until(0.5)
-    run.tell(
-        Target(
-            sender="coordinator",
-            incarnation=0,
-            sequence=3,
-            tick=11,
-            number=1,
-            points=np.array([[1.0, 0.0, -10.0]]),
-            times=np.zeros(1),
-            approach_s=5.0,
-            approach_ramp_s=2.0,
-            way_s=0.0,
-            way_ramp_s=0.0,
-        )
-    )
+    run.tell(run.target())
     run.until(0.6)
     assert (run.statuses()[-1].targets, run.statuses()[-1].changes) == (1, ())
 
@@ -533,3 +545,166 @@ def test_the_newest_started_plan_counts() -> None:
     assert found[1][0] == 24.0
     assert plans.at(12.99) is not None
     assert plans.at(13.0) is None
+
+
+def test_before_tick_0_it_looks_fifty_times_a_second_and_tells_five_times() -> None:
+    """Nothing is said before the coordinator has spoken; the last look is at the instant of tick 0."""
+    silent = Flight(speaks=False)
+    silent.until(-1.0)
+    assert silent.said == []
+
+    run = Flight()
+    run.now_ns += 7 * MS  # tick 0 is no whole number of looks later
+    run.begin()
+    looks: list[int] = []
+    attend = run.autopilot.attend
+
+    def look(now_ns: int) -> None:
+        looks.append(now_ns)
+        attend(now_ns)
+
+    run.autopilot.attend = look  # type: ignore[method-assign]
+    run.until(0.01)
+    assert len(run.statuses()) == 11  # ten in 1.993 s, and that of tick 0
+    assert [status.phase for status in run.statuses()] == ["ready"] * 10 + ["flying"]
+    before = [at for at in looks if at < START_NS]
+    assert len(before) == 99
+    assert {round((b - a) / MS) for a, b in pairwise(before)} == {20}
+    assert looks[99] == run.autopilot.commands[0][0] == START_NS
+
+
+def test_the_first_instants_of_the_ticks_hold() -> None:
+    """A schedule without them or with others changes nothing."""
+    run = Flight()
+    run.begin()
+    run.until(0.1)
+    run.tell(run.schedule(0))
+    run.tell(run.schedule(START_NS + WALL_NS + 3 * S))
+    run.until(0.3)
+    assert run.measured()[-1].tick == 6
+    assert run.statuses()[-1].start_ns == START_NS + WALL_NS
+
+
+def test_measurements_have_the_mean_of_the_setpoints_since_the_last_tick() -> None:
+    """Those of a plan from its start on; a tick without setpoints has the last one."""
+    run = Flight()
+    run.begin()
+    run.until(0.02)
+    run.tell(run.plan(0))
+    run.until(0.12)
+    of_plan = np.array([20.0, 0.1, 0.0, 0.0])
+    np.testing.assert_allclose(run.measured()[2].inputs[0], of_plan)
+    # Of the setpoints at 0, 16.7 and 33.3 ms none is by the plan.
+    given = [[thrust_N, *rates] for _, thrust_N, rates, _ in run.autopilot.commands[:3]]
+    np.testing.assert_allclose(run.measured()[1].inputs[0], np.mean(given, axis=0))
+    run.now_ns = START_NS + 170 * MS  # busy from 120 ms on
+    run.until(0.17)
+    assert run.measured()[-1].tick == 3
+    run.now_ns = START_NS + 240 * MS
+    run.said += run.node.poll(run.now_ns)
+    assert run.measured()[-1].tick == 4
+    np.testing.assert_allclose(run.measured()[-1].inputs[0], of_plan)
+    members = run.measured()[-1]
+    assert members.answered == members.shared == (1, 2, 3, 4)
+
+
+def test_instants_that_have_passed_are_left_out() -> None:
+    """A process that was busy sends one setpoint, tells by how much it was late, and goes on at the next instant."""
+    run = Flight()
+    run.begin()
+    run.until(0.18)  # the next setpoint is due at 183.3 ms
+    before = len(run.autopilot.commands)
+    run.now_ns = START_NS + 262 * MS
+    run.said += run.node.poll(run.now_ns)
+    run.until(0.301)
+    ms = [round((at - START_NS) / MS) for at, *_ in run.autopilot.commands[before:]]
+    assert ms == [262, 267, 283, 300]
+    late_s = {status.tick: status.late_s for status in run.statuses()}
+    assert (late_s[3], late_s[5]) == (0.0, 0.0)
+    assert late_s[6] == pytest.approx(0.262 - 11 / 60, abs=1e-6)
+
+
+@pytest.mark.parametrize(("arrives_s", "latency_s"), [(0.02, 0.0), (0.06, 1 / 15 - 0.06)])
+def test_the_latency_of_a_plan_is_from_when_it_may_be_used(
+    arrives_s: float, latency_s: float
+) -> None:
+    """From its arrival or, if that is later, its start, to its first setpoint; told once for each plan."""
+    run = Flight()
+    run.begin()
+    run.until(arrives_s)
+    run.tell(run.plan(0))  # from tick 1 on
+    run.until(0.21)
+    told = [status.latency_s for status in run.statuses() if status.tick >= 0]
+    assert [latency for latency in told if latency >= 0.0] == [pytest.approx(latency_s, abs=1e-6)]
+
+
+def test_setpoints_tell_by_which_knowledge_they_are() -> None:
+    """That of the plan's tick less the ticks by which it repeats an older one; by its own law that of this tick."""
+    run = Flight()
+    run.begin()
+    run.until(0.12)
+    own = {since_s for *_, since_s in run.autopilot.commands}
+    assert own == {0.0, T_S, 2 * T_S}
+    run.tell(changed(run.plan(2), stale=2))
+    run.until(0.19)
+    assert {since_s for *_, since_s in run.autopilot.commands[-2:]} == {0.0}
+
+
+@pytest.mark.parametrize(
+    ("lands", "at_s", "asked"), [(True, 9.0, "land"), (True, 2.0, "hold"), (False, 9.0, "hold")]
+)
+def test_a_team_that_has_landed_may_be_ended(lands: bool, at_s: float, asked: str) -> None:
+    """An end without success is in order once the team is at rest on the ground; a second end changes nothing."""
+    run = Flight("vehicles.at_end=land")
+    run.begin()
+    run.until(0.5)
+    run.tell(run.target(lands=lands))  # 5 s from tick 11 on, and 2 s to settle
+    run.until(at_s)
+    run.tell(run.end("aborted"))
+    assert run.autopilot.asked == [asked]
+    run.tell(run.roster(2, released=(UAV,)))
+    assert run.autopilot.asked == [asked]
+
+
+def test_after_the_last_tick_it_holds_its_hover() -> None:
+    """Until the coordinator ends the run there are setpoints and statuses of the last tick, no measurements."""
+    run = Flight()
+    ticks = run.setup.ticks
+    run.now_ns = START_NS + round((ticks - 2) * T_S * S)
+    run.begin()
+    run.until((ticks + 3) * T_S)
+    assert run.measured()[-1].tick == ticks - 1
+    assert [status.tick for status in run.statuses()][-4:] == [ticks - 1] * 4
+    assert (run.autopilot.commands[-1][0] - START_NS) / S > (ticks + 2.5) * T_S
+
+
+def test_a_status_tells_how_the_uav_is() -> None:
+    """Its place with jumps taken out, its age, what was heard of the coordinator and when; unknown values are -1."""
+    run = Flight()
+    run.begin()
+    run.until(0.3)
+    assert run.autopilot.told is not None
+    assert run.autopilot.told.sensed is not None
+    place = run.autopilot.told.sensed[:3].copy()
+    run.autopilot.told.sensed[0] += 2.0
+    run.autopilot.is_silent_since = run.now_ns
+    run.now_ns += 20 * MS
+    word = run.schedule(START_NS + WALL_NS)
+    run.tell(word)
+    run.until(0.36)
+    told = run.statuses()[-1]
+    np.testing.assert_allclose(told.position, place)
+    assert (told.tick, told.uav, told.roster, told.battery) == (7, UAV, 1, 0.9)
+    assert (told.armed, told.healthy, told.mode) == (True, True, "GUIDED")
+    assert told.age_s == pytest.approx(0.05)
+    heard_ns = START_NS + 320 * MS + WALL_NS
+    assert (told.heard_ns, told.heard_at_ns) == (word.sent_ns, heard_ns)
+    assert told.sent_ns == START_NS + 350 * MS + WALL_NS
+
+    run.autopilot.told = None
+    run.until(0.41)
+    told = run.statuses()[-1]
+    assert (told.armed, told.healthy, told.mode, told.battery, told.age_s) == (
+        False, False, "", -1.0, -1.0,
+    )  # fmt: skip
+    assert not told.position.any()
