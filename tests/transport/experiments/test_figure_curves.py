@@ -216,3 +216,84 @@ def test_points_of_no_curve_belong_to_all() -> None:
     assert of_two[0].style["label"] == "paper, uniform"
     assert of_two[0].style["color"] == of_two[1].style["color"] != of_two[2].style["color"]
     assert of_two[0].style["linestyle"] == ""
+
+
+@pytest.mark.parametrize(
+    ("drawn_as", "numbers"),
+    [
+        ("curves", {"cost_mean": 1e3, "attitude_max_deg": 1.0}),
+        ("sharing", {"plans_shared_share": 100.0, "cost_ratio": 1.0, "attitude_max_deg": 1.0}),
+        (
+            "radio",
+            {"air_delivered_share": 100.0, "airtime_share": 100.0, "payload_rms_m": 100.0, "cost_ratio": 1.0},
+        ),
+        ("age", {"payload_rms_m": 100.0, "attitude_max_deg": 1.0}),
+        (
+            "scaling",
+            {"cpu_step_p50_ms": 1.0, "cpu_team_tick_ms": 1.0, "plan_bytes_per_s": 1e-3, "cost_mean": 1e3},
+        ),
+    ],
+)  # fmt: skip
+def test_each_panel_has_its_number_in_its_unit(drawn_as: Any, numbers: dict[str, float]) -> None:
+    """From above, for each kind of experiment: shares in percent, costs in thousandths, errors in cm, plans in kB."""
+    values = {name: 0.1 * (k + 2) for k, name in enumerate(numbers)}
+    estimates = {name: Estimate(value, None, 1, value, value) for name, value in values.items()}
+    estimates.setdefault("cost_mean", Estimate(0.5, None, 1, 0.5, 0.5))  # of which a ratio is one
+    points = [
+        PointStatistics(
+            point=Point(labels={LABEL: STEP * (k + 1)}, text=""),
+            runs=1,
+            completed=1,
+            errors=0,
+            diverged_s=(),
+            numbers=estimates,
+            cost_ratio=values.get("cost_ratio"),
+        )
+        for k in range(2)
+    ]
+    figure = Figure()
+    experiment = Experiment(name="test", x=LABEL, drawn_as=drawn_as)
+    draw_curves(figure, experiment, {"paper": points})
+    heights = [np.asarray(panel.containers[0].lines[0].get_ydata())[0] for panel in figure.axes]  # type: ignore[attr-defined]
+    assert heights == pytest.approx([values[name] * factor for name, factor in numbers.items()])
+
+
+def test_three_scenarios_have_columns_and_what_they_have_in_common_is_the_legend() -> None:
+    """Curves of the same name are one entry without the name of a scenario and its colour."""
+    figure = Figure()
+    own = [point(STEP * k, 3.0, name) for k in range(3) for name in ("a", "b")]
+    names = ("paper", "resilient", "precise")
+    experiment = Experiment(name="test", x=LABEL, curves="model")
+    draw_curves(figure, experiment, dict.fromkeys(names, own))
+    assert [panel.texts[0].get_text() for panel in figure.axes[:3]] == list(names)
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["a", "b"]
+    assert len({str(line.get_color()) for line in legend.get_lines()}) == 1
+
+    figure = Figure()
+    draw_curves(figure, replace(experiment, drawn_as="age"), dict.fromkeys(names, rms(own)))
+    (legend,) = figure.legends
+    assert len(figure.axes) == 2  # other kinds have one column
+    assert len(legend.get_texts()) == 6
+
+
+def rms(points: Sequence[PointStatistics]) -> list[PointStatistics]:
+    """Return points with an error of the payload, too."""
+    error = Estimate(0.02, None, 1, 0.02, 0.02)
+    return [replace(one, numbers={**one.numbers, "payload_rms_m": error}) for one in points]
+
+
+def test_a_point_of_which_no_run_completes_has_no_mark_at_never() -> None:
+    """It has the mean of its times alone."""
+    figure = Figure()
+    none = replace(point(0.0, 1.0), completed=0, diverged_s=(2.0, 3.0), numbers={
+        "cost_mean": None, "attitude_max_deg": None,
+    })  # fmt: skip
+    draw_curves(figure, Experiment(name="test", x=LABEL), {"paper": [none, point(STEP, 1.0)]})
+    lines = [
+        (*np.ravel(line.get_xdata()), *np.ravel(line.get_ydata()))
+        for line in figure.axes[0].get_lines()
+    ]
+    at_never = [line for line in lines if line[-1] == pytest.approx(1.25 * 3.0)]
+    assert len(at_never) == 1
+    assert len(lines) == 3

@@ -342,3 +342,70 @@ def test_a_class_named_as_a_scenario_has_its_file_in_the_arena() -> None:
     (panel,) = figure.axes
     shown = [label.get_text() for label in panel.get_xticklabels()]
     assert shown == ["alone", "alone:Alone", "ADMM"]
+
+
+def test_what_was_not_flown_has_no_mark_and_no_tile() -> None:
+    """A point that is refused has no runs: it is not one of which none completes."""
+    unflown = replace(flown("late", "paper", 0, 0.0), runs=0)
+    measured = [flown("perfect", "paper", RUNS, 0.01), unflown]
+    figure = Figure()
+    draw_arena(figure, measured)
+    (panel,) = figure.axes
+    edges = 3 + 1  # lines between the cells of one row and one column
+    assert len(panel.get_lines()) == edges + 1  # the mark of the other point
+    figure = Figure()
+    draw_measure(figure, measured, "payload_rms_m", "payload error, cm", 100.0)
+    assert len([patch for patch in figure.axes[0].patches if isinstance(patch, Rectangle)]) == 1
+
+
+@pytest.mark.parametrize(
+    ("cost", "completed", "diverged_s", "text"),
+    [
+        (0.00999, RUNS, (), "9.99"),
+        (0.01, RUNS, (), "10.0"),
+        (0.002, 1, (3.0,), "2.00\n1 of 4"),
+        (None, 0, (), "-"),
+    ],
+)
+def test_a_cell_of_a_map_tells_its_number_or_why_it_has_none(
+    cost: float | None, completed: int, diverged_s: Sequence[float], text: str
+) -> None:
+    """Numbers from ten on have one decimal; runs that raised an error tell nothing."""
+    figure = Figure()
+    labels = {"delay_s": 0.0, "loss": 0.0}
+    one = point(labels, {"cost_mean": cost}, completed=completed, diverged_s=diverged_s)
+    draw_maps(figure, DELAY, LOSS, COST, {"paper": [one]})
+    assert [shown.get_text() for shown in figure.axes[0].texts] == [text, "paper"]
+
+
+def test_a_variant_is_named_by_its_numbers_and_texts() -> None:
+    """Numbers have their names; the variant without a value is named by its part alone."""
+    figure = Figure()
+    variants: list[Mapping[str, str | float]] = [
+        {"part": "as it is", "value": ""},
+        {"part": "received plans", "value": "by_age"},
+        {"horizon": 20.0, "terminal": 5.0},
+        {"horizon": 5.0, "terminal": "cost-to-go"},
+    ]
+    measured = [point({"network": "perfect", **labels}, ratio=0.5) for labels in variants]
+    draw_variants(figure, {"paper": measured})
+    (panel,) = figure.axes
+    assert [label.get_text() for label in panel.get_yticklabels()] == [
+        "as it is",
+        "received plans: by age",
+        "horizon 20, terminal weight 5",
+        "horizon 5, cost-to-go",
+    ]
+    assert panel.get_xlim() == pytest.approx((0.5 / 1.15, 1.0 * 1.15))
+    assert not [text for text in panel.texts if text.get_text() == "diverged"]
+
+
+def test_tracking_without_a_completed_run_keeps_its_axes() -> None:
+    """A point without numbers has no mark, and an axis without marks goes from 0 to 1."""
+    figure = Figure()
+    speed = Axis("speed_mps", "largest speed", "m/s")
+    none = dict.fromkeys(("payload_rms_m", "payload_max_m", "attitude_max_deg"))
+    draw_tracking(figure, [point({"case": "wind", "speed_mps": 3.0}, none)], speed, "case")
+    for panel in figure.axes[0].child_axes:
+        assert panel.get_xlim() == (0.0, 1.0)
+        assert not panel.containers

@@ -15,8 +15,8 @@ from transport.experiments.cases import Case, ExperimentError, Point, cases_of
 from transport.experiments.declaration import Experiment
 from transport.experiments.run_numbers import NUMBERS
 from transport.experiments.simulation import ERROR, Result
-from transport.experiments.sweep import Results, sweep
-from transport.protocol.wire.errors_and_exit_codes import EXIT_USAGE
+from transport.experiments.sweep import Results, Swept, sweep
+from transport.protocol.wire.errors_and_exit_codes import EXIT_FAILED, EXIT_USAGE
 
 
 def result(key: str, outcome: str = "completed", cost: float = 0.1 + 0.2) -> Result:
@@ -130,3 +130,41 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.tex"]
     with pytest.raises(ExperimentError, match="File exists"):
         opened(tmp_path / "mine" / "thesis.tex", "loss")
+
+
+@pytest.mark.parametrize(
+    ("reasons", "text"),
+    [([], ""), (["why"], "a run raised an error: why"), (["why", "x", "y"], "a run raised an error (and 2 more): why")],
+)  # fmt: skip
+def test_a_sweep_with_errors_is_refused_by_the_first(reasons: list[str], text: str) -> None:
+    """Diverged runs are results; with an error the exit code tells that a run failed."""
+    failed = [Result(key="k", outcome=ERROR, reason=reason, numbers={}) for reason in reasons]
+    swept = Swept(
+        experiment=Experiment(name="test"), cases=[], results=[result("a", "diverged"), *failed]
+    )
+    if not reasons:
+        swept.check()
+        return
+    with pytest.raises(ExperimentError) as refusal:
+        swept.check()
+    assert (str(refusal.value), refusal.value.exit_code) == (text, EXIT_FAILED)
+
+
+def test_an_interrupted_sweep_tells_how_to_resume(tmp_path: Path) -> None:
+    """With a folder: how many runs are saved there, without counting errors; without one there is nothing to tell."""
+    point = Point({"loss": 0.1}, "", ("links.loss=0.1",), scenario="paper")
+    cases = cases_of([point], (), 3)
+
+    def interrupted(missing: Sequence[Case]) -> Iterator[Result]:
+        yield result(missing[0].key)
+        yield result(missing[1].key, ERROR)
+        raise KeyboardInterrupt
+
+    for folder in (tmp_path, None):
+        output = io.StringIO()
+        experiment = Experiment(name="test", points=(point,))
+        with Results("test", folder) as results, pytest.raises(KeyboardInterrupt):
+            sweep(experiment, cases, interrupted, results, Console(file=output, width=200))
+        hint = f"1 of 3 runs are saved; resume with: --out {folder}"
+        assert (hint in output.getvalue()) == (folder is not None)
+        assert ("are saved" in output.getvalue()) == (folder is not None)

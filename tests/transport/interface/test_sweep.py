@@ -11,6 +11,9 @@ from typing import Any
 import pytest
 
 import transport
+from transport.experiments.declaration import Experiment
+from transport.experiments.simulation import ERROR, Result
+from transport.experiments.sweep import Swept
 from transport.interface import swept_runs
 from transport.model.kernels.casadi_functions import compile_functions
 
@@ -181,3 +184,37 @@ def test_an_interrupt_ends_a_sweep(tmp_path: Path) -> None:
         for timer in timers:
             timer.cancel()
     assert (tmp_path / "sweep" / "results.jsonl").exists()
+
+
+def test_a_figure_has_one_setting_along_and_the_others_tell_curves(table: transport.Sweep) -> None:
+    """A map needs two settings with numbers; other kinds are refused."""
+    with pytest.raises(
+        transport.ArgumentError, match="kind: expected 'curves' or 'map', got 'pie'"
+    ):
+        table.plot(kind="pie")  # type: ignore[arg-type]  # the error of a user
+    values: dict[str, list[Any]] = {
+        "controller.disturbance.estimate": [False, True],
+        "delay_s": [0.0, 0.1],
+    }
+    for grid in ({"delay_s": [0.0, 0.1]}, values):
+        plan = swept_runs._plan({"a": base()}, grid, 1)
+        results = [
+            Result(key=case.key, outcome=ERROR, reason="", numbers={}) for case in plan.cases
+        ]
+        experiment = Experiment(name="sweep", points=tuple(plan.points))
+        flown = transport.Sweep(Swept(experiment=experiment, cases=plan.cases, results=results))
+        with pytest.raises(
+            transport.ArgumentError, match="kind: expected two settings with numbers for a map, got"
+        ):
+            flown.plot(kind="map")
+        drawn, measured = flown._drawn_as("delay_s", "curves")
+        labels = [dict(one.point.labels) for one in measured]
+        if len(grid) == 1:
+            assert (drawn.x, drawn.curves, labels) == (
+                "delay_s",
+                None,
+                [{"delay_s": 0.0}, {"delay_s": 0.1}],
+            )
+        else:
+            assert (drawn.x, drawn.curves, labels[-1]["delay_s"]) == ("delay_s", "settings", 0.1)
+            assert str(labels[-1]["settings"]).endswith("True")

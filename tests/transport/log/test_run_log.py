@@ -18,8 +18,8 @@ from tests.support import runs
 from tests.support.logs import log_of
 from transport.log.run_log import LogError, RunLog, read_log
 from transport.log.writer import CHUNK_BYTES, LogWriter
-from transport.protocol.wire.codec import encode
-from transport.protocol.wire.messages import FaultNote, Message, Plan, Tick
+from transport.protocol.wire.codec import VERSION, encode
+from transport.protocol.wire.messages import FaultNote, Message, Plan, Roster, Tick
 
 HEADER = {"run_id": "r1", "scenario": "name = 'x'\n", "versions": "python 3.12", "note": "Ω0"}
 RECEIVED_NS = 1_700_000_000_000_000_000
@@ -242,3 +242,49 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
 def tick() -> Tick:
     """Return a tick message."""
     return runs.tick(3)
+
+
+def test_entries_of_another_version_and_a_missing_index_are_told(
+    tmp_path: Path, flight: list[Message]
+) -> None:
+    """Their number with the first of them, and how far what is readable goes; the messages are read all the same."""
+    path = write(tmp_path / "run.mcap", flight[:40])
+    whole = path.read_bytes()
+    other = f"payload-transport/{VERSION + 1}".encode()
+    changed = tmp_path / "changed.mcap"
+    with path.open("rb") as stream, changed.open("wb") as file:
+        reader = make_reader(stream)
+        writer = Writer(file)
+        writer.start()
+        writer.add_metadata("run", HEADER)
+        numbers = {}
+        for _, channel, entry in reader.iter_messages(log_time_order=False):
+            if channel.topic not in numbers:
+                encoding = (
+                    other.decode() if channel.topic == "/roster" else channel.message_encoding
+                )
+                numbers[channel.topic] = writer.register_channel(channel.topic, encoding, 0)
+            writer.add_message(
+                numbers[channel.topic],
+                entry.log_time,
+                entry.data,
+                entry.publish_time,
+                entry.sequence,
+            )
+        writer.finish()  # type: ignore[no-untyped-call]
+    log = read_log(changed)
+    rosters = sum(isinstance(message, Roster) for message in flight[:40])
+    last = max(message.tick for message in flight[:40])
+    assert log.cut == (
+        f"the log is incomplete ({rosters} entries are not of this version, the first a channel '/roster' with "
+        f"encoding {other.decode()!r}): {40 - rosters} messages are readable, up to tick {last}"
+    )
+
+    path.write_bytes(whole[:-1])
+    assert read_log(path).cut == (
+        f"the log is incomplete (only its index is missing): 40 messages are readable, up to tick {last}"
+    )
+    path.write_bytes(whole[:9])
+    assert read_log(path).cut == (
+        "the log is incomplete (it stops before its end): no messages are readable"
+    )

@@ -11,6 +11,7 @@ from transport.protocol.wire.messages import (
     ActualInputs,
     Measurement,
     Message,
+    Note,
     Plan,
     PlantState,
     StepReport,
@@ -187,3 +188,26 @@ def test_actual_inputs(commands: tuple[str, ...]) -> None:
     assert [first[name] for name in shown] == [1, 201.0, 202.0, 203.0, 204.0, 0.0]
     assert [second[name] for name in shown] == [2, 205.0, 206.0, 207.0, 208.0, 7.5]
     assert of(rods) == [{"uav": 1} | named(COMMANDS, 201), {"uav": 2} | named(COMMANDS, 205)]
+
+
+def test_numbers_of_a_class_do_not_hide_columns() -> None:
+    """One with the name of a column is preceded by `own_`, as often as needed; other names stay."""
+    note = Note(
+        **common("agent3", 12), agent=3, problem="", names=("gain", "tick", "agent"),
+        values=np.array([1.0, 2.0, 3.0]),
+    )  # fmt: skip
+    (row,) = of(note)
+    assert row == {"agent": 3, "problem": "", "gain": 1.0, "own_tick": 2.0, "own_agent": 3.0}
+
+
+def test_only_the_kinds_asked_for_have_tables() -> None:
+    """An unknown sampling period leaves the time empty."""
+    state = PlantState(
+        **common("plant", 9), x=np.array(numbers(1, 36)), u=np.array(numbers(201, 8)),
+        plan_ticks=(6, -2), local_error=0.5, diverged="", plans_lost=4,
+    )  # fmt: skip
+    log = log_of([plan([numbers(101, 12), numbers(113, 12)]), state])
+    found = tables(log, None, kinds=["plant_state"])
+    assert list(found) == ["plant_state"]
+    assert [row["t_s"] for row in found["plant_state"]] == [None]
+    assert set(tables(log, 0.05)) == {"plan", "plant_state"}

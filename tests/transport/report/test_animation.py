@@ -2,6 +2,7 @@
 
 import shutil
 import struct
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from transport.cli.main import app
 from transport.log.run_folder import open_run
 from transport.model.state import R0
 from transport.report.animation import FPS, AnimationPage, animate_run
-from transport.scene.scene_at_tick import SceneBuilder
+from transport.scene.scene_at_tick import Scene, SceneBuilder
 
 # Largest size of a frame with moving lines.
 LARGEST_FRAME_BYTES = 40_000
@@ -106,3 +107,50 @@ def test_unsupported_files_are_refused(
         assert why in result.stderr
         assert len(result.stderr.splitlines()) == 1
     assert not (recorded / "summary.json").exists()
+
+
+@pytest.mark.parametrize(("speed", "apart"), [(None, 2), (1.0, 2), (4.0, 8)])
+def test_frames_are_a_tenth_of_a_second_of_the_animation_apart(
+    recorded: Path, speed: float | None, apart: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run shorter than the animation has its own speed, by default; the first frame is the first tick."""
+    ticks: list[int] = []
+
+    class Still(AnimationPage):
+        def show(self, scene: Scene) -> None:
+            ticks.append(scene.tick)
+
+    class Unwritten:
+        def saving(self, *_: object) -> AbstractContextManager[None]:
+            return nullcontext()
+
+        def grab_frame(self) -> None:
+            """Write nothing."""
+
+    monkeypatch.setattr("transport.report.animation.AnimationPage", Still)
+    monkeypatch.setattr("transport.report.animation._writer", lambda _: Unwritten())
+    animate_run(recorded, recorded / "none.gif", speed=speed)
+    assert ticks == list(range(0, 30, apart))
+
+
+def test_a_frame_replaces_the_one_before(recorded: Path) -> None:
+    """Time and phase of the scene are told, a line marks the time in both curves, and nothing of before is left."""
+    run = open_run(recorded)
+    builder = SceneBuilder.of(run.setup, run.log)
+    flown = series_of(run.setup, run.log)
+    cost = flown.cost.copy()
+    cost[3] = 0.0
+    page = AnimationPage(builder, replace(flown, cost=cost))
+    counts = set()
+    for tick in (4, 20):
+        page.show(builder.at(tick))
+        *_, over, under = page.figure.axes
+        counts.add(tuple(len(axes.get_children()) for axes in page.figure.axes))
+        marks = [np.ravel(axes.lines[-1].get_xdata()).tolist() for axes in (over, under)]
+        assert marks == [[pytest.approx(0.05 * tick)] * 2] * 2
+    assert len(counts) == 1
+    assert page.figure.texts[-1].get_text() == " 1.00 s   climb"
+    assert len(page.figure.texts) == 2
+    curve, angle = (np.asarray(axes.lines[0].get_ydata()) for axes in (over, under))
+    assert np.flatnonzero(np.isnan(curve)).tolist() == [3]
+    assert angle == pytest.approx(np.abs(flown.attitude_deg).max(axis=1))

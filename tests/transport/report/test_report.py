@@ -15,6 +15,7 @@ from transport.protocol.wire.errors_and_exit_codes import Reason
 from transport.protocol.wire.messages import Message
 from transport.report.report import write_report
 from transport.report.summary_table import summary_table, warnings
+from transport.report.summary_texts import limits_text, own_constraint_text, plans_text, radio_text
 
 SCHEMA = json.loads(
     files("transport.analysis").joinpath("summary.schema.json").read_text(encoding="utf-8")
@@ -215,3 +216,173 @@ def test_a_large_error_of_the_integration_is_a_warning(error: float | None, coun
     told = warnings({"local_error_max": error})
     assert len(told) == count
     assert all("set a smaller plant.tolerance or plant.step_s" in text for text in told)
+
+
+HELD_SOLVER = {"beyond_share": False, "failures": 0}
+REACHED = [
+    *({"uav": uav, "limit": "largest thrust", "share": 0.5} for uav in (1, 2, 3, 4, 5)),
+    {"uav": 1, "limit": "change of thrust", "share": 0.01},
+    {"uav": 2, "limit": "smallest thrust", "share": 0.0099},
+]
+
+
+@pytest.mark.parametrize(
+    ("violation", "change", "text"),
+    [
+        (0.0, {}, "held"),
+        (9e-7, {}, "held"),
+        (1e-6, {}, "exceeded by 0.00% of their range"),
+        (None, {}, "-"),
+        (
+            *(0.125, {"constraint_violation": {"limit": "inputs", "at_s": 1.5}}),
+            "exceeded by 12.50% of their range: inputs at 1.50 s",
+        ),
+        (
+            *(0.125, {"solver": {"beyond_share": True, "failures": 7}}),
+            "exceeded by 12.50% of their range, but 7 steps without a controller",
+        ),
+        (
+            *(0.0, {"limits_reached": REACHED[:4]}),
+            "held; at the largest thrust UAV1 50%, UAV2 50%, UAV3 50%, UAV4 50% of the ticks",
+        ),
+        (
+            *(0.0, {"limits_reached": REACHED}),
+            "held; at the largest thrust UAV1 50%, UAV2 50%, UAV3 50%, UAV4 50% of the ticks, and 1 more UAVs; "
+            "at the change of thrust UAV1 1% of the ticks",
+        ),
+    ],
+)
+def test_limits_are_told(violation: float | None, change: dict[str, Any], text: str) -> None:
+    """Which is exceeded most and when, steps without a controller, and UAVs at a limit for 1 % of the ticks or more."""
+    summary = {"constraint_violation_max": violation, "solver": HELD_SOLVER, **change}
+    assert limits_text(summary) == text
+
+
+@pytest.mark.parametrize(
+    ("violation", "softened", "text"),
+    [
+        (9e-7, 0, "v0[2] >= 0: held"),
+        (0.0, 3, "v0[2] >= 0: held, softened in 3 steps"),
+        (1e-6, 0, "v0[2] >= 0: exceeded by 1e-06 at 2.50 s"),
+        (0.25, 2, "v0[2] >= 0: exceeded by 0.25 at 2.50 s, softened in 2 steps"),
+        (None, 0, "v0[2] >= 0: - at 2.50 s"),
+    ],
+)
+def test_a_constraint_of_the_user_is_told(
+    violation: float | None, softened: int, text: str
+) -> None:
+    """Whether it held, by how much not, and in how many steps it was softened."""
+    own = {
+        "expression": "v0[2] >= 0",
+        "violation_max": violation,
+        "at_s": 2.5,
+        "softened_steps": softened,
+    }
+    assert own_constraint_text(own) == text
+
+
+RADIO = {
+    "rate_mbps": 6.0, "airtime_share": 0.256, "delivered_share": 0.9876,
+    "delay_ms": {"p50": 1.24, "p99": 3.46}, "collisions": 1, "weak": 2, "queue_drops": 3, "given_up": 4,
+    "repetitions": 5, "replaced": 6, "slots": {"cycle_ticks": 2, "plan_ms": 2.51, "slot_ms": 2.5},
+}  # fmt: skip
+QUIET = dict.fromkeys(
+    ("collisions", "weak", "queue_drops", "given_up", "repetitions", "replaced"), 0
+)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (
+            {},
+            "6 Mb/s, 25.6% of the airtime; 98.8% delivered; delay median 1.2 ms, p99 3.5 ms; "
+            "1 lost by collisions; 2 too weak; 3 dropped by queues; 4 given up; 5 repetitions; "
+            "6 replaced by newer ones before their slots; a slot for each agent every 2 ticks; "
+            "slots of 2.50 ms are shorter than a plan, 2.51 ms",
+        ),
+        (
+            {**QUIET, "slots": {"cycle_ticks": 1, "plan_ms": 2.5, "slot_ms": 2.5}},
+            "6 Mb/s, 25.6% of the airtime; 98.8% delivered; delay median 1.2 ms, p99 3.5 ms",
+        ),
+        (
+            {**QUIET, "slots": None, "delay_ms": {"p50": None, "p99": None}},
+            "6 Mb/s, 25.6% of the airtime; 98.8% delivered",
+        ),
+    ],
+)
+def test_the_radio_is_told(change: dict[str, Any], text: str) -> None:
+    """Only losses that there are, slots over several ticks, and slots that a plan does not fit."""
+    assert radio_text({**RADIO, **change}) == text
+
+
+def test_plans_are_told_by_what_became_of_them() -> None:
+    """Unsent, lost, not arrived and late ones, with their ages; nothing of a run without plans."""
+    messages = {
+        "planned": 8, "shared": 6, "sent": 20, "lost": 3, "in_transit": 2, "late": 1,
+        "measurements": {"sent": 9, "lost": 0}, "commands": {"sent": 7, "lost": 4},
+    }  # fmt: skip
+    assert plans_text(messages, {"mean": 1.234, "max": 5}) == (
+        "6 of 8 sent to the other agents (75.0%); 3 of 20 lost, 2 not arrived at the end, 1 late; "
+        "age 1.23 ticks, max 5; commands 4 of 7 lost"
+    )
+    earlier = {"planned": 8, "shared": 8, "sent": 0, "lost": 0, "late": 0}
+    assert plans_text(earlier, {"mean": None, "max": None}) == "-"
+    assert (
+        plans_text(earlier, {"mean": 1.0, "max": 1}) == "0 of 0 lost, 0 late; age 1.00 ticks, max 1"
+    )
+
+
+def rows_of(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the names and texts of the table of a summary."""
+    names, texts = (list(map(str, column.cells)) for column in summary_table(summary).columns)
+    return list(zip(names, texts, strict=True))
+
+
+def test_every_row_of_the_table_has_its_numbers(flight: tuple[Path, list[Message]]) -> None:
+    """Each number of the summary stands in its row, in its unit; a table in a row of its own by name."""
+    times = {"p50": 1.0, "p99": 2.0, "max": 3.0}
+    summary = {
+        **write_report(flight[0], figures=False),
+        "outcome": "diverged", "reason": "away", "wall_time_s": 2.5, "real_time_factor": 0.6, "sim_time_s": 1.5,
+        "controller": {
+            "name": "mpc", "agents": 1, "sampling_period_s": 0.025, "horizon": 20, "prediction": "open_loop",
+            "relaxation": 0.5,
+        },
+        "cost": {"mean": 0.00123, "max": 0.0456, "max_after_hover": None}, "attitude_max_deg": 3.456,
+        "uav_tracking": {"rms_m": 0.012, "max_m": 0.034},
+        "payload_tracking": {"rms_m": 0.056, "max_m": 0.078, "swing_m": None},
+        "targets": TARGETS[:1], "cables": {"tension_min_N": 4.5, "slack": 0},
+        "estimate": {**ESTIMATE, "nees": 60.0, "nis": None},
+        "clearance_min_m": {"uav": 1.0, "rod": None, "payload": 2.0},
+        "separation_min_m": 0.4567, "local_error_max": 2.5e-9, "own_constraints": [],
+        "agent_step_ms": times, "rest_of_tick_ms": {"p50": None, "p99": None, "max": None},
+        "deadline": {"plans": 0}, "radio": None, "faults": FAULTS[:1], "log_cut": "it is cut", "rejections": [],
+        "limits_reached": [],
+        "solver": {"fallbacks": 1, "failures": 0, "failed_agents": [], "beyond_share": False},
+    }  # fmt: skip
+    assert str(summary_table(summary).title) == "paper diverged: away"
+    assert rows_of(summary) == [
+        ("simulated", "1.50 s in 2.50 s of wall time (0.60 x real time)"),
+        ("controller", "1 agent every 25 ms, 20 steps, open loop, relaxation 0.5"),
+        ("cost", "mean 0.00123, max 0.0456"),
+        ("payload attitude", "max 3.46 deg"),
+        ("UAV error", "rms 0.012 m, max 0.034 m"),
+        ("payload error", "rms 0.056 m, max 0.078 m"),
+        ("payload swing", "-"),
+        ("targets", "0 of 1 reached"),
+        ("cables", "min tension 4.50 N, never slack"),
+        ("estimate", "payload rms 0.010 m, 0.50 deg; NEES 60.0 of 6, NIS - of 1"),
+        ("separation", "min 0.457 m"),
+        ("clearance", "1.000 m UAVs, - rods, 2.000 m payload"),
+        ("limits", "held"),
+        ("integration", "largest local error 2.5e-09"),
+        ("agent step", "median 1.00 ms, p99 2.00 ms, max 3.0 ms"),
+        ("rest of tick", "-"),
+        ("plans", "0 of 348 lost, 0 late; age 1.00 ticks, max 1"),
+        ("solver", "1 fallbacks, 0 failures"),
+        ("faults", "  0.00 s  fault 0"),
+        ("log", "it is cut"),
+    ]
+    own = {**summary, "controller": {**summary["controller"], "name": "mine:Mine 1", "agents": 3}}
+    assert ("controller", "3 agents every 25 ms, mine:Mine 1") in rows_of(own)

@@ -313,6 +313,25 @@ TARGET = TargetEvent(at_s=3.0, offset_m=(1.2, 0.0, -0.5))
             SensorsOff(factor=0.5, seed=3),
             [SensorsOff(factor=1.0, seed=3), SensorsOff(factor=0.5, seed=0)],
         ),
+        (
+            ModelError(mass_factor=1.12, motor_lag_s=0.05),
+            [
+                ModelError(mass_factor=1.0, motor_lag_s=0.05),
+                ModelError(mass_factor=1.0, motor_lag_s=0.05),
+                ModelError(mass_factor=1.1, motor_lag_s=0.05),
+                ModelError(mass_factor=1.12),
+            ],
+        ),
+        # A return at once would be no death.
+        (
+            Death(agent=1, at_s=1.0, back_after_s=0.2),
+            [Death(agent=1, at_s=1.0)],
+        ),
+        (
+            TargetEvent(at_s=0.2, offset_m=(0.4, 0.0, 0.0)),
+            [TargetEvent(at_s=0.0, offset_m=(0.4, 0.0, 0.0))],
+        ),
+        (SensorsOff(factor=1.0, seed=None), []),
         (DrawnTeam(seed=1), []),
     ],
 )
@@ -445,3 +464,36 @@ def test_an_empty_or_unknown_space_is_refused(kinds: tuple[str, ...]) -> None:
     """The refusal lists the kinds of events."""
     with pytest.raises(ScenarioError, match="--over: expected some of silence, deaths, links"):
         Space(kinds, read_bounds(None, 25.0), BASE.scenario)
+
+
+@pytest.mark.parametrize(
+    ("event", "words", "of_network"),
+    [
+        (
+            *(replace(SILENCE, who="mute 3"), "from 7.3 to 9.3 s agent 3 is not heard (95 % of the messages)"),
+            True,
+        ),
+        (DrawnSilence(start_s=1.0, duration_s=2.0, who="deaf 2"), "from 1 to 3 s agent 2 hears nothing", True),
+        (replace(BACK, at_s=2.0), "at 2 s agent 1 dies and is back after 0.7 s", True),
+        (
+            Links(delay_s=0.2, jitter_s=0.01, loss=0.15),
+            "links with 200 ms of delay, 10 ms of jitter and 15 % of loss",
+            True,
+        ),
+        (Gusts(speed_mps=0.5, seed=7), "gusts of 0.5 m/s, seed 7", False),
+        (
+            ModelError(mass_factor=1.1, motor_lag_s=0.05),
+            "a payload of 110 % of the known mass, 50 ms of motor lag",
+            False,
+        ),
+        (SensorsOff(factor=0.5, seed=3), "sensor noise of 0.5 times the scenario's, seed 3", False),
+        (SensorsOff(factor=0.5, seed=None), "sensor noise of 0.5 times the scenario's", False),
+        (TARGET, "at 3 s a target (1.2, 0, -0.5) m from the start", False),
+        (DrawnTeam(seed=4), "the drawn team 4", False),
+    ],
+)  # fmt: skip
+def test_an_event_is_told_with_its_numbers(event: Event, words: str, *, of_network: bool) -> None:
+    """In milliseconds and percent; only events of the network spare one agent for all UAVs."""
+    assert event.in_words() == words
+    assert event.of_network is of_network
+    assert len(Candidate((event,)).beyond_network().events) == (not of_network)
