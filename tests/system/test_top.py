@@ -1,5 +1,6 @@
 """`transport top`: the table follows from the messages, and watching does not change a bit of the run."""
 
+import io
 import json
 import os
 import signal
@@ -10,14 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from rich.console import Console
 from typer.testing import CliRunner
 
 from tests.support import runs
 from tests.support.commands import PATIENCE_S, is_flying, settings, start, transport, wait_for
-from tests.support.log_messages import report
-from transport.cli.commands.top import Watch
+from tests.support.log_messages import on_reference, report
+from tests.support.messages import sample
+from transport.cli.commands.top import Watch, table_of
 from transport.cli.main import app
 from transport.log.run_log import read_log
+from transport.model import state
+from transport.model.arrays import Array
+from transport.protocol.scenario.setup.cost_of_run import StageCost
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import Message, Rejected
 
@@ -45,6 +51,9 @@ def test_faults_are_shown() -> None:
     assert [watch.state_of(agent) for agent in runs.ALL] == ["-", "-", "off", "-"]
     watch.take(replace(runs.plant_state(watch.setup, 9), plan_ticks=(9, 9, -2, 9)))
     assert watch.state_of(3) == "fail-safe"
+    pairs = watched("agents.owned=[[1,2],[3,4]]")
+    pairs.take(replace(runs.plant_state(pairs.setup, 9), plan_ticks=(9, 9, 9, -2)))
+    assert [pairs.state_of(agent) for agent in (1, 2)] == ["-", "fail-safe"]
     assert watch.content()["agents"][2]["removed"] == 1
     assert list(watch.notices)[-1] == "agent3 is gone"
     for who in ("agent1", "plant"):
@@ -97,9 +106,9 @@ def test_an_agent_without_a_report_for_more_than_five_ticks_is_silent() -> None:
     watch = watched()
     watch.take(runs.roster())
     watch.take(report(watch.setup, 2, 4))
-    for k, state in ((4, "active"), (9, "active"), (10, "silent")):
+    for k, expected in ((4, "active"), (9, "active"), (10, "silent")):
         watch.take(runs.tick(k))
-        assert watch.state_of(2) == state
+        assert watch.state_of(2) == expected
 
 
 def test_missed_deadlines_count_in_real_time_between_successive_ticks() -> None:
@@ -113,6 +122,63 @@ def test_missed_deadlines_count_in_real_time_between_successive_ticks() -> None:
         for k, answered in ((0, ()), (1, (1, 3, 4)), (2, (1, 4)), (5, (1,)), (6, runs.ALL)):
             watch.take(runs.tick(k, answered))
         assert [row["missed"] for row in watch.content()["agents"]] == expected
+
+
+def test_cost_and_attitude_are_those_of_the_newest_state() -> None:
+    """The largest of roll, pitch and yaw, either way, and the cost from the reference of its tick."""
+    watch = watched()
+    before = watch.content()
+    assert (before["tick"], before["time_s"]) == (-1, 0.0)
+    assert (before["cost"], before["attitude_deg"]) == (None, None)
+
+    def tilted(x: Array, _: Array) -> None:
+        x[state.THETA0] = [0.01, -0.1, 0.05]
+
+    newest = on_reference(watch.setup, 140, tilted)
+    for message in (runs.plant_state(watch.setup, 3), runs.tick(140), newest):
+        watch.take(message)
+    content = watch.content()
+    assert content["time_s"] == pytest.approx(7.0)
+    assert content["attitude_deg"] == pytest.approx(np.degrees(0.1))
+    setup = watch.setup
+    y_ref = setup.reference.outputs(np.array([7.0]))[0]
+    y = setup.model.outputs(newest.x)
+    assert content["cost"] == pytest.approx(StageCost(setup).at(140, y, y_ref, newest.u))
+    assert content["cost"] > 0.0
+
+
+def test_the_table_has_what_is_rare_only_where_it_is() -> None:
+    """A row for each agent, then the newest five changes of the roster and who has refused how many messages."""
+    watch = watched()
+    for version in range(1, 8):
+        roster = runs.roster(k=version, version=version)
+        watch.take(replace(roster, reason=f"reason {version}"))
+    watch.take(runs.tick(20))
+    for agent in runs.ALL:
+        failed = {"status": "limit", "fallback": True} if agent == 2 else {}
+        watch.take(report(watch.setup, agent, 20, **failed))
+    watch.take(sample(Rejected, sender="agent3", count=4))
+
+    def lines() -> list[str]:
+        console = Console(width=120, file=io.StringIO(), record=True)
+        console.print(table_of(watch, "seen"))
+        return [line.strip() for line in console.export_text().splitlines()]
+
+    title, progress, _, *agents, first, _, _, _, last, refused = lines()
+    assert (title, progress) == ("seen", f"tick 20 of {watch.setup.ticks}, 1.00 of 25.00 s")
+    rare = ["", "1 fallbacks, 1 failures", "4 rejected", ""]
+    for row, text in zip(agents, rare, strict=True):
+        assert "active" in row
+        assert row.endswith(text)
+        assert any(word in row for word in ("fallbacks", "rejected")) is bool(text)
+    assert (first, last, refused) == ("reason 3", "reason 7", "refused by agent3: 4")
+
+    watch.take(runs.plant_state(watch.setup, 20))
+    watch.take(replace(runs.end(20), outcome="aborted", reason="by hand"))
+    title, progress, *_ = lines()
+    assert title == "seen  aborted: by hand"
+    assert "attitude 0.00 deg" in progress
+    assert watch.content()["outcome"] == "aborted"
 
 
 def test_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

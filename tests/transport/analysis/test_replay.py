@@ -17,6 +17,7 @@ from transport.analysis.replay.replay_difference import Comparison, Difference
 from transport.analysis.replay.replay_of_agent import Replay, _due_changes
 from transport.cli.commands import replay
 from transport.cli.main import app
+from transport.flight.run_files import machine, versions
 from transport.log.run_log import RunLog
 from transport.protocol.wire.messages import LinkChange, Measurement, Message, Plan
 
@@ -184,12 +185,13 @@ def test_command_names_the_first_tick(folder: Path, tmp_path: Path) -> None:
     what_if = (folder, "--agent", "2", "--set", "controller.weights.attitude=6.0")
     result = ask(*what_if, "--from", "3", "--out", tmp_path)
     assert result.exit_code == 8
-    assert "different from tick 3 on" in result.output
+    assert "agent2: 27 of 27 plans of ticks 3 to 29 are different from tick 3 on" in result.output
     assert {path.name for path in tmp_path.iterdir()} == {"replay.png", "replay.svg"}
     content = json.loads(ask(*what_if, "--format", "json").stdout)
     assert content["first"]["tick"] == 0
     assert content["first"]["kind"] == Plan.kind
     assert content["plans"] == 30
+    assert content["first_tick_beyond_rounding"] == 0
     part = json.loads(ask(*what_if, "--from", "3", "--to", "6", "--format", "json").stdout)
     assert (part["ticks"], part["plans"], part["first"]["tick"]) == ([3, 6], 4, 3)
 
@@ -212,6 +214,52 @@ def test_a_field_is_told_by_its_largest_difference() -> None:
     assert (row["largest"]["tick"], row["largest"]["size"]) == (4, 2.0)
 
 
+def test_the_debugger_opens_before_one_tick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before the measurement of the asked tick alone; without one it stays closed."""
+    opened: list[int] = []
+    monkeypatch.setattr(replay, "leave_interrupts_to_python", lambda: None)
+    node: Any = None
+    for asked, expected in ((3, [3]), (None, [])):
+        before = replay._debugger_at(asked)
+        for tick in range(6):
+            monkeypatch.setattr("sys.breakpointhook", lambda tick=tick: opened.append(tick))
+            before(node, runs.measurement(runs.setup(), 1, tick))
+        assert opened == expected
+        opened.clear()
+
+
+def test_the_limits_of_a_comparison_are_told() -> None:
+    """Ticks without an answer, a cut log, real time, and bits of another machine where they should be equal."""
+    here = {"versions": versions(), "machine": machine()}
+    elsewhere = {"versions": "python 1", "machine": "another"}
+
+    def notes(
+        mode: str = "lockstep", cut: str = "", *, differs: bool, is_changed: bool, **header: str
+    ) -> list[str]:
+        clock = SimpleNamespace(mode=mode)
+        setup = SimpleNamespace(scenario=SimpleNamespace(clock=clock))
+        run: Any = SimpleNamespace(setup=setup, log=SimpleNamespace(cut=cut, header=header))
+        again: Any = SimpleNamespace(notes=["of the replay"])
+        comparison: Any = SimpleNamespace(
+            unrecorded=[4, 7] if cut else [], first=object() if differs else None
+        )
+        return list(replay._notes(run, again, comparison, is_changed=is_changed))
+
+    assert notes(differs=False, is_changed=False, **here) == ["of the replay"]
+    assert notes(differs=True, is_changed=False, **here) == ["of the replay"]
+    for is_changed in (False, True):
+        found = notes(differs=True, is_changed=is_changed, **elsewhere)
+        assert found[1:] == [
+            "recorded with python 1 on another: last digits may differ",
+        ] * (not is_changed)
+    _, unrecorded, cut, realtime = notes(
+        "realtime", "it is cut", differs=False, is_changed=False, **elsewhere
+    )
+    assert unrecorded.endswith("the agent (down, or at its end): tick 4, 7")
+    assert cut == "it is cut"
+    assert realtime.startswith("real time: exact unless")
+
+
 def test_command_takes_another_controller(folder: Path) -> None:
     """--against takes the controller of another scenario, here one with corrections."""
     result = ask(folder, "--agent", "1", "--against", "resilient", "--to", "5", "--format", "json")
@@ -227,6 +275,26 @@ def test_command_takes_another_controller(folder: Path) -> None:
             ("--agent", "1", "--set", "controller.negotiation_iterations=2"),
             3,
             "expected 1 as in the run, got 2",
+        ),
+        (
+            ("--agent", "1", "--set", "agents.owned=[[1,2],[3,4]]"),
+            3,
+            "expected [[1], [2], [3], [4]] as in the run, got [[1, 2], [3, 4]]",
+        ),
+        (
+            ("--agent", "1", "--set", "controller.sampling_period_s=0.1"),
+            3,
+            "expected 0.05 as in the run, got 0.1",
+        ),
+        (
+            ("--agent", "1", "--set", "clock={mode='realtime',speed=1.0}"),
+            3,
+            "expected lockstep as in the run, got realtime",
+        ),
+        (
+            ("--agent", "1", "--set", "clock.actuation=next_tick"),
+            3,
+            "expected immediate as in the run, got next_tick",
         ),
         (
             ("--agent", "1", "--against", "resilient", "--set", "links.loss=0.1"),

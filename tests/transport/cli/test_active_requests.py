@@ -1,5 +1,6 @@
 """Requests that the commands for an active run send, without a run."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -79,6 +80,54 @@ def test_requests(
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.stderr
     assert sent == [expected]
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        ("fault kill 2", "kill agent2: done at tick 12"),
+        (
+            "target 3 0 -12",
+            "target from tick 12 on (t = 0.60 s), reached at t = 4.00 s, the last way point at t = 5.00 s",
+        ),
+        ("land", "landing from tick 12 on (t = 0.60 s), at (3, -4, 0) m at t = 5.00 s"),
+        ("abort", "landing from tick 12 on (t = 0.60 s), at (3, -4, 0) m at t = 5.00 s"),
+        ("release", "released at tick 12 (t = 0.60 s)"),
+    ],
+)
+@pytest.mark.usefixtures("sent")
+def test_answers_are_told(words: str, text: str) -> None:
+    """When the request takes effect, where and until when, as text; or the answer as JSON."""
+    arguments = [*words.split(), "--run", "hover", "--connect", "tcp/127.0.0.1:1"]
+    assert CliRunner().invoke(app, arguments).stdout == f"{text}\n"
+    as_json = CliRunner().invoke(app, [*arguments, "--format", "json"])
+    assert json.loads(as_json.stdout) == ANSWER
+
+
+@pytest.mark.parametrize(
+    ("head", "options", "expected"),
+    [
+        ("t,x,y,z\n0,1,2,-3\n4,5,6,-7", [], {"points_m": [[1, 2, -3], [5, 6, -7]], "times_s": [0, 4]}),
+        ("x,y,z\n1,2,-3", ["--speed", "2"], {"points_m": [[1, 2, -3]], "speed_mps": 2.0}),
+    ],
+    ids=["timed", "with a speed"],
+)  # fmt: skip
+def test_way_points_come_from_a_file(
+    head: str,
+    options: Sequence[str],
+    expected: Any,
+    sent: list[tuple[str, str, Any]],
+    tmp_path: Path,
+) -> None:
+    """With times, or without and with a speed; not beside a position, nor with both."""
+    file = tmp_path / "points.csv"
+    file.write_text(head, encoding="ascii")
+    common = ["--file", str(file), *options, "--run", "hover", "--connect", "tcp/127.0.0.1:1"]
+    result = CliRunner().invoke(app, ["target", *common])
+    assert result.exit_code == 0, result.stderr
+    assert sent == [("coordinator", "target", expected)]
+    both = CliRunner().invoke(app, ["target", "1", "2", "-3", *common])
+    assert "expected X Y Z, or --file, got 3 numbers and --file" in both.stderr
 
 
 @pytest.mark.parametrize(

@@ -32,12 +32,14 @@ PATIENCE_S = 10.0  # longer than a process that is due to leave is waited for
 class Child:
     """A process that can be stopped, continued and killed."""
 
-    name = "agent2"
     code: int | None = None
     is_noted = False
 
-    def __init__(self, incarnation: int = 0, *, is_stopped: bool = False) -> None:
+    def __init__(
+        self, incarnation: int = 0, *, name: str = "agent2", is_stopped: bool = False
+    ) -> None:
         self.incarnation = incarnation
+        self.name = name
         self.is_stopped = is_stopped
 
     def signal(self, number: int) -> bool:
@@ -55,7 +57,10 @@ class Child:
 
 
 class Run:
-    """A run with a script and one process, which the test stops in place of the script's fault."""
+    """A run with a script and one process, which the test stops in place of the script's fault.
+
+    `agent1` is a process of its own if it is asked for; the one process stands for all others.
+    """
 
     def __init__(
         self,
@@ -64,9 +69,13 @@ class Run:
         seen: int,
         is_stopped: bool = False,
         scenario: str = "resilient",
+        with_agent1: bool = False,
     ) -> None:
         self.children = [Child(is_stopped=is_stopped)]
+        self.agent1 = Child(name="agent1")
+        self._with_agent1 = with_agent1
         self.notes: list[tuple[str, str]] = []
+        self.noted: list[tuple[str, str, int | None]] = []  # target, what and tick of each note
         self.now_s = 0.0
         self.recorder = SimpleNamespace(
             tick=seen,
@@ -76,8 +85,8 @@ class Run:
             note=self._note,
         )
         harness = SimpleNamespace(
-            ended=lambda: [child for child in self.children if child.code is not None],
-            child=lambda _: self.child,
+            ended=lambda: [c for c in (self.agent1, *self.children) if c.code is not None],
+            child=self._child_of,
             mesh=("coordinator", "plant", "agent2"),
             start=self._start,
         )
@@ -93,11 +102,15 @@ class Run:
         """The process that was started last."""
         return self.children[-1]
 
+    def _child_of(self, name: str) -> Child:
+        return self.agent1 if self._with_agent1 and name == "agent1" else self.child
+
     def _start(self, _target: str, incarnation: int) -> None:
         self.children.append(Child(incarnation))
 
-    def _note(self, _target: str, what: str, origin: str, *_: Any) -> None:
+    def _note(self, target: str, what: str, origin: str, tick: int | None = None) -> None:
         self.notes.append((what, origin))
+        self.noted.append((target, what, tick))
 
     def work(self) -> None:
         """Apply due faults and answer requests."""
@@ -107,12 +120,10 @@ class Run:
         """Return whether the script has ended the process."""
         return self._script.has_killed(cast("Any", self.child))
 
-    def answer(self, action: str, target: str) -> dict[str, Any]:
+    def answer(self, action: str, target: str, what: str = "fault") -> dict[str, Any]:
         """Ask for a fault as an operator does; return the answer."""
         answers: list[Any] = []
-        self.recorder.requests.put(
-            Request("fault", {"do": action, "target": target}, answers.append)
-        )
+        self.recorder.requests.put(Request(what, {"do": action, "target": target}, answers.append))
         self.work()
         answer: dict[str, Any] = answers[0]
         return answer
@@ -165,7 +176,7 @@ def test_a_stopped_process_is_at_its_stop_from_the_tick_before_on(
     """An agent may read its message of tick 6 before the recorder sees that tick, not that of tick 5."""
     run = Run(AGENT_STOP, seen=seen, is_stopped=True)
     run.work()
-    assert run.notes == [("stopped", "script")] * is_noted
+    assert run.noted == [("agent2", "stopped", STOP_TICK)] * is_noted
 
 
 def test_a_plant_that_a_person_has_stopped_is_not_at_its_stop_in_the_tick_before() -> None:
@@ -265,14 +276,62 @@ def test_a_kill_by_script_is_known_before_the_recorder_has_any_tick() -> None:
 def test_a_kill_is_over_once_its_process_has_been_restarted() -> None:
     """A process that did not reach its scripted kill in time is ended for its restart, and only that."""
     run = Run(AGENT_KILL, seen=RETURN_TICK)
-    run.work()
-    run.now_s += PATIENCE_S
+    for run.now_s in (0.0, 2.9):
+        run.work()
+        assert run.notes == []
+    run.now_s = 3.0
     run.work()
     assert run.notes == [("restarted", "script")]
 
     run.child.code = -signal.SIGKILL
     run.work()
     assert run.notes[1:] == [("ended by SIGKILL", "unknown")]
+
+
+def test_each_process_has_faults_of_its_own() -> None:
+    """A return that waits delays no other process; a return is the end of earlier kills of its process alone."""
+    first = "{at_s=0.3,target='agent1',do='kill'},{at_s=0.4,target='agent1',do='restart'}"
+    second_kill = "{at_s=0.8,target='agent2',do='kill'}"
+    run = Run(f"{first},{AGENT_KILL},{second_kill}", seen=RETURN_TICK, with_agent1=True)
+    run.child.code = -signal.SIGKILL
+    run.work()
+    run.work()
+    assert run.noted == [("agent2", "killed", STOP_TICK), ("agent2", "restarted", None)]
+
+    run.agent1.code = -signal.SIGKILL  # which has read its message late
+    run.child.code = -signal.SIGKILL
+    run.work()
+    assert ("agent1", "killed", STOP_TICK) in run.noted
+    assert ("agent2", "killed", 16) in run.noted
+
+
+def test_an_end_by_another_signal_is_no_kill_of_the_script() -> None:
+    """A process that crashes before its scripted kill is not known to the script."""
+    run = Run("{at_s=0.3,target='agent2',do='kill'}", seen=2)
+    run.child.code = -signal.SIGSEGV
+    run.work()
+    run.work()
+    assert run.notes == [("ended by SIGSEGV", "unknown")]
+    assert not run.has_killed()
+
+
+@pytest.mark.parametrize(
+    ("what", "action", "target", "problem"),
+    [
+        ("link", "kill", "agent2", "what: expected fault or health, got 'link'"),
+        ("fault", "end", "agent2", "do: expected one of kill, stop, continue, restart, got 'end'"),
+        ("fault", "kill", "agent9", "target: expected one of coordinator, plant, agent2, got 'agent9'"),
+        ("fault", "stop", "agent2", "agent2 is not running"),
+    ],
+)  # fmt: skip
+def test_a_request_that_cannot_be_is_refused(
+    what: str, action: str, target: str, problem: str
+) -> None:
+    """With expected and got, or because the process has ended; nothing is noted."""
+    run = Run(AGENT_STOP, seen=2)
+    run.ask("kill", "agent2")
+    assert run.answer(action, target, what) == {"error": problem}
+    assert run.notes == [("killed", "person")]
 
 
 def test_a_kill_by_a_person_is_noted_once() -> None:

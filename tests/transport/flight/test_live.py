@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 
 import transport
+from tests.support.commands import wait_for
 from transport.flight import live
 from transport.flight.live import LiveRun
 from transport.interface.setting_arguments import ArgumentError
@@ -42,6 +44,56 @@ def test_the_file_of_a_killed_run_is_ignored(tmp_path: Path) -> None:
     ended.wait()
     live.write(tmp_path, LiveRun(HERE.run, HERE.endpoints, ended.pid))
     assert live.read(tmp_path) is None
+
+
+def test_a_process_that_nobody_has_waited_for_has_ended(tmp_path: Path) -> None:
+    """It still has its id and an entry in the table of processes."""
+    ended = subprocess.Popen(["true"])
+    live.write(tmp_path, LiveRun(HERE.run, HERE.endpoints, ended.pid))
+    assert wait_for(lambda: psutil.Process(ended.pid).status() == psutil.STATUS_ZOMBIE)
+    assert live.read(tmp_path) is None
+    ended.wait()
+
+
+def test_the_newest_run_below_a_folder_goes_before_those_elsewhere(tmp_path: Path) -> None:
+    """Links to runs are not runs of their own; without one below it is the newest of this user."""
+    began_s = {"runs/old": 1e9, "runs/new": 2e9, "elsewhere/run": 3e9}
+    for name, at_s in began_s.items():
+        folder = tmp_path / name
+        folder.mkdir(parents=True)
+        live.write(folder, HERE)
+        os.utime(folder / "live.json", (at_s, at_s))
+    parent = tmp_path / "runs"
+    (parent / "latest").symlink_to("new")
+    (parent / "foreign").symlink_to(tmp_path / "elsewhere" / "run")
+    assert live.newest_folder(parent) == parent / "new"
+
+    for name in ("old", "new"):
+        live.remove(parent / name)
+    assert live.newest_folder(parent) == tmp_path / "elsewhere" / "run"
+
+
+def test_a_process_is_asked_at_its_own_endpoint_with_the_keys_of_the_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Keys that are given go before those; a run without keys has none."""
+    asked: list[tuple[Any, ...]] = []
+
+    def request(*given: Any) -> dict[str, Any]:
+        asked.append(given)
+        return {}
+
+    monkeypatch.setattr(live, "request", request)
+    keyed = LiveRun(HERE.run, HERE.endpoints, HERE.pid, "/own")
+    keyed.ask("agent1", "health", {})
+    keyed.ask("coordinator", "status", {}, Path("given"))
+    HERE.ask("agent1", "health", {})
+    agent1, coordinator = (HERE.endpoints[name] for name in ("agent1", "coordinator"))
+    assert asked == [
+        ("hover", [agent1], "agent1", "health", {}, Path("/own")),
+        ("hover", [coordinator], "coordinator", "status", {}, Path("given")),
+        ("hover", [agent1], "agent1", "health", {}, None),
+    ]
 
 
 def test_a_run_that_has_ended_says_so(tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ from transport.protocol.wire.messages import (
     Message,
     Plan,
     Presence,
+    Roster,
     StepReport,
 )
 
@@ -293,8 +294,25 @@ def test_a_restarted_agent_has_the_tick_of_its_return() -> None:
     events = "{target='agent2',do='kill',at_s=0.3},{target='agent2',do='restart',at_s=0.5}"
     settings = (SHORT, "clock.on_agent_loss=continue", f"faults.event=[{events}]")
     messages = recorded(setup(*settings))
-    planned = {plan.tick for plan in messages if isinstance(plan, Plan) and plan.agent == 2}
+    own = [plan for plan in messages if isinstance(plan, Plan) and plan.agent == 2]
+    assert {plan.incarnation for plan in own if plan.tick < 6} == {0}
+    assert {plan.incarnation for plan in own if plan.tick > 6} == {1}
+    planned = {plan.tick for plan in own}
     assert planned == {*range(TICKS)} - {6, 7, 8, 9}
+
+
+@pytest.mark.parametrize(
+    ("do", "reason"),
+    [("kill", "agent2 is gone at"), ("stop", "agent2 did not answer tick 6 in time")],
+)
+def test_the_end_of_an_agent_is_told_and_its_stop_is_not(do: str, reason: str) -> None:
+    """A stopped process keeps its connections: the coordinator waits for its answer before it goes on."""
+    fault = f"faults.event=[{{target='agent2',do='{do}',at_s=0.3}}]"
+    messages: list[Message] = []
+    memory.simulate(setup(SHORT, "clock.on_agent_loss=continue", fault), messages.append)
+    rosters = [message for message in messages if isinstance(message, Roster)]
+    assert [roster.agents for roster in rosters] == [(1, 2, 3, 4), (1, 3, 4)]
+    assert rosters[-1].reason.startswith(reason)
 
 
 def test_a_coordinator_that_was_continued_can_be_killed_later() -> None:

@@ -4,9 +4,11 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from tests.support import messages as catalogue
 from tests.support import runs
 from tests.support.logs import HEADER, with_scenario
 from tests.support.runs import setup
@@ -14,10 +16,21 @@ from transport.flight.recorder import Recorder
 from transport.log.run_log import read_log
 from transport.log.writer import LogWriter
 from transport.protocol.admission.acceptance_and_refusals import Sample
-from transport.protocol.network.bus_events import Arrival
+from transport.protocol.network.bus_events import Arrival, Departed
+from transport.protocol.network.session import BusError
+from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.wire.bundles import Record
 from transport.protocol.wire.codec import encode, header_of
 from transport.protocol.wire.key_expressions import Keys
-from transport.protocol.wire.messages import Control, FaultNote, Message, Presence
+from transport.protocol.wire.messages import (
+    Control,
+    FaultNote,
+    Message,
+    Presence,
+    Request,
+    Target,
+    VehicleStatus,
+)
 
 RUN = setup("controller.horizon=5", runs.ticks(40))
 PROCESSES = ["coordinator", "plant"]
@@ -26,7 +39,9 @@ BACK = [Presence(name, 0, alive=True) for name in PROCESSES]
 # A pause longer than any timeout of the recorder.
 SILENCE = None
 
-Event = Message | Presence | None
+FLIGHT = runs.ready("flight")  # goes on without its coordinator
+
+Event = Message | Sample | Presence | Request | Departed | None
 
 
 class ScriptedBus:
@@ -58,17 +73,19 @@ class ScriptedBus:
         """Nothing to close."""
 
 
-def recorder_of(folder: Path, bus: Any, say: Callable[[str], None] = lambda _: None) -> Recorder:
-    """Return the recorder of the run over a connection, with a log in a folder."""
-    header = with_scenario(HEADER, RUN)
-    writer = LogWriter(folder / "run.mcap", header, period_ns=RUN.period_ns)
-    place = runs.place(RUN.scenario.name)
-    return Recorder(RUN, place, writer, say, bus_of=lambda *_args, **_options: bus)
+def recorder_of(
+    folder: Path, bus: Any, say: Callable[[str], None] = lambda _: None, run: Setup = RUN
+) -> Recorder:
+    """Return the recorder of a run over a connection, with a log in a folder."""
+    header = with_scenario(HEADER, run)
+    writer = LogWriter(folder / "run.mcap", header, period_ns=run.period_ns)
+    place = runs.place(run.scenario.name)
+    return Recorder(run, place, writer, say, bus_of=lambda *_args, **_options: bus)
 
 
-def recorded(folder: Path, bus: ScriptedBus) -> list[Message]:
+def recorded(folder: Path, bus: ScriptedBus, run: Setup = RUN) -> list[Message]:
     """Return the messages in the log of a recorder that receives the events of a connection."""
-    recorder = recorder_of(folder, bus)
+    recorder = recorder_of(folder, bus, run=run)
     recorder.start(PROCESSES)
     recorder.join()
     recorder.close()
@@ -116,16 +133,141 @@ def test_it_waits_for_the_last_messages_of_the_processes_that_are_there(
     assert bus.timeouts_s[-3:] == [2.0, 2.0, 0.05]
 
 
-KEYS = Keys(RUN.scenario.name)
+def test_a_process_that_returns_is_waited_for_and_a_request_is_passed_on(
+    tmp_path: Path, flight: list[Event]
+) -> None:
+    """After the end of the run the plant reconnects: it may still send."""
+    asked = Request("fault", {}, lambda _: None)
+    plant_gone, plant_back = GONE[1], BACK[1]
+    of_coordinator, of_plant = map(Departed, PROCESSES)
+    late = runs.plant_state(RUN, 5)
+    leaving: list[Event] = [of_plant, plant_gone, plant_back, of_coordinator, late]
+    bus = ScriptedBus([asked, *flight, *leaving])
+    recorder = recorder_of(tmp_path, bus)
+    recorder.start(PROCESSES)
+    recorder.join()
+    recorder.close()
+    assert recorder.requests.get_nowait() is asked
+    assert recorder.received == len(flight) + 1
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (BusError("no router"), "no router"),
+        (MemoryError(), "recorder: MemoryError"),
+        (ValueError("no such"), "recorder: ValueError: no such"),
+    ],
+)
+def test_an_error_ends_the_recording_and_is_kept(
+    error: Exception, text: str, tmp_path: Path
+) -> None:
+    """That of the network in its own words, any other with its kind."""
+
+    class Failing(ScriptedBus):
+        def join(self, *_: object) -> None:
+            raise error
+
+    recorder = recorder_of(tmp_path, Failing([]))
+    recorder.start(PROCESSES)
+    recorder.join()
+    recorder.close()
+    assert recorder.error == text
+
+
 NOT_A_MESSAGE = b"\x00"
 
 
-def sample(message: Message, *, key: str = "", data: bytes = b"") -> Sample:
+def sample(message: Message, *, key: str = "", data: bytes = b"", run: Setup = RUN) -> Sample:
     """Return a message as it comes from the network, perhaps under another key or garbled."""
     whole = encode(message)
+    keys = Keys(run.scenario.name)
     return Sample(
-        f"{KEYS.prefix}/{key}" if key else KEYS.of(message), data or whole, header_of(whole)
+        f"{keys.prefix}/{key}" if key else keys.of(message), data or whole, header_of(whole)
     )
+
+
+def of_flight(message: Message) -> Sample:
+    """Return a message of the flight as it comes from the network."""
+    return sample(message, run=FLIGHT)
+
+
+def test_a_team_that_goes_on_is_recorded_until_its_last_tick(tmp_path: Path) -> None:
+    """Without its coordinator the plant and the vehicles tell the tick; after the last one it is waited 0.5 s."""
+    last = FLIGHT.ticks - 1
+    state = runs.plant_state(FLIGHT, 3)
+    status = catalogue.sample(VehicleStatus, tick=last + 5)
+    bus = ScriptedBus([GONE[0], of_flight(state), of_flight(status)])
+    *_, end = recorded(tmp_path, bus, FLIGHT)
+    assert [timeout_s for timeout_s in bus.timeouts_s if timeout_s != 0.02] == [None, None, 0.5]
+    assert isinstance(end, Control)
+    assert (end.outcome, end.reason, end.tick) == ("aborted", "coordinator is gone", 3)
+
+
+def test_the_tick_of_a_team_that_goes_on_is_the_newest_of_all(tmp_path: Path) -> None:
+    """At most the last one of the run, whatever a vehicle says."""
+    recorder = recorder_of(tmp_path, ScriptedBus([]), run=FLIGHT)
+    rows = [
+        (runs.plant_state(FLIGHT, 3), 3),
+        (catalogue.sample(VehicleStatus, tick=7), 7),
+        (runs.plant_state(FLIGHT, 5), 7),
+        (catalogue.sample(VehicleStatus, tick=FLIGHT.ticks + 5), FLIGHT.ticks - 1),
+    ]
+    for message, tick in rows:
+        recorder.receive(of_flight(message))
+        assert recorder.tick == tick
+    recorder.close()
+
+
+def test_a_run_begins_with_its_first_state_or_without_a_plant_with_its_first_tick(
+    tmp_path: Path,
+) -> None:
+    """A record of tick 0 may lack the state; that of a later tick has it, and the state is found in it."""
+    first, later = (
+        catalogue.sample(Record, tick=tick, keys=("plant_state",), parts=(encode(state),))
+        for tick, state in ((0, runs.plant_state(RUN, 0)), (1, runs.plant_state(RUN, 1)))
+    )
+    recorder = recorder_of(tmp_path, ScriptedBus([]))
+    for message, has_begun in ((runs.tick(0), False), (first, False), (later, True)):
+        recorder.receive(sample(message))
+        assert (recorder.started_s is not None) is has_begun
+    state = recorder.plant_state
+    assert state is not None
+    assert state.tick == 1
+    recorder.close()
+
+    alone = runs.ready("flight", "plant.kind=vehicles")
+    recorder = recorder_of(tmp_path, ScriptedBus([]), run=alone)
+    recorder.receive(sample(runs.tick(0), run=alone))
+    assert recorder.started_s is not None
+    recorder.close()
+
+
+def test_a_state_that_cannot_be_is_none(tmp_path: Path) -> None:
+    """The newest of those that can be is shown, among the last four messages of the plant."""
+    recorder = recorder_of(tmp_path, ScriptedBus([]))
+    state = runs.plant_state(RUN, 3)
+    forged = replace(runs.plant_state(RUN, 4), x=state.x[:-1])
+    for message in (state, *[forged] * 3):
+        recorder.receive(sample(message))
+    shown = recorder.plant_state
+    assert shown is not None
+    assert shown.tick == 3
+    recorder.receive(sample(forged))
+    assert recorder.plant_state is None
+    recorder.close()
+
+
+def test_a_target_changes_the_run(tmp_path: Path) -> None:
+    """The recorder's run has the targets so far, as the progress shows where the reference is."""
+    recorder = recorder_of(tmp_path, ScriptedBus([]))
+    target: Target = catalogue.sample(
+        Target, tick=5, number=1, points=np.array([[0.5, 0.0, -10.0]]), times=np.zeros(1), way_s=0.0,
+        way_ramp_s=0.0,
+    )  # fmt: skip
+    recorder.receive(target)
+    assert len(recorder.setup.maneuver.targets) == 1
+    recorder.close()
 
 
 def test_progress_is_that_of_the_newest_genuine_message(tmp_path: Path) -> None:

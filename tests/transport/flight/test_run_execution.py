@@ -9,9 +9,13 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from tests.support import runs
+from tests.support.commands import free_base
 from transport.flight import run_execution
+from transport.flight.local_processes import Harness
 from transport.flight.run_execution import observe
 from transport.flight.run_files import RunError
+from transport.protocol.network.endpoints import Endpoints
+from transport.protocol.network.security import Security
 from transport.protocol.wire import errors_and_exit_codes as codes
 from transport.protocol.wire.messages import Control
 
@@ -119,3 +123,110 @@ def test_an_interrupted_run_without_a_tick_leaves_no_folder(
     with pytest.raises(KeyboardInterrupt):
         observed(tmp_path / "a", monkeypatch, interrupt=True, **recorder)
     assert (tmp_path / "a").exists() is stays
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "last_words", "expected"),
+    [
+        ("plant", 1, "no such engine", "no such engine; so plant is gone"),
+        ("plant", -9, "", "plant was killed by SIGKILL; so plant is gone"),
+        ("plant", 0, "no such engine", "plant is gone"),
+        ("agent1", 1, "no such engine", "plant is gone"),
+    ],
+)
+def test_the_error_of_the_process_that_is_gone_comes_first(
+    name: str, code: int, last_words: str, expected: str
+) -> None:
+    """Its last words, or how it ended; of others, or of one that left in order, there is nothing to tell."""
+    how = "was killed by SIGKILL"
+    child = SimpleNamespace(name=name, code=code, last_words=last_words, how_it_ended=how)
+    harness: Any = SimpleNamespace(ended=lambda: [child])
+    assert run_execution._cause("plant is gone", harness) == expected
+    assert run_execution._cause("plant is gone", None) == "plant is gone"
+
+
+def test_a_run_of_this_machine_tells_where_its_logs_are() -> None:
+    """With the error of a process, if one is gone."""
+    control = end(codes.EXIT_UNREACHABLE, "plant is gone")
+    writer = SimpleNamespace(lost="")
+    recorder: Any = SimpleNamespace(control=control, error=None, started_s=1.0, writer=writer)
+    child = SimpleNamespace(name="plant", code=1, last_words="no engine", how_it_ended="")
+    harness: Any = SimpleNamespace(ended=lambda: [child], logs=Path("run/logs"))
+    finished = run_execution._finished(Path("run"), recorder, harness)
+    assert finished.reason == "no engine; so plant is gone; logs in run/logs"
+
+
+@pytest.mark.parametrize(
+    ("folder", "is_based", "name"), [("2026-run", False, "2026-run"), ("a run", True, "paper")]
+)
+def test_a_run_has_the_name_of_its_folder_if_that_can_be_one(
+    folder: str, is_based: bool, name: str, tmp_path: Path
+) -> None:
+    """Its processes listen from the base port on, or on any ports; each answers where it listens."""
+    base_port = free_base()
+    given = [f"network.base_port={base_port}"] * is_based
+    with run_execution._reserved(runs.setup(*given), tmp_path / folder) as addresses:
+        assert addresses.run == name
+        assert addresses.keys == ""
+        asked_at = addresses.asked_at()
+        for process, place in {**addresses.processes, "recorder": addresses.recorder}.items():
+            assert asked_at[process] == place.listen[0]
+        ports = [int(asked_at[process].rpartition(":")[2]) for process in addresses.processes]
+        if is_based:
+            assert ports == list(range(base_port, base_port + 6))
+        assert len({*asked_at.values()}) == len(addresses.processes) + 1 == 7
+
+
+def test_an_external_process_is_told_how_to_join(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the folder of keys, absolute, where the run has some."""
+    place = Endpoints(listen=["tcp/127.0.0.1:1"], connect=["tcp/127.0.0.1:2"])
+    open_run = run_execution._Addresses(run="r1", processes={"agent2": place}, recorder=place)
+    told = run_execution._invitation("agent2", open_run, "abc")
+    assert told == f"waiting for agent2 of run r1, digest abc; it {place.in_words()}"
+
+    monkeypatch.chdir("/")
+    keyed = Endpoints(listen=["tcp/127.0.0.1:1"], connect=[], security=Security(Path("k"), ()))
+    secured = run_execution._Addresses(run="r1", processes={"agent2": place}, recorder=keyed)
+    assert run_execution._invitation("agent2", secured, "abc") == (
+        f"{told}; it needs --set 'network.keys=\"/k\"'"
+    )
+    client = Endpoints(listen=[], connect=["tcp/127.0.0.1:2"])
+    routed = run_execution._Addresses(run="r1", processes={"agent2": client}, recorder=place)
+    assert routed.asked_at()["agent2"] == "tcp/127.0.0.1:2"
+
+
+@pytest.mark.parametrize(
+    ("scenario", "settings", "expected"),
+    [
+        ("paper", (), (0, False, None)),
+        ("flight", ("network.vehicle_port=15000",), (15000, True, "stand_in")),
+        ("flight", (), (16000, True, "stand_in")),
+        ("flight", ("plant.kind=vehicles",), (14550, False, "ardupilot")),
+        (
+            "flight",
+            ("plant.kind=vehicles", "network.vehicle_port=15000"),
+            (15000, False, "ardupilot"),
+        ),
+    ],
+)
+def test_vehicles_have_ports_of_their_autopilots(
+    scenario: str,
+    settings: tuple[str, ...],
+    expected: tuple[int, bool, str | None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Those of the scenario, else free ones for autopilots that the plant plays, which stand until tick 0."""
+    monkeypatch.setattr(run_execution, "free_udp_ports", lambda count: 4000 * count)
+    setup = runs.ready(scenario, *settings)
+    place = Endpoints(listen=[], connect=["tcp/127.0.0.1:2"])
+    processes = dict.fromkeys(("agent1", "agent2"), place)
+    addresses = run_execution._Addresses(run="r1", processes=processes, recorder=place)
+    ended: list[Harness] = []
+    monkeypatch.setattr(Harness, "end", lambda harness, _: ended.append(harness))
+    progress: Any = SimpleNamespace(setup=setup, say=None)
+    folder = Path("run")
+    with run_execution._harness(addresses, folder, None, ["agent2"], progress) as harness:
+        assert (harness.vehicle_port, harness.stands, harness.autopilot) == expected
+        assert list(harness.mesh) == ["agent1"]
+        assert ended == []
+    assert ended == [harness]

@@ -12,8 +12,16 @@ from pathlib import Path
 import pytest
 
 from tests.support.runs import SHORT, setup
-from transport.flight.run_files import RunError, new_run_folder, own_keys, run_header, started_ns
-from transport.protocol.wire.errors_and_exit_codes import EXIT_USAGE
+from transport.flight.run_files import (
+    RunError,
+    checked,
+    new_run_folder,
+    own_keys,
+    run_header,
+    started_ns,
+)
+from transport.log.run_folder import point_latest
+from transport.protocol.wire.errors_and_exit_codes import EXIT_SCENARIO, EXIT_USAGE
 
 CLOCK_TICK_NS = 10**7  # of the times of processes
 
@@ -66,6 +74,17 @@ def test_the_link_returns_to_the_run_before(tmp_path: Path) -> None:
     assert latest.readlink() == Path("newer")
 
 
+def test_the_link_to_a_later_run_stays(tmp_path: Path) -> None:
+    """A start that fails leaves `latest` alone if another run has begun meanwhile."""
+    folder = tmp_path / "runs"
+    run_with_log(folder / "older", 1e9)
+    with pytest.raises(KeyboardInterrupt), new_run_folder(folder / "fails", setup(SHORT)):  # noqa: PT012
+        (folder / "later").mkdir()
+        point_latest(folder / "later")
+        raise KeyboardInterrupt
+    assert (folder / "latest").readlink() == Path("later")
+
+
 def test_an_existing_folder_is_left_alone(tmp_path: Path) -> None:
     """The refusal of a folder that exists removes nothing from it."""
     (tmp_path / "a").mkdir()
@@ -95,6 +114,79 @@ def test_the_secret_that_cannot_be_written_is_an_error_of_the_run(
             with pytest.raises(RunError, match="No space left"):
                 secret.__enter__()
         assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        ("network.secret=false",),
+        ("network.keys=keys",),
+        ("network.router=tcp/192.0.2.1:7447", "network.insecure=true"),
+    ],
+)
+def test_a_run_with_other_keys_or_none_has_no_secret(
+    settings: tuple[str, ...], tmp_path: Path
+) -> None:
+    """Its folder stays empty."""
+    with own_keys(setup(*settings).scenario, tmp_path) as keys:
+        assert keys is None
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_only_the_owner_can_read_the_secret(tmp_path: Path) -> None:
+    """It is another one for each run, and goes with it."""
+    secrets = set()
+    mask = os.umask(0)
+    try:
+        for _ in range(2):
+            with own_keys(setup().scenario, tmp_path) as keys:
+                assert keys is not None
+                (file,) = keys.iterdir()
+                assert [path.stat().st_mode & 0o777 for path in (keys, file)] == [0o700, 0o600]
+                secrets.add(file.read_text(encoding="utf-8"))
+            assert list(tmp_path.iterdir()) == []
+    finally:
+        os.umask(mask)
+    assert len(secrets) == 2
+    assert all(re.fullmatch(r"run:[0-9a-f]{48}\n", secret) for secret in secrets)
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604])
+def test_a_secret_that_others_could_read_is_refused(
+    mode: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a folder that keeps no permissions; the remedies are named."""
+    monkeypatch.setattr(
+        Path, "touch", lambda path, **_: os.close(os.open(path, os.O_CREAT, mode=mode))
+    )
+    mask = os.umask(0)
+    try:
+        with pytest.raises(
+            RunError, match="expected a file that only its owner can read"
+        ) as caught:
+            own_keys(setup().scenario, tmp_path).__enter__()
+    finally:
+        os.umask(mask)
+    assert caught.value.exit_code == EXIT_SCENARIO
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("external", "controller", "engine"),
+    [
+        ((), "mpc", "rods"),
+        (("agent1", "agent2"), "mpc", "rods"),
+        (("agent1", "agent2", "agent3", "agent4"), "external", "rods"),
+        (("plant",), "mpc", "external"),
+    ],
+)
+def test_classes_of_processes_from_elsewhere_are_external(
+    external: tuple[str, ...], controller: str, engine: str
+) -> None:
+    """The controller only if all agents are."""
+    found = checked(setup(), external)
+    assert found["controller"] == controller
+    assert found["engine"].startswith(engine)
 
 
 def test_an_error_of_the_run_is_not_one_of_its_secret(tmp_path: Path) -> None:

@@ -15,14 +15,19 @@ from scipy.spatial import ConvexHull
 
 from tests.support import runs
 from tests.support.logs import record_run
+from tests.support.messages import sample
 from transport.model.arrays import Array
+from transport.plant.actuator_schedule import FAIL_SAFE
+from transport.protocol.scenario.setup.cost_of_run import StageCost
+from transport.protocol.wire.messages import Airtime, Target
 from transport.scene.drawn_paths_links_and_thrust import ARROW_M, Drawing
 from transport.scene.frames_and_poses import TEAM, poses_in_scene
 from transport.scene.history import RunHistory
 from transport.scene.lines_meshes_and_labels import LineSegments, Mesh
 from transport.scene.payload_uav_and_obstacle_meshes import payload_points
 from transport.scene.predictions import PredictedPaths
-from transport.scene.scene_at_tick import SceneBuilder
+from transport.scene.scene_at_tick import Air, SceneBuilder
+from transport.scene.uav_and_link_colours import age_colour, uav_colour
 
 # Largest difference between the agent's prediction of a sampling period, one step of a method of
 # order 5, and the plant's motion, five such steps; and that of the announced inputs, which are
@@ -92,6 +97,11 @@ def test_positions_at_hover(distributed: SceneBuilder) -> None:
     assert later.error_m == pytest.approx(float(np.sqrt(np.square(error_I).sum())))
     assert later.error_m > 1e3 * ROUNDING
     assert (scene.phase, later.phase) == ("hover", "climb")
+    state = distributed.history.plant_states[25]
+    y_ref = setup.reference.outputs(np.array([later.time_s]))[0]
+    cost = StageCost(setup).at(25, setup.model.outputs(state.x), y_ref, state.u)
+    assert later.cost == cost > 0.0
+    assert distributed.hover_N == pytest.approx(weight / 4.0)
 
 
 def test_the_centralized_agent_predicts_the_next_state(centralized: SceneBuilder) -> None:
@@ -262,3 +272,117 @@ def test_a_released_uav_is_not_drawn(distributed: SceneBuilder) -> None:
     (thrust,) = (part for part in drawing.moving(scene) if part.name == "thrust")
     feet_I = thrust.segments[::LINES_OF_ARROW, 0] + origin
     np.testing.assert_allclose(feet_I, np.delete(scene.uavs_I, 1, axis=0), atol=ROUNDING)
+
+
+def airtime(tick: int, busy_s: float, *arrivals: float) -> Airtime:
+    """Return the report of a plan of agent 1: arrivals at some of the other agents, s, or codes of losses."""
+    count = len(arrivals) // 4
+    message: Airtime = sample(
+        Airtime, tick=tick, agents=(1,) * count, plan_ticks=(tick,) * count, exchanges=(0,) * count,
+        receivers=runs.ALL, sent=np.zeros(count), arrivals=np.array(arrivals).reshape(count, 4), busy_s=busy_s,
+    )  # fmt: skip
+    return message
+
+
+def test_the_radio_is_that_of_the_last_second() -> None:
+    """Of 20 ticks, or of those since the first; what was not sent is neither delivered nor lost."""
+    run = runs.setup("radio={}")
+    history = RunHistory(run)
+    history.add(runs.plant_state(run, tick) for tick in (0, 10, 40))
+    history.add([airtime(5, 0.1)])
+    history.add([airtime(20, 9.0, -9.0, -1.0, -1.0, -1.0), airtime(21, 0.1, -9.0, 0.0, 0.02, -1.0)])
+    history.add([airtime(40, 0.2, -9.0, 0.01, -5.0, -9.0)])
+    builder = SceneBuilder(run, history)
+    assert builder.at(0).air == Air(airtime_share=0.0, delivered_share=None)
+    for tick, airtime_share, delivered_share in ((10, 0.2, None), (40, 0.3, 0.75)):
+        air = builder.at(tick).air
+        assert air is not None
+        assert air.airtime_share == pytest.approx(airtime_share)
+        assert air.delivered_share == delivered_share
+    bare = RunHistory(runs.setup())
+    bare.add([runs.plant_state(bare.setup, 0)])
+    assert SceneBuilder(bare.setup, bare).at(0).air is None
+
+
+def test_who_is_off_released_or_on_its_fail_safe_is_told() -> None:
+    """From the roster and the state of the tick; without a roster all are on it."""
+    run = runs.setup()
+    history = RunHistory(run)
+    x = run.initial_state()
+    x[6:9] = [0.1, -0.2, 0.3]
+    state = structs.replace(runs.plant_state(run, 4), x=x, plan_ticks=(4, FAIL_SAFE, 3, FAIL_SAFE))
+    history.add([state])
+    scene = SceneBuilder(run, history).at(4)
+    assert scene.members == {1, 2, 3, 4}
+    assert (scene.fail_safe, scene.released) == ((2, 4), ())
+    np.testing.assert_allclose(scene.attitude_deg, np.degrees([0.1, -0.2, 0.3]))
+
+    roster = structs.replace(runs.roster({1: 1, 4: 1}, k=2, version=2), released=(3,))
+    history.add([roster])
+    scene = SceneBuilder(run, history).at(4)
+    assert scene.members == {1, 4}
+    assert scene.released == (3,)
+
+
+def test_a_long_path_has_fewer_points_and_ends_at_the_tick(distributed: SceneBuilder) -> None:
+    """Of 29 earlier ticks every fifth, and the last one once."""
+    payload_I, uavs_I = distributed.paths(29, 5)
+    assert (len(payload_I), uavs_I.shape) == (7, (7, 4, 3))
+    for place_I, tick in zip(payload_I, (0, 5, 10, 15, 20, 25, 29), strict=True):
+        np.testing.assert_array_equal(place_I, distributed.at(tick).payload_I)
+
+
+def test_lines_have_the_colours_of_their_uavs_and_ages(distributed: SceneBuilder) -> None:
+    """Predictions of the UAV that its agent owns, links of the age of the plan; the payload's path is black."""
+    drawing, scene = Drawing(distributed), distributed.at(20)
+    lines = {line.name: line for line in (*drawing.moving(scene), drawing.flown(scene))}
+    horizon = distributed.setup.settings.horizon
+    uavs = [uav_colour(i) for i in range(4)]
+    for name, each, colours in (
+        ("predicted UAVs", horizon, uavs),
+        ("predicted payload", horizon, uavs),
+        ("thrust", LINES_OF_ARROW, uavs),
+        ("actual paths", 20, [(0, 0, 0), *uavs]),
+        ("links", 1, [age_colour(age_s, 0.05) for *_, age_s in scene.links]),
+    ):
+        assert [tuple(row) for row in lines[name].colours[::each].tolist()] == colours
+    layers = {name: line.layer for name, line in lines.items()}
+    assert (layers["links"], layers["thrust"]) == ("links", "thrust")
+    assert {part.layer for part in drawing.fixed if part.name == "rod"} == {""}
+
+
+def test_a_new_target_has_a_reference_of_its_own() -> None:
+    """Drawn once with the next scene, dashed, and fixed from then on; other targets before it stay."""
+    run = runs.setup()
+    history = RunHistory(run)
+    history.add([runs.plant_state(run, 0)])
+    builder = SceneBuilder(run, history)
+    drawing = Drawing(builder)
+    scene = builder.at(0)
+
+    def drawn() -> list[LineSegments]:
+        return [part for part in drawing.moving(scene) if part.name == "reference of payload"]
+
+    def fixed() -> LineSegments:
+        (found,) = (part for part in drawing.fixed if part.name == "reference of payload")
+        assert isinstance(found, LineSegments)
+        return found
+
+    before = fixed()
+    assert (len(before.segments), drawn()) == (60, [])  # every second one of 119
+    for number in range(1, 23):
+        target = sample(
+            Target, tick=number, number=number, points=np.array([[0.1 * number, 0.0, -10.0]]), times=np.zeros(1),
+            approach_s=2.0, approach_ramp_s=1.0, way_s=0.0, way_ramp_s=0.0,
+        )  # fmt: skip
+        history.add([target])
+    (after,) = drawn()
+    assert drawn() == []
+    np.testing.assert_array_equal(fixed().segments, after.segments)
+    assert len(after.segments) > len(before.segments)
+    newest = history.setup.maneuver.targets[-1]
+    times_s = np.linspace(newest.since_s, newest.ends_s, 30)
+    path_I = history.setup.maneuver.path(times_s)[0]
+    ends_I = after.segments.reshape(-1, 3)
+    is_drawn = [np.abs(ends_I - place_I).max(axis=1).min() < ROUNDING for place_I in path_I]
+    assert np.mean(is_drawn) > 0.8

@@ -6,9 +6,11 @@ A live page is neither behind nor without axes.
 import gzip
 import json
 import os
+import socket
 import time
 import urllib.request
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -32,11 +34,11 @@ from transport.scene.history import RunHistory
 from transport.scene.lines_meshes_and_labels import Label
 from transport.scene.scene_at_tick import SceneBuilder
 from transport.scene.uav_and_link_colours import OFF_COLOUR
-from transport.viewer import html
-from transport.viewer.camera import FIELD_OF_VIEW
+from transport.viewer import html, server
+from transport.viewer.camera import ASPECT, FIELD_OF_VIEW
 from transport.viewer.link_controls import ALL_LINKS, LinkControls, groups_of
 from transport.viewer.plots import Plots, rounded_range
-from transport.viewer.server import Page, Receipts
+from transport.viewer.server import Page, Receipts, ViewerError
 from transport.viewer.timeline import TimelineEvent, events_around, events_of
 from transport.viewer.viewer import Viewer, may_send
 
@@ -135,6 +137,40 @@ def test_an_axis_fits_its_curves(builder: SceneBuilder) -> None:
         plots._set_range(0, np.array([[0.0, highest, np.nan]]))
         ranges.append(gui.plots[0].scales["y"]["range"])
     assert ranges == [[0.0, 5.0], [0.0, 5.0], [0.0, 1.5], [0.0, 5.0]]
+    plots._set_range(0, np.array([[-1.0, 2.0]]))
+    assert gui.plots[0].scales["y"]["range"] == [-1.0, 2.0]
+
+
+def test_values_of_a_tick_have_the_units_of_their_axes(builder: SceneBuilder) -> None:
+    """Payload error, m; power of ten of the cost; the oldest plan of each agent, s; thrust of each UAV, N."""
+    tick = 20
+    reports, state = builder.history.reports, builder.history.plant_states[tick]
+    reports[2, tick] = structs.replace(reports[2, tick], plan_ages=(1, 3, 2))
+    error_m, decade, ages_s, thrusts_N = Plots(Gui(), builder, whole=True)._values(tick)
+    scene = builder.at(tick)
+    np.testing.assert_allclose(error_m, [scene.error_m])
+    np.testing.assert_allclose(10.0**decade, [scene.cost])
+    np.testing.assert_allclose(ages_s, [PERIOD_S, 3 * PERIOD_S, PERIOD_S, PERIOD_S])
+    np.testing.assert_allclose(thrusts_N, state.u[::4])
+
+
+def test_a_long_run_is_plotted_at_some_hundred_ticks(builder: SceneBuilder) -> None:
+    """At the same ones whatever the last is: multiples of the spacing, as far as recorded; of an active run 30 s."""
+    history = SimpleNamespace(first=7, last=1000, plant_states=range(7, 2000))
+    some: Any = SimpleNamespace(
+        setup=builder.setup, hover_N=builder.hover_N, history=history, at=builder.at
+    )
+    gui = Gui()
+    plots = Plots(gui, some, whole=True)
+    assert plots._ticks(50) == [*range(8, 1000, 4), 1000]
+    assert gui.plots[0].scales["x"]["range"] == pytest.approx([7 * PERIOD_S, 1000 * PERIOD_S])
+
+    active = Plots(gui, some, whole=False)
+    assert active._ticks(900) == [*range(300, 900, 2), 900]
+    assert active._ticks(100) == [*range(7, 100), 100]
+    active.show_whole()
+    assert active._ticks(900) == plots._ticks(50)
+    assert gui.plots[-1].axes[0]["label"] == "time (s)"
 
 
 @given(low=st.floats(-1e6, 1e6), length=st.floats(1e-6, 1e6))
@@ -264,6 +300,38 @@ def test_a_receipt_of_an_older_frame_does_not_count() -> None:
     assert shown == [(True, 2), (True, 2), (False, 2), (True, 0)]
 
 
+def test_the_lag_of_a_page_is_the_time_to_its_receipt() -> None:
+    """A receipt that comes twice changes nothing."""
+    one = page()
+    one.send(1, 2.0)
+    for now_s in (2.5, 9.0):
+        one.shows_newest(now_s)
+        assert one.lag_s == 0.5
+
+
+def test_an_address_that_cannot_be_used_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A port that is in use can: viser takes the next free one."""
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        server._check_address("127.0.0.1", taken.getsockname()[1])
+    for host, port in (("192.0.2.1", 0), ("127.0.0.1", 70_000)):
+        with pytest.raises(ViewerError, match=f"cannot listen on {host}:{port}"):
+            server._check_address(host, port)
+    monkeypatch.setattr(server, "find_spec", lambda _: None)
+    with pytest.raises(ViewerError, match="viser is not installed"):
+        server.require_viser()
+
+
+def test_only_changes_by_a_browser_are_passed_on() -> None:
+    """Those of the program itself would be sent back to it."""
+    values: list[int] = []
+    for client, value in ((None, 1), (4, 2)):
+        event = SimpleNamespace(client_id=client, target=SimpleNamespace(value=value))
+        server.from_browser(values.append)(event)
+    assert values == [2]
+
+
 def test_the_viewer_tells_how_far_behind_it_is(live: Viewer) -> None:
     """The age of what is shown of an active run: of the newest entry of its log, and the page's delay."""
     with connected_pages(live.address, 1):
@@ -286,8 +354,69 @@ def test_the_viewer_tells_how_far_behind_it_is(live: Viewer) -> None:
         assert live._behind_s() is None
 
 
+@pytest.mark.parametrize(
+    ("outcome", "reason", "text"),
+    [("completed", "", "completed"), ("aborted", "by hand", "aborted, by hand")],
+)
+def test_the_end_of_a_run_closes_its_controls(
+    outcome: Any, reason: str, text: str, live: Viewer, builder: SceneBuilder
+) -> None:
+    """It is told on top, as a warning if it has a reason; playback stays where it is, and nothing is behind."""
+    told: list[tuple[str, bool]] = []
+    closed: list[bool] = []
+    panel: Any = live._panel
+    panel.set_notice = lambda words, warning: told.append((words, warning))
+    panel.close_controls = lambda: closed.append(True)
+    live._tail = None
+    builder.history.control = None
+    live.update()
+    assert (live.shown, live.playback.follows, told) == (None, True, [])  # no page waits for it
+
+    builder.history.control = structs.replace(runs.end(LAST), outcome=outcome, reason=reason)
+    for _ in range(2):
+        live.update()
+    assert told == [(f"the run has ended: {text}", bool(reason))]
+    assert (closed, live.playback.follows) == ([True], False)
+    assert live.shown is not None
+    live.playback.follow(True)
+    live._tail = LogTail(Path("none"))
+    assert live._behind_s() is None
+
+
+def test_a_page_that_has_gone_is_not_waited_for(live: Viewer) -> None:
+    """Neither its receipt nor its delay counts; nor is a run ahead of the clock behind by less than nothing."""
+    client: Any = SimpleNamespace(client_id=3, gui=SimpleNamespace(add_html=lambda _: None))
+    live._add_page(client)
+    assert list(live._guard.receipts.pages) == [3]
+    assert live._tail is not None
+    live._tail.newest_ns = time.time_ns() + 10**12
+    assert live._behind_s() == 0.0
+    live._remove_page(client)
+    assert live._guard.receipts.pages == {}
+
+
+@pytest.mark.parametrize(
+    ("is_over", "paced", "pause_s"), [(False, False, 0.5), (False, True, 0.1), (True, False, 0.1)]
+)
+def test_an_unpaced_run_has_fewer_frames(
+    is_over: bool, paced: bool, pause_s: float, live: Viewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It needs the processors itself, until it has ended."""
+    pauses_s: list[float] = []
+    ends = iter([False, True])
+    monkeypatch.setattr(live, "update", lambda: None)
+    clock = SimpleNamespace(sleep=pauses_s.append, monotonic=time.monotonic, time=time.time)
+    monkeypatch.setattr("transport.viewer.viewer.time", clock)
+    live._is_over, live._paced = is_over, paced
+    live.show_until(lambda: next(ends))
+    assert pauses_s == [pause_s]
+
+
 def test_the_result_of_a_request_ends(live: Viewer) -> None:
     """The sentence about a request is on top of the panel for some seconds."""
+    for refused in (True, False):
+        live._show_result("a result", refused)
+        assert live._panel._notice.content == html.notice("a result", warning=refused)
     live._show_result("agent 2 killed at tick 8", False)
     ends_s = live._result_ends_s
     live._end_result(ends_s - 0.1)
@@ -366,6 +495,51 @@ def test_a_diverged_run_leaves_the_view_as_it_is(live: Viewer, builder: SceneBui
         assert (points_I >= drawing.low - drawing.size).all()
 
 
+def test_the_view_holds_what_was_flown_outside_of_the_reference(
+    live: Viewer, builder: SceneBuilder
+) -> None:
+    """Half the size of the maneuver beyond its box; the view of the team has room for its arrows."""
+    drawing = live.view3d._drawing
+    state = builder.history.plant_states[LAST]
+    beyond_m = drawing.high[0] - state.x[0] + drawing.size / 2.0
+    builder._positions.clear()
+    x = state.x.copy()
+    x[0] += beyond_m
+    builder.history.plant_states[LAST] = structs.replace(state, x=x)
+    points_I = live.view3d._path_points()
+    assert points_I[:, 0].max() >= x[0]
+    np.testing.assert_allclose(points_I[:, 1:].min(axis=0), drawing.low[1:], atol=0.1)
+
+    live.view3d.shown = None
+    anchor_I = live.view3d._anchor_I
+    assert live.view3d._team_points()[:, 2].min() == pytest.approx(anchor_I[2] - 1.2, abs=1e-6)
+
+
+@pytest.mark.parametrize(("size", "aspect"), [((200, 100), 2.0), ((0, 0), ASPECT)])
+def test_the_camera_of_a_page_fits_its_window(
+    size: tuple[int, int], aspect: float, live: Viewer
+) -> None:
+    """As far as the page has told its size."""
+    camera = SimpleNamespace(image_width=size[0], image_height=size[1])
+    live.view3d.place_camera(SimpleNamespace(camera=camera, atomic=nullcontext))
+    expected = live.view3d._camera(aspect)
+    np.testing.assert_array_equal(camera.position, expected.position_I)
+    np.testing.assert_array_equal(camera.look_at, expected.look_at_I)
+
+
+def test_layers_and_released_uavs_are_hidden(live: Viewer, builder: SceneBuilder) -> None:
+    """A layer is shown and hidden as a whole, others stay; the frame of a released UAV has no pose."""
+    view = live.view3d
+    for is_shown in (False, True):
+        view.show_layer("names", is_shown)
+        assert {node.visible for node in view._layers["names"]} == {is_shown}
+        assert {node.visible for node in view._layers["reference"]} == {True}
+    for released in ((2,), ()):
+        view.show(replace(builder.at(LAST), released=released))
+        assert view._frames["uav2"].visible is not bool(released)
+        assert view._frames["uav1"].visible
+
+
 def test_a_released_uav_needs_no_room(live: Viewer, builder: SceneBuilder) -> None:
     """The view of the team has room for the payload, and for each UAV on its rod with its arrow."""
     assert len(live.view3d._team_points()) == 1 + 2 * 4
@@ -429,7 +603,9 @@ def test_events_are_on_the_slider_and_lead_to_their_time(recorded: Path) -> None
     history = RunHistory(setup)
     history.add(LogTail(recorded).read())
     assert events_of(history) == [TimelineEvent(10, "links between agents: delay_s 0.1")]
-    with Viewer(SceneBuilder(setup, history), port=0) as viewer:
+    with Viewer(SceneBuilder(setup, history), port=0, notice="it is cut") as viewer:
+        assert viewer._panel._notice.content == html.notice("it is cut", warning=True)
+        assert "recorded run" in viewer._guard._title.decode()
         assert shown(viewer) == 0
         timeline = viewer._panel._timeline
         assert [mark.value for mark in timeline._slider._marks] == [pytest.approx(0.5)]
