@@ -131,6 +131,9 @@ def test_the_shell_completes_settings(word: str, expected: list[str]) -> None:
         ("name =", ["resilient"]),
         ("links.loss = 0.1 --set name =", ["resilient"]),
         ("maneuver.phase.0.dur", []),
+        ("controller.solver=da", ["controller.solver=daqp"]),  # one word: bash replaces all of it
+        ("maneuver.phase.2.name =", ["climb"]),
+        ("name='a", []),  # the quotation mark is open
         ("links.loss = 0.1 --set controller.preview = t", ["true"]),
         ("links.loss = 0.1 --set clock.m", ["clock.mode=lockstep", "clock.mode=realtime"]),
     ],
