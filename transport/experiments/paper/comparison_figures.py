@@ -1,6 +1,6 @@
 """Figures of the comparison: cost over computation, and the maneuver of the paper's figures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,6 @@ from transport.report.figures.style import (
     DIVERGED,
     RC,
     REFERENCE,
-    SMALL,
     TEXT,
     Look,
     label_decades,
@@ -61,15 +60,6 @@ _LARGEST = 3.0
 _DIVERGED_Y = _LARGEST + 0.6
 _TICKS = (0.95, 1.0, 1.05, 1.1, 1.2, 1.5, 2.0, _LARGEST)
 _ABOVE_DIVERGED = 0.3
-# Place of the name of the vertical line, and its style.
-_NAME_Y = 2.4
-_NAME_STYLE: Mapping[str, Any] = {
-    "ha": "right",
-    "va": "center",
-    "fontsize": SMALL,
-    "color": "#555555",
-    "linespacing": 1.0,
-}
 
 
 def draw_costs(curves: Sequence[ComparisonCurve], reference: Cell, folder: Path) -> list[Path]:
@@ -88,7 +78,8 @@ def draw_costs(curves: Sequence[ComparisonCurve], reference: Cell, folder: Path)
             figure,
             [_PANEL_IN] * len(shown),
             legend=legend,
-            x_label="processor time per second of the run (s/s)\nshaded: one tenth of the scale",
+            x_label="processor time per second of the run (s/s)\n"
+            f"line: {_named(reference)}; shaded: one tenth of the scale",
             room=_ROOM,
         )
         figure.supylabel(f"mean cost over {_named(reference)}", fontsize=TEXT, x=0.0)
@@ -96,7 +87,9 @@ def draw_costs(curves: Sequence[ComparisonCurve], reference: Cell, folder: Path)
             for curve in curves:
                 if curve.weather == weather:
                     _draw_curve(panel, curve, budget)
-            _mark_reference(panel, curves[0], reference, budget)
+            # The first curve is the one of the reference.
+            x = _median_load(curves[0], reference, budget)
+            panel.axvline(x, color=REFERENCE, linewidth=0.8, zorder=0)
             head(panel, f"{weather}, time of {budget}", legend=False)
             _scale(panel)
 
@@ -145,21 +138,6 @@ def _median_load(curve: ComparisonCurve, cell: Cell, budget: str) -> float:
     """Return the computation of a cell, the median over repetitions, s/s."""
     place = curve.cells.index(cell)
     return float(np.median(curve.loads[budget][place]))
-
-
-def _mark_reference(
-    panel: Axes, centralized: ComparisonCurve, reference: Cell, budget: str
-) -> None:
-    """Draw a vertical line at the computation of the reference, with its name."""
-    x = _median_load(centralized, reference, budget)
-    panel.axvline(x, color=REFERENCE, linewidth=0.8, zorder=0)
-    panel.annotate(
-        _named(reference).replace(" at", "\nat"),
-        (x, _NAME_Y),
-        (-3.0, 0.0),
-        textcoords="offset points",
-        **_NAME_STYLE,
-    )
 
 
 def _named(reference: Cell) -> str:
