@@ -200,6 +200,7 @@ def test_effort_of_the_others_counts_where_the_cost_to_go_has_it(
     found = one.predict(linear, one.discretise(linear), at.U, law)
     assert isinstance(found, Prediction)
     qp = one.condense(linear, found, at.y_ref, law, end)
+    plain = one.condense(linear, replace(found), at.y_ref, law, end)
     others = np.setdiff1d(np.arange(setup.system.m), one.own)
     scale = (settings.upper(1) - settings.lower(1)) / 2.0
     Q, R = one.cost.Q, one.cost.R
@@ -224,7 +225,9 @@ def test_effort_of_the_others_counts_where_the_cost_to_go_has_it(
     for _ in range(3):
         z = 0.1 * rng.standard_normal(24)
         expected = cost(z) - cost(np.zeros(24))
-        assert qp.objective(z) - qp.objective(np.zeros(24)) == pytest.approx(expected, rel=1e-9)
+        for each in (qp, plain):
+            found_cost = each.objective(z) - each.objective(np.zeros(24))
+            assert found_cost == pytest.approx(expected, rel=1e-9)
 
 
 @needs_kernels
