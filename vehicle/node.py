@@ -47,8 +47,6 @@ from transport.vehicle.plan_in_force import BEFORE_ANY_PLAN, NONE, OWN_LAW, Plan
 
 _TURN_NS = 20_000_000  # time between two turns before tick 0, ns of wall time
 _TELL_NS = 200_000_000  # time between two statuses there and after the flight, ns of wall time
-# Time for which inputs by the law alone are commanded, ticks: the turn of the next tick may be late.
-_OWN_LAW_HOLDS = 1.5
 _NO_PLACE = np.zeros(3)
 
 
@@ -340,7 +338,7 @@ class VehicleNode(Participant):
                 self._latency_s = (now_ns - usable_ns) / 1e9
             self._source = plan.tick
             since_s = (plan.tick - plan.stale) * self._period_s
-        elif self._own_inputs is not None and ticks < self._tick + _OWN_LAW_HOLDS:
+        elif self._own_inputs is not None:
             inputs = self._own_inputs
             self._source = OWN_LAW
             since_s = self._tick * self._period_s

@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from scipy.spatial.transform import Rotation
 
 from transport.plant.autopilot.copter_control import (
     BRAKE,
@@ -15,6 +16,7 @@ from transport.plant.autopilot.copter_control import (
     Vector,
     _normalised,
     _product,
+    _tilted,
     _turned,
 )
 from transport.plant.autopilot.stand_in import _DEFAULTS
@@ -143,3 +145,29 @@ def test_it_refuses() -> None:
     assert not control.arm("")
     assert control.take(CopterSetpoint(0.5, (0.0, 0.0, 0.0), 0.0))
     assert control.outputs(0.0, STEP_S, estimate) == pytest.approx((0.5,) * 4)
+
+
+@pytest.mark.parametrize(
+    ("north", "east", "pitch", "roll"),
+    [(0.1, 0.0, -0.1, 0.0), (0.0, 0.1, 0.0, 0.1), (5.0, -5.0, -0.35, -0.35)],
+)
+def test_it_tilts_towards_its_place_at_most_20_degrees(
+    north: float, east: float, pitch: float, roll: float
+) -> None:
+    """Nose down to the front, right wing down to the right, at any heading; at most 0.35 rad each."""
+    for yaw in (0.0, 0.7):
+        c, s = math.cos(yaw), math.sin(yaw)
+        level = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
+        found = _tilted(level, c * north - s * east, s * north + c * east)
+        expected = Rotation.from_euler("ZYX", [yaw, pitch, roll])
+        assert Rotation.from_quat(found, scalar_first=True).approx_equal(expected, atol=1e-9)
+
+
+def test_the_integral_of_a_rate_is_limited() -> None:
+    """A turn that cannot be followed adds 0.3 of an output at most, either way."""
+    control = CopterControl(dict(_DEFAULTS))
+    p = _DEFAULTS["ATC_RAT_PIT_P"]
+    for rate in (100.0, -100.0):
+        for _ in range(2):
+            moment = control._moment(1.0, 1, rate, 0.0, 0.0)
+        assert moment == pytest.approx(p * rate + math.copysign(0.3, rate))
