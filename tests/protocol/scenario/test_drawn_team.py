@@ -14,6 +14,8 @@ from transport.search.candidate import Base, Candidate
 from transport.search.drawn_events import DrawnSilence, DrawnTeam
 
 SEEDS = range(20)
+# Of these the first draw with a hover has a rod with less than a fifth of the mean tension: it is left out.
+SLACK_AT_FIRST = (101, 290)
 
 
 def template(name: str = "precise") -> Scenario:
@@ -21,7 +23,7 @@ def template(name: str = "precise") -> Scenario:
     return read_scenario(find_scenario(name))
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", [*SEEDS, *SLACK_AT_FIRST])
 def test_a_drawn_team_hovers_with_taut_rods_apart_within_its_limits(seed: int) -> None:
     """Every rod carries a fifth of the mean, UAVs and attachments are apart, and half the thrust at most is in use."""
     setup = Setup.of(drawn(seed, template(), "precise"), f"team {seed}")

@@ -119,3 +119,12 @@ def test_in_space_altitude_points_up_and_all_axes_have_one_scale() -> None:
     # A drawing with x to the right and altitude up is a mirror image unless y points to the reader.
     assert axes.get_xlim()[0] < axes.get_xlim()[1]
     assert axes.get_ylim()[0] > axes.get_ylim()[1]
+
+
+def test_the_box_has_a_margin_and_no_thin_side() -> None:
+    """A twentieth of the longest side and 0.1 m at each end; a side is 0.3 of the longest at least."""
+    axes: Any = Figure().add_subplot(projection="3d")
+    frame(axes, np.array([[0.0, 0.0, 1.0], [4.0, 2.0, 1.0]]))
+    assert axes.get_xlim() == pytest.approx((-0.3, 4.3))
+    assert axes.get_ylim() == pytest.approx((2.3, -0.3))
+    assert axes.get_zlim() == pytest.approx((1.0 - 0.69, 1.0 + 0.69))  # 0.3 of 4.6 m

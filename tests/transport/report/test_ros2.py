@@ -86,6 +86,16 @@ def test_the_bag_holds_the_run(tmp_path: Path) -> None:
         assert [at.x, at.y, at.z] == x[k, :3].tolist()
         R = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
         np.testing.assert_allclose(R, rotation(view.Theta0[k]), atol=1e-12)
+    twists = found["/payload/twist"]
+    told = [[getattr(t.twist.linear, axis) for axis in "xyz"] for t in twists]
+    velocities_I = [rotation(view.Theta0[k]) @ view.v0_P[k] for k in range(10)]
+    np.testing.assert_allclose(told, velocities_I, atol=ROUNDING)
+    told = [[getattr(t.twist.angular, axis) for axis in "xyz"] for t in twists]
+    omega0_I = [rotation(view.Theta0[k]) @ view.omega0_P[k] for k in range(10)]
+    np.testing.assert_allclose(told, omega0_I, atol=ROUNDING)
+    turn = found["/uav3/pose"][-1].pose.orientation
+    R = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
+    np.testing.assert_allclose(R, rotation(view.Theta[9, 2]), atol=ROUNDING)
     # The velocity of a UAV is the slope of its position, to the second order of the period.
     places = np.array(
         [[getattr(p.pose.position, axis) for axis in "xyz"] for p in found["/uav2/pose"]]
