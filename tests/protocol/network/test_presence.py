@@ -149,6 +149,34 @@ def test_a_process_that_is_gone_has_left() -> None:
 
 
 @pytest.mark.parametrize(
+    "key",
+    [
+        KEYS.alive("agent2", 1, "11111111111111bb", VERSION),
+        KEYS.alive("agent2", 1, DIGEST, VERSION + 1),
+    ],
+)
+def test_a_process_of_another_scenario_or_protocol_is_not_up(key: str) -> None:
+    """Its tokens, as they appear and disappear, change nothing and are no event."""
+    plant = others()
+    assert plant.take(KEYS.alive("agent2", 1, DIGEST, VERSION), is_there=True) is None
+    assert plant.take(key, is_there=True) is None
+    assert plant.take(key, is_there=False) is None
+    assert plant.alive == {"agent2": 1}
+    assert not plant.departed
+
+
+def test_a_malformed_token_is_counted_once() -> None:
+    """As it appears, not as it disappears."""
+    gate = Gate("plant", KEYS, setup().rules.shape)
+    plant = OtherPresences("plant", DIGEST, KEYS, gate)
+    malformed = KEYS.alive("agent2", 1, DIGEST, VERSION).replace("/1/", "/first/")
+    for is_there in (True, False):
+        assert plant.take(malformed, is_there=is_there) is None
+    assert gate.rejections.total == 1
+    assert plant.alive == {}
+
+
+@pytest.mark.parametrize(
     ("key", "text"),
     [
         (KEYS.alive("plant", 7, DIGEST, VERSION), "plant is already running in this run"),
