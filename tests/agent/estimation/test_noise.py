@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from tests.support.random_systems import random_system
 from transport.agent.estimation.filter.assumed_noise import (
@@ -96,8 +95,13 @@ def test_unknown_forces_are_random_walks() -> None:
     light = NOISE.change(replace(UNEQUAL, gravity=0.0), PERIOD_S)
     no_force = [MASS_ERROR, *range(DRAG.start, DRAG.stop)]
     np.testing.assert_array_equal(np.flatnonzero(np.diag(light)), no_force)
-    mass_kg = NOISE.payload_mass.change_per_root_s * UNEQUAL.payload.mass
-    assert deviations[MASS_ERROR] == pytest.approx(mass_kg)
+    payload_kg, uav_kg = UNEQUAL.payload.mass, min(uav.mass for uav in UNEQUAL.uavs)
+    over_a_second = np.zeros(COUNT)
+    over_a_second[PAYLOAD_FORCE] = 0.045 * payload_kg * UNEQUAL.gravity
+    over_a_second[MASS_ERROR] = 0.015 * payload_kg
+    over_a_second[UAV_FORCE] = 0.036 * uav_kg * UNEQUAL.gravity
+    over_a_second[DRAG] = 0.015 * payload_kg, 0.015 * uav_kg
+    np.testing.assert_allclose(deviations, over_a_second)
 
     correlations = steps * change / np.outer(deviations, deviations)
     expected = np.eye(COUNT)

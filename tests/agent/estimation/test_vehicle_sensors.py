@@ -13,13 +13,16 @@ from tests.agent.estimation.swing import (
     measured,
     moving,
     no_feedback,
+    reported,
 )
 from transport.agent.communication.announced_inputs import AnnouncedInputs
+from transport.agent.estimation.estimator import sensor_estimator
 from transport.agent.estimation.filter.belief import Belief
 from transport.agent.estimation.filter.team_filter import TeamFilter
 from transport.agent.estimation.predicted_motion import PredictedMotion
 from transport.agent.estimation.sensor_estimator import SensorEstimator
 from transport.model import state
+from transport.model.arrays import Array
 
 
 def test_messages_in_any_order_give_the_same_bits() -> None:
@@ -70,3 +73,29 @@ def test_late_measurements_give_the_bits_of_those_in_time(ages: Sequence[int]) -
         found = belief(late)
         assert found.x.tobytes() == in_order.x.tobytes()
         assert found.covariance.P.tobytes() == in_order.covariance.P.tobytes()
+
+
+def test_inputs_of_a_period_are_told_by_the_reports_at_its_end() -> None:
+    """The gain of the law is asked for in periods alone whose inputs neither plan nor report has told."""
+    last = 6
+    newest = last - 1  # of the only plans that arrive, just before the last tick
+    run, _, U, Z = moving(3)
+    asked: list[int] = []
+
+    def feedback(tick: int) -> Array:
+        asked.append(tick)
+        return no_feedback(run)(tick)
+
+    estimator = sensor_estimator(run.run, 1, lambda k: run.X_ref[k].copy(), feedback)
+    announced = AnnouncedInputs(run.owned, run.hover.u, own=1)
+    for k in range(last + 1):
+        estimator.measure(measured(run, k, U[k], Z[k]))
+        if k < last:
+            estimator.estimate(k, announced)
+    assert set(asked) == set(range(last - 1))
+
+    for agent in (2, 3, 4):
+        estimator.take(reported(run, agent, newest, U, Z))
+    asked.clear()
+    estimator.estimate(last, announced)
+    assert set(asked) == {newest}  # reports tell the periods before their ticks
