@@ -126,15 +126,18 @@ def test_the_unit_of_a_row_does_not_matter(unit: float, name: SolverName) -> Non
     """A program has the same optimum, and multipliers in the rows' units, whatever these units are.
 
     Minimise 1/2 |z|^2 - 3 z1 - 3 z2 with z1 + z2 <= 4 in this unit: z = (2, 2), multiplier 1 / unit.
+    A row without decisions, as of an expression at its extremum, has none.
     """
     qp = QP(
         H=np.eye(2), g=np.full(2, -3.0), lower=np.full(2, -10.0), upper=np.full(2, 10.0),
-        A=np.full((1, 2), unit), row_lower=np.array([-np.inf]), row_upper=np.array([4.0 * unit]),
+        A=np.array([[unit, unit], [0.0, 0.0]]),
+        row_lower=np.full(2, -np.inf), row_upper=np.array([4.0 * unit, 1.0]),
     )  # fmt: skip
     answer = solve(qp, name, any_rows=True)
     assert answer.status == "solved"
     assert answer.z == pytest.approx([2.0, 2.0], abs=AGREEMENT)
-    assert unit * answer.row_multipliers == pytest.approx([1.0], abs=AGREEMENT)
+    assert unit * answer.row_multipliers[0] == pytest.approx(1.0, abs=AGREEMENT)
+    assert answer.row_multipliers[1] == pytest.approx(0.0, abs=AGREEMENT)
 
 
 Lie = Callable[[Array, Array], tuple[Array, Array]]
