@@ -399,11 +399,10 @@ def test_each_failure_is_handled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert np.abs(truth[:, 4]).max() < 15.0
     assert np.linalg.norm(truth[:, 1:3] - [0.0, 0.0], axis=1).max() < 1.0
     assert truth[-1, 3] == pytest.approx(-0.275, abs=0.2)
-    for uav in range(1, 5):
-        rows = setpoints(tmp_path, uav)
-        age_s = rows[:, 0] - rows[:, 1]
-        # By the clock of the world, which starts with its own tick 0, not with that of the run.
-        assert np.ptp(age_s) < TIMEOUT_S + 0.25
+    for passed in relay.setpoints.values():
+        arrival_s, known_s = np.array([one for one in passed if one[1] > 0.0]).T
+        # By the steady clock, which paces the run: that of a world falls behind on a busy machine.
+        assert np.ptp(0.25 * arrival_s - known_s) < TIMEOUT_S + 0.25
 
     log = read_log(tmp_path / "runs" / "failures" / "run.mcap")
     assert not list(log.of(PlantState))
