@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -43,9 +44,10 @@ def test_equal_reports(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_ends_with_its_parent(tmp_path: Path) -> None:
     """A process that stands by ends when its parent is killed."""
+    record_run(runs.setup(runs.SHORT), tmp_path)  # without a run it would end by itself
     code = (
         "import time\nfrom pathlib import Path\nfrom transport.cli.local_run import ReportProcess\n"
-        "reporter = ReportProcess(Path('/none'))\nreporter.prepare()\nprint(reporter._child.process.pid, flush=True)\n"
+        "reporter = ReportProcess(Path())\nreporter.prepare()\nprint(reporter._child.process.pid, flush=True)\n"
         "time.sleep(60)\n"
     )
     with subprocess.Popen(
@@ -54,6 +56,8 @@ def test_ends_with_its_parent(tmp_path: Path) -> None:
         assert process.stdout is not None
         number = process.stdout.readline().strip()
         # A title by fork, or a program of its own where the fork server has not answered in time.
-        assert wait_for(lambda: "/none" in command_of(number))
+        assert wait_for(lambda: str(tmp_path) in command_of(number))
+        time.sleep(1.0)  # one that does not stand by has ended by then
+        assert str(tmp_path) in command_of(number)
         process.kill()
     assert wait_for(lambda: command_of(number) == [])
