@@ -195,8 +195,9 @@ class Maneuver:
         level = np.full(len(t_s), float(self.phases[0].kind == "take_off"))
         rate = np.zeros(len(t_s))
         t_s = self._by_clock(t_s)
-        for target in self.targets:
-            level_change, rate_change = target.ground_load(t_s)
+        if self.targets:
+            # Targets are given in flight: a landing before the newest one does not take place.
+            level_change, rate_change = self.targets[-1].ground_load(t_s)
             level = level + level_change
             rate = rate + rate_change
 

@@ -129,6 +129,7 @@ flags\t\t: fma avx2
         ("flags\t\t: fma avx2", "Features\t: asimd sve", True),
         ("1000", "2000", False),
         ("processor\t: 1", "processor\t: 2", False),
+        ("\n\nprocessor\t: 1\nmodel name\t: first of its kind\nflags\t\t: fma avx2\n", "\n", False),
     ],
 )
 def test_a_processor_is_known_by_its_model_and_what_it_can(

@@ -224,11 +224,13 @@ def test_curves_carry_no_weight_to_or_from_the_ground() -> None:
         np.testing.assert_array_equal(actual, expected)
 
 
+APPROACH = Curve(kind=None, duration_s=4.0, ramp_s=2.0, size_I=(1.0, 0.0, 0.0))
+
+
 def test_a_landing_after_a_target_does_not_press() -> None:
     """Before the target the reference is pressed as without it, then it stays on the path, (59)."""
     given_s = 6.0  # in flight
-    approach = Curve(kind=None, duration_s=4.0, ramp_s=2.0, size_I=(1.0, 0.0, 0.0))
-    aside = PathTarget(since_s=given_s, point_I=np.array([1.0, 1.0, -2.0]), approach=approach)
+    aside = PathTarget(since_s=given_s, point_I=np.array([1.0, 1.0, -2.0]), approach=APPROACH)
     times_s = np.linspace(0.0, 17.0, 341)
     before = times_s <= given_s
     again = replace(aside, since_s=14.5)  # where the ground would take the weight
@@ -237,6 +239,24 @@ def test_a_landing_after_a_target_does_not_press() -> None:
         np.testing.assert_array_equal(actual[before], expected[before])
         assert np.abs(actual[~before]).max() < PATH_TOLERANCE_M
         assert np.abs(expected[~before]).max() > PATH_TOLERANCE_M
+
+
+@pytest.mark.parametrize("lands", [False, True], ids=["aside", "faster down"])
+def test_a_landing_that_a_later_target_replaces_does_not_press(*, lands: bool) -> None:
+    """The reference is pressed by the newest target alone, as deep as by a landing without the one before, (59)."""
+    down = PathTarget(
+        since_s=5.0, point_I=np.array([0.0, 0.0, -0.125]), approach=APPROACH, lands=True
+    )
+    place = [1.0, 1.0, -0.125 if lands else -2.0]
+    newest = PathTarget(since_s=6.0, point_I=np.array(place), approach=APPROACH, lands=lands)
+    times_s = np.linspace(0.0, 17.0, 341)
+    replaced, alone = (
+        delivery().with_target(down).with_target(newest),
+        delivery().with_target(newest),
+    )
+    for expected, actual in zip(alone.press(times_s), replaced.press(times_s), strict=True):
+        np.testing.assert_allclose(actual, expected, atol=PATH_TOLERANCE_M)
+    assert replaced.press(times_s)[0][-1] == pytest.approx(0.2 if lands else 0.0)
 
 
 @pytest.mark.parametrize("kind", ["move", "circle", "land"])
