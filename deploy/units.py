@@ -8,7 +8,7 @@ from string import Template
 
 from transport.deploy.inventory import Host, Inventory
 from transport.deploy.placements import Placement
-from transport.protocol.network.parent import ENVIRONMENT
+from transport.protocol.network.parent_and_environment import ENVIRONMENT
 from transport.protocol.scenario.sections.vehicles_section import DEFAULT_VEHICLE_PORT
 from transport.protocol.wire import errors_and_exit_codes as codes
 from transport.protocol.wire.key_expressions import RECORDER, ROUTER

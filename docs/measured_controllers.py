@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
-from simulations import (
+from table_builder import (
     CABLES,
     COST,
     ESTIMATE,

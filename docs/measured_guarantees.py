@@ -1,7 +1,7 @@
 """Measured tables of docs/record/guarantees.md: networks, deaths, returns, outages of sensors, failed UAVs."""
 
 import numpy as np
-from simulations import (
+from table_builder import (
     ATTITUDE,
     COST,
     Run,

@@ -6,7 +6,7 @@ from functools import partial
 from itertools import product
 
 import numpy as np
-from simulations import (
+from table_builder import (
     COST,
     ESTIMATE,
     HEAVIER,

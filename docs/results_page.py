@@ -18,8 +18,8 @@ from transport.cli.commands.experiment import ExperimentOptions
 from transport.experiments.cases import Case
 from transport.experiments.declaration import Experiment
 from transport.experiments.paper import comparison_report
-from transport.experiments.paper.comparison import DECLARED as COMPARISON
 from transport.experiments.paper.comparison_report import ComparisonOptions, ComparisonPlan
+from transport.experiments.paper.controllers_and_periods import DECLARED as COMPARISON
 from transport.experiments.result_sentences import conclusions
 from transport.experiments.result_tables import markdown, table_of
 from transport.experiments.simulation import Result

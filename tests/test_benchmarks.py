@@ -13,7 +13,7 @@ import pytest
 from msgspec import structs
 
 from benchmarks import __main__ as bench
-from benchmarks import autopilots, estimates, solvers, walls
+from benchmarks import autopilots, estimates, solvers, step_and_tick_times, walls
 from benchmarks.radio import plan_bytes
 from benchmarks.runs import CLIMB, BenchmarkError, digits, programs, setup, spread
 from docs.tables import put_rows
@@ -59,18 +59,18 @@ def test_three_digits_and_the_99th_percentile() -> None:
 
 def test_cases_run_in_turns_until_each_has_its_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """A short case runs again while a long one waits; columns are the stages that are shown."""
-    monkeypatch.setattr(bench, "STEPS", 5)
+    monkeypatch.setattr(step_and_tick_times, "STEPS", 5)
     begun = []
 
     def times_of(name: str, steps: int) -> Array:
         begun.append(name)
         return np.tile(np.arange(len(STAGES), dtype=np.float64), (steps, 1))
 
-    found = bench.in_turns([("short", 2), ("long", 5)], times_of)
+    found = step_and_tick_times.in_turns([("short", 2), ("long", 5)], times_of)
     assert begun == ["short", "long", "short", "short"]
     assert {case: len(ms) for case, ms in found.items()} == {("short", 2): 6, ("long", 5): 5}
     for ms in found.values():
-        assert [STAGES[int(column)] for column in ms[0]] == list(bench.SHOWN)
+        assert [STAGES[int(column)] for column in ms[0]] == list(step_and_tick_times.SHOWN)
 
 
 def test_a_tick_is_the_wall_time_over_the_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -80,9 +80,11 @@ def test_a_tick_is_the_wall_time_over_the_ticks(monkeypatch: pytest.MonkeyPatch)
         "wall_time_s": 5.0, "real_time_factor": 8.0, "startup_s": 1.25,
         "agent_step_ms": times_ms, "rest_of_tick_ms": {"p50": 1.5, "p99": 2.5},
     }  # fmt: skip
-    monkeypatch.setattr(bench, "setup", lambda *_, uavs: SimpleNamespace(ticks=50 * uavs))
-    monkeypatch.setattr(bench, "recorded", lambda _run: summary)
-    rows = [line for line in bench.loop().splitlines() if line.startswith("| ")][1:]
+    monkeypatch.setattr(
+        step_and_tick_times, "setup", lambda *_, uavs: SimpleNamespace(ticks=50 * uavs)
+    )
+    monkeypatch.setattr(step_and_tick_times, "recorded", lambda _run: summary)
+    rows = [line for line in step_and_tick_times.loop().splitlines() if line.startswith("| ")][1:]
     assert rows[0] == "| 4 | 25.0 | 2.00 (3.00) | 1.50 (2.50) | 8.00 | 1.25 |"
     assert rows[2].startswith("| 16 | 6.25 |")
 

@@ -52,7 +52,11 @@ OTHER_PARTS: list[tuple[str, str, tuple[str, ...]]] = [
     ("docs/record/algorithms.md", "docs/algorithm_figures.py", ("ready algorithms",)),
     ("docs/record/guarantees.md", "benchmarks/silence.py", ("bench: silence",)),
     ("docs/record/guarantees.md", "benchmarks/walls.py", ("bench: walls",)),
-    ("docs/record/guarantees.md", "benchmarks/timing.py", ("bench: spread", "bench: clocks")),
+    (
+        "docs/record/guarantees.md",
+        "benchmarks/clock_and_actuation_offsets.py",
+        ("bench: spread", "bench: clocks"),
+    ),
     ("docs/record/guarantees.md", "benchmarks/teams.py", ("bench: teams alone", "bench: teams")),
     ("README.md", "benchmarks/teams.py", ("bench: teams",)),
     (

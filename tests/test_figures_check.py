@@ -23,7 +23,7 @@ OTHER_COMMIT = "of another day"
 def docs(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """The modules of the folder docs."""
     monkeypatch.syspath_prepend(ROOT / "docs")
-    names = ("figures", "kept", "simulations")
+    names = ("figures", "kept", "table_builder")
     return SimpleNamespace(**{name: import_module(name) for name in names})
 
 
@@ -34,14 +34,14 @@ def short(docs: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     page = tmp_path / "page.md"
     page.write_text("<!-- short -->\n\n<!-- end of short -->\n")
     runs = {
-        "paper": docs.simulations.Run("paper", SHORT),
-        "late": docs.simulations.Run("paper", (*SHORT, "links.delay_s=0.2")),
+        "paper": docs.table_builder.Run("paper", SHORT),
+        "late": docs.table_builder.Run("paper", (*SHORT, "links.delay_s=0.2")),
     }
-    columns = {"result": docs.simulations.outcome, "cost": docs.simulations.COST}
-    table = docs.simulations.listed("short", "", runs, columns)
+    columns = {"result": docs.table_builder.outcome, "cost": docs.table_builder.COST}
+    table = docs.table_builder.listed("short", "", runs, columns)
     # Timed runs are simulated one at a time, in this process: others take seconds to start.
     one = replace(
-        docs.simulations.measured("record/measured.md", table), document=page, is_timed=True
+        docs.table_builder.measured("record/measured.md", table), document=page, is_timed=True
     )
     kept_runs = docs.figures.complete(one, docs.figures.missing(one, {}))
     docs.figures.put(page, "short", docs.figures.text_of(one, kept_runs))
@@ -235,7 +235,7 @@ def test_results_are_of_this_code_by_commit_and_versions(docs: SimpleNamespace) 
 
 def test_cells_are_of_completed_runs(docs: SimpleNamespace) -> None:
     """In their unit, over all seeds; a cell of a grid is that of its own run, empty without one."""
-    program = docs.simulations
+    program = docs.table_builder
 
     def result(outcome: str, rms_m: float) -> Result:
         return Result(

@@ -33,7 +33,7 @@ import sys
 from contextlib import suppress
 from types import FrameType
 
-from transport.protocol.network.parent import (
+from transport.protocol.network.parent_and_environment import (
     ENVIRONMENT,
     FORK_SERVER,
     ending_signals,

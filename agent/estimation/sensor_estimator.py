@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from transport.agent.communication.announced_inputs import AnnouncedInputs
-from transport.agent.estimation.filter.belief import NAMES, Belief, pose_numbers
+from transport.agent.estimation.estimate_notes import NAMES, pose_numbers
+from transport.agent.estimation.filter.belief import Belief
 from transport.agent.estimation.filter.filter_interface import Filter, FilterPeriod, Sensed
 from transport.agent.estimation.predicted_motion import Failure, PredictedMotion
 from transport.agent.estimation.received_states import NewStates, Reports, UavReport, by_uav

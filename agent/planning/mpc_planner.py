@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from transport.agent.communication.event_triggered_sharing import Corrections, Sharing
+from transport.agent.estimation.estimate_notes import is_due
 from transport.agent.estimation.filter.belief import Belief
 from transport.agent.estimation.team_estimate import Expected, TeamEstimate
 from transport.agent.planning.hand_over_inputs import HandOver
@@ -36,8 +37,6 @@ from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import Message, Plan, StepReport
 from transport.protocol.wire.node_interface import Outbox
 
-# Time between the notes of an estimator for the log, s: the covariance of each tick is work.
-NOTES_EVERY_S = 1.0
 # Solver in the reports of steps without a QP: all UAVs of the agent act wholly alone.
 _ALONE = "alone"
 # In reports: no number.
@@ -305,8 +304,7 @@ class Planner:
     def _notes(self, tick: int, out: Outbox) -> list[Message]:
         """Return the numbers of the estimator for the log, if it has any and they are due."""
         notes = self._resets(tick, out)
-        every = max(1, round(NOTES_EVERY_S / self._setup.settings.sampling_period_s))
-        if tick == 0 or tick % every:
+        if not is_due(tick, self._setup.settings.sampling_period_s):
             return notes
         numbers = self._team.estimator.log_numbers()
         if not numbers:

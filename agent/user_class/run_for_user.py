@@ -9,7 +9,7 @@ from typing import SupportsIndex
 import numpy as np
 
 from transport.agent.received import Received
-from transport.agent.user_class.entry_names import Layout
+from transport.agent.user_class.state_accessors import Layout
 from transport.agent.user_class.user_estimate import OwnEstimate
 from transport.model.arrays import Array, frozen
 from transport.model.linear.linearisation import Model

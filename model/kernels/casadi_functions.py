@@ -22,9 +22,6 @@ from transport.model.physics import (
 from transport.model.physics.parameters import Kind
 from transport.model.physics.symbols import Symbols
 
-# No contraction of products and sums: the same bits as CasADi's interpreter.
-# Functions of the library call each other directly, and short ones are inlined.
-_FLAGS = ("-Og", "-fno-math-errno", "-ffp-contract=off", "-fno-semantic-interposition")
 # How `step` and `advance` are compiled: each is a tenth of the code, but they are evaluated most, tens of
 # times in a step of a controller. GCC's vectorisation of straight code fuses products and sums of
 # neighbours in spite of the flag above.
@@ -186,7 +183,7 @@ def _file(N: int, rates: bool, drag: bool) -> Path:
 @lru_cache
 def _flags() -> tuple[str, ...]:
     """Return the compiler's flags, as this process first finds the environment."""
-    return (*_FLAGS, *compiler.processor_flags())
+    return (*compiler.GENERATED_FLAGS, *compiler.processor_flags())
 
 
 @lru_cache

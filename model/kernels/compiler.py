@@ -16,6 +16,11 @@ from functools import lru_cache
 from pathlib import Path
 
 _COMMON = ("-fPIC", "-w")
+# Of the loops in `kernels.c`.
+LOOP_FLAGS = ("-O3", "-fno-math-errno")
+# Of functions that CasADi generates. No contraction of products and sums: the same bits as its
+# interpreter. Functions of the library call each other directly, and short ones are inlined.
+GENERATED_FLAGS = ("-Og", "-fno-math-errno", "-ffp-contract=off", "-fno-semantic-interposition")
 _TIMEOUT_S = 300.0
 _SWITCH = "PAYLOAD_TRANSPORT_NATIVE"
 _WIDTHS = ("2", "4", "8")

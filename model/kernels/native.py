@@ -17,7 +17,6 @@ from transport.model.kernels import compiler
 
 Places = npt.NDArray[np.intp]
 
-_FLAGS = ("-O3", "-fno-math-errno")
 _ALIGNMENT = 64  # of work spaces, bytes: the widest vectors of a processor
 
 _address = ctypes.c_void_p
@@ -165,7 +164,7 @@ def load() -> Any:
         return None
 
     source = _SOURCE.read_bytes()
-    flags = (*_FLAGS, *compiler.processor_flags())
+    flags = (*compiler.LOOP_FLAGS, *compiler.processor_flags())
     path = compiler.compiled_file("kernels", source, flags)
     if not compiler.compile_library(path, [source], flags):
         return None

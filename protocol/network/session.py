@@ -1,21 +1,19 @@
-"""Zenoh sessions: their configuration, requests from outside a run, and a router."""
+"""Zenoh sessions: their configuration, and a router."""
 
 import json
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import zenoh
 
 from transport.protocol.network.endpoints import Endpoints
-from transport.protocol.network.security import Security
 from transport.protocol.wire.codec import MAX_BYTES
 from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE, TransportError
-from transport.protocol.wire.key_expressions import ACTING, OPERATOR, ROUTER, WATCHER, Keys
+from transport.protocol.wire.key_expressions import ROUTER, Keys
 
 _RETRY_S = 0.05  # pause between attempts of a client to reach its router
 # Length of the first attempt of a client, and the longest: each takes twice as long as the one before,
@@ -24,7 +22,6 @@ _ATTEMPT_MS, _LONGEST_MS = 500, 2000
 _FOR_EVER = -1  # of a peer
 # Pauses between attempts to connect to an address, growing by a factor: peers of a run start together.
 _RETRIES = {"period_init_ms": 5, "period_max_ms": 200, "period_increase_factor": 1.5}
-_LOOK_S = 0.02  # pause between looks for the token of a process
 CLOSE_S = 2.0  # how long closing may take: it blocks while a peer does not read (zenoh issue 2675)
 
 
@@ -135,68 +132,8 @@ def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys
     return settings
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Reach:
-    """How a process is reached from outside its run.
-
-    Attributes:
-        connect: Endpoints; a single one may be of the process or of a router.
-        security: Keys of the client.
-        timeout_s: Time to find the process, and again for its answer, s; by default that after which
-            Zenoh takes a silent process for gone: one that is frozen for less goes on with the run.
-    """
-
-    connect: Sequence[str]
-    security: Security | None = None
-    timeout_s: float = 10.0
-
-
-def ask(
-    run: str, reach: Reach, name: str, what: str, given: Mapping[str, Any]
-) -> Mapping[str, Any]:
-    """Send a request to a process from outside its run (docs/reference/protocol.md), and return the answer.
-
-    The client is an operator or, for requests that change nothing, a watcher.
-
-    Raises: BusError: there is no such process, or it does not answer in time.
-    """
-    keys = Keys(run)
-    timeout_s = reach.timeout_s
-    deadline = time.monotonic() + timeout_s
-    whom = f"{name} of run {run}"
-    client = OPERATOR if what in ACTING else WATCHER
-    log_errors(to_output=False)
-
-    # A client can connect to a process or to a router.
-    mode: Literal["client", "peer"] = "client" if len(reach.connect) == 1 else "peer"
-    endpoints = Endpoints(listen=[], connect=reach.connect, mode=mode, security=reach.security)
-    try:
-        with _session(endpoints, client, keys, timeout_s) as session:
-            token = f"{keys.prefix}/alive/{name}/**"
-            while not any(reply.ok for reply in session.liveliness().get(token, timeout=1.0)):
-                if time.monotonic() > deadline:
-                    places = ", ".join(reach.connect)
-                    raise BusError(f"no sign of it within {timeout_s:g} s at {places}")
-                time.sleep(_LOOK_S)
-            answer = fetch_answer(session, keys.request(name, what), given, timeout_s)
-    except BusError as error:
-        raise BusError(
-            f"{whom} is not reachable, it has ended or uses other keys: {error}"
-        ) from error
-    except zenoh.ZError as error:  # its text is about Zenoh's sources
-        raise BusError(
-            f"{whom} has closed the connection: it has ended, or is about to end"
-        ) from error
-    if answer is None:
-        raise BusError(
-            f"{whom} does not answer within {timeout_s:g} s: it is stopped, or its host is too busy; "
-            "it may still do later what was asked"
-        )
-    return answer
-
-
 @contextmanager
-def _session(
+def session_of(
     endpoints: Endpoints, name: str, keys: Keys, reach_s: float
 ) -> Iterator[zenoh.Session]:
     """Open a session of a client or a router, and close it in bounded time."""
@@ -213,7 +150,7 @@ def route(endpoints: Endpoints) -> AbstractContextManager[zenoh.Session]:
     Raises: BusError: as `open_session`.
     """
     log_errors(to_output=True)
-    return _session(endpoints, ROUTER, Keys.below("transport/*"), 0.0)
+    return session_of(endpoints, ROUTER, Keys.below("transport/*"), 0.0)
 
 
 def log_errors(*, to_output: bool) -> None:

@@ -20,7 +20,7 @@ from tests.campaigns.signals import end_orphans
 from tests.support.commands import wait_for
 from transport.interface.fly import fly
 from transport.log.run_log import read_log
-from transport.protocol.network.parent import python
+from transport.protocol.network.parent_and_environment import python
 from transport.protocol.wire.errors_and_exit_codes import EXIT_INTERRUPTED
 from transport.protocol.wire.messages import Tick
 

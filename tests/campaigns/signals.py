@@ -19,7 +19,7 @@ from tests.campaigns.harness import Result
 from tests.support.commands import command_of
 from tests.support.commands import wait_for as wait
 from transport.log.run_log import read_log
-from transport.protocol.network.parent import FORK_SERVER, python
+from transport.protocol.network.parent_and_environment import FORK_SERVER, python
 from transport.protocol.wire.errors_and_exit_codes import EXIT_INTERRUPTED
 from transport.protocol.wire.messages import Control
 

@@ -30,7 +30,7 @@ from transport.deploy.inventory import DeployError, Host, Inventory
 from transport.deploy.placements import Placement, placements
 from transport.deploy.units import command
 from transport.protocol.network.mesh import process_names
-from transport.protocol.network.parent import ENVIRONMENT, python
+from transport.protocol.network.parent_and_environment import ENVIRONMENT, python
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors_and_exit_codes import (

@@ -7,7 +7,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from tests.support import runs
-from transport.agent.estimation.filter.belief import NAMES, POSE
+from transport.agent.estimation.estimate_notes import NAMES, POSE
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.radio.frames import FrameResult

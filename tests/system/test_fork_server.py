@@ -23,7 +23,7 @@ from transport.flight import fork_server, local_processes
 from transport.flight.fork_server import ForkServer
 from transport.flight.local_processes import Child, ToStart, start_children
 from transport.mpc.law.present_law import Regulation
-from transport.protocol.network.parent import FORK_SERVER
+from transport.protocol.network.parent_and_environment import FORK_SERVER
 
 pytestmark = pytest.mark.skipif(
     sys.platform != "linux", reason="processes are forked on Linux alone"

@@ -34,7 +34,7 @@ from transport.flight.live import LiveRun
 from transport.flight.run_execution import simulate as run_processes
 from transport.log.run_folder import setup_of
 from transport.log.run_log import LogTail, read_log
-from transport.protocol.network.parent import PARENT_PIPE
+from transport.protocol.network.parent_and_environment import PARENT_PIPE
 from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE
 from transport.scene.history import RunHistory
 from transport.scene.scene_at_tick import SceneBuilder

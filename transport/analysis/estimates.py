@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from transport.agent.estimation.filter.belief import NAMES, poses
+from transport.agent.estimation.estimate_notes import NAMES, poses
 from transport.analysis.series import Series
 from transport.log.run_log import RunLog
 from transport.model import state

@@ -45,7 +45,12 @@ from typing import Any, NoReturn
 import psutil
 import setproctitle
 
-from transport.protocol.network.parent import ENVIRONMENT, FORK_SERVER, PARENT_PIPE, python
+from transport.protocol.network.parent_and_environment import (
+    ENVIRONMENT,
+    FORK_SERVER,
+    PARENT_PIPE,
+    python,
+)
 from transport.protocol.network.session import is_used
 from transport.protocol.wire.errors_and_exit_codes import EXIT_INTERRUPTED
 

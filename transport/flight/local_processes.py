@@ -15,7 +15,7 @@ import psutil
 
 from transport.flight.fork_server import Start, fork_server
 from transport.protocol.network.endpoints import Endpoints
-from transport.protocol.network.parent import PARENT_PIPE, STANDBY
+from transport.protocol.network.parent_and_environment import PARENT_PIPE, STANDBY
 from transport.protocol.scenario.sections.lockstep_and_realtime_section import LONGEST_WAIT_S
 from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE, TransportError
 from transport.protocol.wire.names import (

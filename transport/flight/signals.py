@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-from transport.protocol.network.parent import ending_signals
+from transport.protocol.network.parent_and_environment import ending_signals
 from transport.protocol.wire.errors_and_exit_codes import EXIT_INTERRUPTED
 
 # Pause before an interrupt is raised again, s.

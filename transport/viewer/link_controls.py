@@ -9,7 +9,7 @@ from transport.protocol.scenario.links.link_changes import LinkChanges, split_gr
 from transport.protocol.scenario.sections.link_sections import LinkSection
 from transport.protocol.wire.messages import agent_name
 from transport.scene.history import RunHistory
-from transport.viewer import html
+from transport.viewer import panel_values
 from transport.viewer.server import NOTIFICATION_S
 
 ALL_LINKS = "all links"
@@ -101,7 +101,7 @@ class LinkControls:
         if in_force != self._shown:
             self._shown = in_force
             self._show_values()
-            self._state.content = html.links(in_force)
+            self._state.content = panel_values.links(in_force)
 
     def _show_values(self) -> None:
         """Move the sliders to the values of the chosen link; for all links, where they agree."""

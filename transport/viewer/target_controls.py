@@ -10,7 +10,7 @@ from transport.flight.live import Commands
 from transport.model.arrays import Array
 from transport.protocol.wire.names import agent_name
 from transport.scene.scene_at_tick import Scene, SceneBuilder
-from transport.viewer import html
+from transport.viewer import panel_values
 from transport.viewer.server import NOTIFICATION_S
 
 # Steps of the target in the inertial frame by the keys for them, with Shift: alone, arrows move
@@ -86,7 +86,7 @@ class TargetControls:
             if target.since_s <= scene.time_s
         ]
         self._state.content = (
-            html.target(targets[-1].end_I, targets[-1].ends_s, scene) if targets else ""
+            panel_values.target(targets[-1].end_I, targets[-1].ends_s, scene) if targets else ""
         )
 
     def close(self) -> None:

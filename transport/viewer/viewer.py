@@ -22,7 +22,7 @@ from transport.log.run_log import LogTail
 from transport.scene.drawn_paths_links_and_thrust import Drawing
 from transport.scene.history import RunHistory
 from transport.scene.scene_at_tick import Scene, SceneBuilder
-from transport.viewer.panel import Panel
+from transport.viewer.panel_controls import Panel
 from transport.viewer.playback import Playback
 from transport.viewer.server import Page, start_server
 from transport.viewer.view3d import View3D

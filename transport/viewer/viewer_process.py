@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Self
 
 from transport.flight.signals import take_interrupt
-from transport.protocol.network.parent import PARENT_PIPE, python
+from transport.protocol.network.parent_and_environment import PARENT_PIPE, python
 
 _EXIT_S = 5.0
 

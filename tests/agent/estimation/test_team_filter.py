@@ -9,8 +9,9 @@ import pytest
 from tests.agent.estimation.swing import PERIOD_S, TICKS, error, filtered, in_time, moving, sensed
 from tests.support.runs import VEHICLE, setup
 from transport.agent.communication.unannounced_inputs import Silent, Unannounced
+from transport.agent.estimation.estimate_notes import NAMES, pose_numbers, poses
 from transport.agent.estimation.filter.assumed_noise import ModelNoise
-from transport.agent.estimation.filter.belief import NAMES, Belief, pose_numbers, poses
+from transport.agent.estimation.filter.belief import Belief
 from transport.agent.estimation.filter.filter_interface import FilterPeriod
 from transport.agent.estimation.filter.team_filter import TeamFilter
 from transport.agent.estimation.predicted_motion import STEPS

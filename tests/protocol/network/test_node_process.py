@@ -16,7 +16,7 @@ from tests.support import runs
 from transport.protocol.admission.acceptance_and_refusals import Gate
 from transport.protocol.network.bus_events import Arrival, BusEvent, BusOptions, Interrupted, Place
 from transport.protocol.network.node_process import run_node
-from transport.protocol.network.parent import PARENT_PIPE, ending_signals
+from transport.protocol.network.parent_and_environment import PARENT_PIPE, ending_signals
 from transport.protocol.wire.bundles import Relay
 from transport.protocol.wire.codec import decode
 from transport.protocol.wire.errors_and_exit_codes import (

@@ -21,7 +21,7 @@ from transport.report.figures.style import RC
 from transport.report.summary_texts import radio_text
 from transport.scene.history import RunHistory
 from transport.scene.scene_at_tick import SceneBuilder
-from transport.viewer import html
+from transport.viewer import panel_values
 
 TICKS = 10
 AT_ONE_INSTANT = "radio={offsets='none',computation_deviation_s=0.0}"
@@ -120,7 +120,7 @@ def test_the_viewer_shows_the_last_second() -> None:
     period_s = run.settings.sampling_period_s
     assert scene.air.airtime_share == pytest.approx(busy_s / ((TICKS - 1) * period_s), rel=ROUNDING)
     assert scene.air.delivered_share == 1.0
-    assert "100% delivered" in html.flight(scene, 1.0)
+    assert "100% delivered" in panel_values.flight(scene, 1.0)
 
     first = builder.at(0)
     assert first.air is not None
@@ -133,7 +133,7 @@ def test_the_viewer_of_a_run_without_a_radio() -> None:
     run = run_of()
     history = RunHistory(run)
     history.add(recorded(run))
-    assert "radio" not in html.flight(SceneBuilder(run, history).at(3), 1.0)
+    assert "radio" not in panel_values.flight(SceneBuilder(run, history).at(3), 1.0)
 
 
 def test_the_figure_has_airtime_deliveries_and_delays() -> None:

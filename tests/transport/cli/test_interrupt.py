@@ -27,7 +27,7 @@ from transport.flight.signals import (
     raise_interrupts,
     take_interrupt,
 )
-from transport.protocol.network.parent import python
+from transport.protocol.network.parent_and_environment import python
 from transport.protocol.wire.errors_and_exit_codes import EXIT_INTERRUPTED
 from transport.protocol.wire.messages import Message
 

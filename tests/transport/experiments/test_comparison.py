@@ -15,8 +15,9 @@ import pytest
 from tests.support.results import here
 from tests.support.runs import ticks
 from transport.experiments.cases import Case, cases_of
-from transport.experiments.paper import comparison, comparison_report
-from transport.experiments.paper.comparison import (
+from transport.experiments.paper import comparison_report, controllers_and_periods
+from transport.experiments.paper.comparison_curves import ComparisonCurve, curves_of, equal_periods
+from transport.experiments.paper.controllers_and_periods import (
     CENTRALIZED,
     CLOSED_LOOP,
     GUSTS,
@@ -26,7 +27,6 @@ from transport.experiments.paper.comparison import (
     STEPS,
     Cell,
 )
-from transport.experiments.paper.comparison_curves import ComparisonCurve, curves_of, equal_periods
 from transport.experiments.run_numbers import NUMBERS, resource_use
 from transport.experiments.simulation import Result
 from transport.experiments.statistics import estimate
@@ -35,7 +35,7 @@ from transport.experiments.sweep import Swept
 AGENTS = 4
 LONGEST_S = 0.1
 REFERENCE = Cell(controller=CENTRALIZED, period_s=0.05, horizon=20)
-PERIODS_S = [factor * REFERENCE.period_s for factor in comparison.GRID]
+PERIODS_S = [factor * REFERENCE.period_s for factor in controllers_and_periods.GRID]
 
 
 def test_the_runs_of_the_comparison() -> None:
@@ -111,7 +111,7 @@ def paper_curve(
     cells = [
         Cell(controller=controller, period_s=period_s, horizon=20) for controller, period_s in COSTS
     ]
-    experiment = comparison.experiment(cells, 0.5)
+    experiment = controllers_and_periods.experiment(cells, 0.5)
     points = [point for point in experiment.points if point.labels["weather"] == GUSTS]
     cases = cases_of(points, [MANEUVER], seeds)
     results = []
@@ -138,7 +138,7 @@ def at(case: Case, controller: str, period_s: float) -> bool:
     """Return whether a case is of a controller at a period."""
     scenario = case.scenario
     return (
-        scenario.name == comparison.SCENARIOS[controller]
+        scenario.name == controllers_and_periods.SCENARIOS[controller]
         and scenario.controller.sampling_period_s == period_s
     )
 
@@ -188,7 +188,7 @@ def test_diverged_runs_are_not_compared() -> None:
 
 def test_the_table_has_every_number_in_the_unit_of_its_column() -> None:
     """A row of curves.csv, whose numbers all differ, as it is shown."""
-    row: comparison.Row = {
+    row: controllers_and_periods.Row = {
         "weather": GUSTS,
         "controller": PAPER,
         "kept": STEPS,
@@ -238,7 +238,7 @@ def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert files <= {path.name for path in out.iterdir()}
     with (out / "curves.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert {(row["controller"], row["kept"]) for row in rows} == set(comparison.CURVES)
+    assert {(row["controller"], row["kept"]) for row in rows} == set(controllers_and_periods.CURVES)
     assert float(rows[0]["cost_ratio"]) == 1.0
     assert all(float(row["cpu_team_s_per_s"]) > 0.0 for row in rows)
     with (out / "ranges.csv").open(newline="") as file:

@@ -12,8 +12,10 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from transport.experiments.cases import cases_of
-from transport.experiments.paper import comparison
-from transport.experiments.paper.comparison import (
+from transport.experiments.paper import controllers_and_periods
+from transport.experiments.paper.comparison_curves import ComparisonCurve
+from transport.experiments.paper.comparison_figures import draw_costs, draw_maneuver
+from transport.experiments.paper.controllers_and_periods import (
     AGENT,
     CENTRALIZED,
     GUSTS,
@@ -24,8 +26,6 @@ from transport.experiments.paper.comparison import (
     TEAM,
     Cell,
 )
-from transport.experiments.paper.comparison_curves import ComparisonCurve
-from transport.experiments.paper.comparison_figures import draw_costs, draw_maneuver
 from transport.experiments.statistics import PointStatistics
 from transport.experiments.sweep import Swept
 from transport.model.arrays import Array
@@ -53,7 +53,7 @@ REFERENCE_LOAD = 0.21  # the median
 def curve(weather: str, controller: str, costs: Costs, loads: Loads) -> ComparisonCurve:
     """Return a curve with made-up costs and processor times."""
     cells = [Cell(controller, period_s, HORIZON) for period_s in costs]
-    points = comparison.experiment(cells, GUST_MPS).points
+    points = controllers_and_periods.experiment(cells, GUST_MPS).points
     measured = []
     for point, ratios in zip(points, costs.values(), strict=False):
         completed = int(np.isfinite(ratios).sum())
@@ -233,7 +233,7 @@ def test_maneuvers_at_the_same_rate_and_computation_are_drawn(
 ) -> None:
     """They are at the reference's period and at that of the least ratio of times, in still air."""
     cells = [REFERENCE, *(Cell(PAPER, period_s, HORIZON) for period_s in loads)]
-    experiment = comparison.experiment(cells, GUST_MPS)
+    experiment = controllers_and_periods.experiment(cells, GUST_MPS)
     cases = cases_of(experiment.points, [MANEUVER], 1)
     swept = Swept(experiment=experiment, cases=cases, results=[])
 
@@ -253,7 +253,7 @@ def test_maneuvers_at_the_same_rate_and_computation_are_drawn(
 
     assert [label for label, _ in found] == [label for label, _, _ in expected]
     for (_, setup), (_, controller, period_s) in zip(found, expected, strict=True):
-        assert setup.scenario.name == comparison.SCENARIOS[controller]
+        assert setup.scenario.name == controllers_and_periods.SCENARIOS[controller]
         assert setup.settings.sampling_period_s == period_s
         assert not any(setup.scenario.plant.wind.gust_mps)
 

@@ -34,7 +34,7 @@ from transport.scene.history import RunHistory
 from transport.scene.lines_meshes_and_labels import Label
 from transport.scene.scene_at_tick import SceneBuilder
 from transport.scene.uav_and_link_colours import OFF_COLOUR
-from transport.viewer import html, server
+from transport.viewer import panel_values, server
 from transport.viewer.camera import ASPECT, FIELD_OF_VIEW
 from transport.viewer.link_controls import ALL_LINKS, LinkControls, groups_of
 from transport.viewer.plots import Plots, rounded_range
@@ -348,8 +348,8 @@ def test_the_viewer_tells_how_far_behind_it_is(live: Viewer) -> None:
         assert 3.5 <= behind_s < 3.5 + PATIENCE_S
         scene = live.shown
         assert scene is not None
-        assert "3.5 s ago" in html.flight(scene, 10.0, 3.5)
-        assert "ago" not in html.flight(scene, 10.0)
+        assert "3.5 s ago" in panel_values.flight(scene, 10.0, 3.5)
+        assert "ago" not in panel_values.flight(scene, 10.0)
         live.playback.seek(3)  # the past is shown as such
         assert live._behind_s() is None
 
@@ -416,7 +416,7 @@ def test_the_result_of_a_request_ends(live: Viewer) -> None:
     """The sentence about a request is on top of the panel for some seconds."""
     for refused in (True, False):
         live._show_result("a result", refused)
-        assert live._panel._notice.content == html.notice("a result", warning=refused)
+        assert live._panel._notice.content == panel_values.notice("a result", warning=refused)
     live._show_result("agent 2 killed at tick 8", False)
     ends_s = live._result_ends_s
     live._end_result(ends_s - 0.1)
@@ -604,7 +604,7 @@ def test_events_are_on_the_slider_and_lead_to_their_time(recorded: Path) -> None
     history.add(LogTail(recorded).read())
     assert events_of(history) == [TimelineEvent(10, "links between agents: delay_s 0.1")]
     with Viewer(SceneBuilder(setup, history), port=0, notice="it is cut") as viewer:
-        assert viewer._panel._notice.content == html.notice("it is cut", warning=True)
+        assert viewer._panel._notice.content == panel_values.notice("it is cut", warning=True)
         assert "recorded run" in viewer._guard._title.decode()
         assert shown(viewer) == 0
         timeline = viewer._panel._timeline

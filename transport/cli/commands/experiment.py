@@ -28,7 +28,7 @@ from transport.experiments import (
 )
 from transport.experiments.cases import Case, cases_of, refused
 from transport.experiments.declaration import EXPERIMENTS, Experiment, Values
-from transport.experiments.paper import comparison, comparison_report
+from transport.experiments.paper import comparison_report, controllers_and_periods
 from transport.experiments.result_sentences import conclusions
 from transport.experiments.result_tables import TITLE, WIDTH, table_of, write_markdown
 from transport.experiments.simulation import Result
@@ -277,7 +277,7 @@ def _title(name: str, swept: Swept, options: ExperimentOptions) -> str:
     return f"{title}\n{duration_s:g} s of {', '.join(phase.name for phase in phases)}"
 
 
-@with_options(_options_of(comparison.DECLARED))
+@with_options(_options_of(controllers_and_periods.DECLARED))
 def paper(
     options: ExperimentOptions,
     gust: float = Option(

@@ -17,7 +17,7 @@ from transport.cli.options import FormatOption, RunArgument, run_folder
 from transport.cli.output import Format, blame, fail, show
 from transport.log.run_folder import open_run
 from transport.log.run_log import LogError
-from transport.protocol.network.parent import is_standby, stand_by
+from transport.protocol.network.parent_and_environment import is_standby, stand_by
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors_and_exit_codes import (
     EXIT_INTERRUPTED,

@@ -9,7 +9,7 @@ from transport.cli.lazy import load
 from transport.cli.options import process_setup
 from transport.flight.fork_server import serve
 from transport.protocol.network.node_process import use_one_thread
-from transport.protocol.network.parent import wake_with_its_end
+from transport.protocol.network.parent_and_environment import wake_with_its_end
 from transport.protocol.scenario.setup.run_setup import Setup
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from transport.experiments.cases import ExperimentError
-from transport.experiments.paper.comparison import AGENT, NAME, TEAM, Cell, Row
+from transport.experiments.paper.controllers_and_periods import AGENT, NAME, TEAM, Cell, Row
 from transport.experiments.statistics import COST_RATIO, PointStatistics, columns_of, estimate
 from transport.experiments.sweep import Swept
 from transport.model.arrays import Array

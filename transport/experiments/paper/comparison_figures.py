@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from transport.analysis.series import series_of
-from transport.experiments.paper import comparison
-from transport.experiments.paper.comparison import (
+from transport.experiments.paper import controllers_and_periods
+from transport.experiments.paper.comparison_curves import ComparisonCurve
+from transport.experiments.paper.controllers_and_periods import (
     AGENT,
     CENTRALIZED,
     CLOSED_LOOP,
@@ -22,7 +23,6 @@ from transport.experiments.paper.comparison import (
     STILL,
     Cell,
 )
-from transport.experiments.paper.comparison_curves import ComparisonCurve
 from transport.experiments.simulation import run_in_memory
 from transport.experiments.statistics import COST_RATIO
 from transport.experiments.sweep import Swept
@@ -105,7 +105,7 @@ def _legend(reference: Cell) -> list[Line2D]:
     horizons = {STEPS: f"{reference.horizon} steps", SECONDS: f"{horizon_s:g} s"}
     return [
         Line2D([], [], label=f"{controller}, {horizons[kept]}", **_style(controller, kept))
-        for controller, kept in comparison.CURVES
+        for controller, kept in controllers_and_periods.CURVES
     ]
 
 

@@ -10,11 +10,11 @@ from rich.table import Table
 
 from transport.experiments.cases import Case, cases_of
 from transport.experiments.declaration import Experiment
-from transport.experiments.paper import comparison
-from transport.experiments.paper.comparison import CENTRALIZED, Cell
+from transport.experiments.paper import controllers_and_periods
 from transport.experiments.paper.comparison_curves import ComparisonCurve, curves_of
 from transport.experiments.paper.comparison_figures import draw_costs, draw_maneuver
-from transport.experiments.paper.equal_terms import ranges, sentence
+from transport.experiments.paper.controllers_and_periods import CENTRALIZED, Cell
+from transport.experiments.paper.equal_rate_and_computation import ranges, sentence
 from transport.experiments.result_tables import SPREAD, Column, console_table, write_markdown
 from transport.experiments.run_numbers import resource_use
 from transport.experiments.simulation import simulate as simulate_here
@@ -63,7 +63,7 @@ class ComparisonOptions:
 
         Raises: ScenarioError: wrong settings.
         """
-        path = find_scenario(comparison.SCENARIOS[CENTRALIZED])
+        path = find_scenario(controllers_and_periods.SCENARIOS[CENTRALIZED])
         scenario = read_scenario(path, self.settings, allow_large=self.allow_large)
         agents = len(scenario.owned)
         if agents > 1:
@@ -101,14 +101,20 @@ def plan(options: ComparisonOptions, *, simulated_before: bool = False) -> Compa
     Raises: ScenarioError: wrong settings.
     """
     reference = options.reference()
-    cells = comparison.cells_of(reference, quick=options.quick)
+    cells = controllers_and_periods.cells_of(reference, quick=options.quick)
     distinct = _distinct(cells.values())
-    experiment = comparison.experiment(distinct, options.gust_mps)
+    experiment = controllers_and_periods.experiment(distinct, options.gust_mps)
 
     # The points in still air, which `comparison.experiment` lists first.
     measurement = Experiment(name="processor time", points=experiment.points[: len(distinct)])
-    maneuver = comparison.QUICK_MEASUREMENT if options.quick else comparison.MANEUVER
-    repeats = comparison.QUICK_REPEATS if options.quick else comparison.REPEATS
+    maneuver = (
+        controllers_and_periods.QUICK_MEASUREMENT
+        if options.quick
+        else controllers_and_periods.MANEUVER
+    )
+    repeats = (
+        controllers_and_periods.QUICK_REPEATS if options.quick else controllers_and_periods.REPEATS
+    )
     cases = partial(cases_of, simulated_before=simulated_before, allow_large=options.allow_large)
     return ComparisonPlan(
         reference=reference,
@@ -125,8 +131,8 @@ class Compared:
     """Results of the comparison: its curves, and the rows of its tables."""
 
     curves: Sequence[ComparisonCurve]
-    curve_rows: Sequence[comparison.Row]
-    range_rows: Sequence[comparison.Row]
+    curve_rows: Sequence[controllers_and_periods.Row]
+    range_rows: Sequence[controllers_and_periods.Row]
 
     @property
     def sentences(self) -> list[str]:
@@ -173,7 +179,7 @@ def compare(
     # The timed runs one at a time, all controllers in turns: a slow period of the machine affects
     # all alike.
     alone = partial(map, simulate_here)
-    with Results(comparison.NAME, folder) as results:
+    with Results(controllers_and_periods.NAME, folder) as results:
         timed = sweep(planned.measurement, planned.timed, alone, results, console)
         timed.check()
         swept = sweep(planned.experiment, planned.cases, simulate, results, console)
@@ -194,7 +200,7 @@ def _distinct(cells: Iterable[Sequence[Cell]]) -> list[Cell]:
     return list(dict.fromkeys(cell for own in cells for cell in own))
 
 
-def _written(path: Path, rows: Sequence[comparison.Row]) -> Path:
+def _written(path: Path, rows: Sequence[controllers_and_periods.Row]) -> Path:
     """Write a table with the columns of its first row; return its path."""
     write_csv(path, rows, list(rows[0]))
     return path

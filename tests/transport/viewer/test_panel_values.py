@@ -14,7 +14,7 @@ from transport.protocol.wire.messages import StepReport
 from transport.scene.history import RunHistory
 from transport.scene.scene_at_tick import Scene, SceneBuilder
 from transport.scene.uav_and_link_colours import uav_colour
-from transport.viewer import html
+from transport.viewer import panel_values
 
 ALARM = "rgb(178, 24, 43)"
 PERIOD_S = 0.05
@@ -40,7 +40,7 @@ def with_report(**fields: Any) -> Scene:
 
 def rows_of(shown: Scene) -> list[str]:
     """Return the rows of the agents."""
-    _, *rows = html.agents(shown, OWNED, PERIOD_S).split("<tr>")[1:]
+    _, *rows = panel_values.agents(shown, OWNED, PERIOD_S).split("<tr>")[1:]
     return rows
 
 
@@ -82,7 +82,7 @@ def test_an_agent_without_a_step_is_told_from_one_off_the_roster() -> None:
 @pytest.mark.parametrize(("behind_s", "is_alarm"), [(0.9, False), (1.0, True)])
 def test_a_view_that_is_a_second_behind_is_coloured(behind_s: float, is_alarm: bool) -> None:
     """It says how far in either case."""
-    table = html.flight(scene(), 1.5, behind_s)
+    table = panel_values.flight(scene(), 1.5, behind_s)
     assert f"{behind_s:.1f} s ago" in table
     assert (ALARM in table) is is_alarm
 
@@ -93,7 +93,7 @@ def test_a_view_that_is_a_second_behind_is_coloured(behind_s: float, is_alarm: b
 def test_a_target_is_ahead_or_reached(arrives_s: float, when: str) -> None:
     """The scene is at 0.2 s; the distance is that of the payload now."""
     target_I = scene().payload_I + np.array([3.0, 4.0, 0.0])
-    text = html.target(target_I, arrives_s, scene())
+    text = panel_values.target(target_I, arrives_s, scene())
     assert when in text
     assert "5.00 m away" in text
     assert np.isclose(scene().time_s, 0.2)

@@ -5,7 +5,7 @@ the others by less in equal steps. A flight of each scenario shows what comes of
 60 ms late, and further ones how far the clock of the last agent may be ahead. Writes docs/record/guarantees.md;
 takes some minutes.
 
-    python -m benchmarks.timing --write
+    python -m benchmarks.clock_and_actuation_offsets --write
 """
 
 import argparse
@@ -101,7 +101,9 @@ def said(summary: dict[str, Any]) -> list[str]:
 
 def main(given: Sequence[str] | None = None) -> None:
     """Measure, print and write."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.timing", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.clock_and_actuation_offsets", description=__doc__
+    )
     parser.add_argument("--write", action="store_true", help="renew the table of the page")
     parser.add_argument("--table", choices=("spread", "clocks"), help="one table alone")
     options = parser.parse_args(given)

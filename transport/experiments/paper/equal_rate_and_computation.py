@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from transport.experiments.paper.comparison import CENTRALIZED, SECONDS, Cell, Row
 from transport.experiments.paper.comparison_curves import ComparisonCurve, equal_periods
+from transport.experiments.paper.controllers_and_periods import CENTRALIZED, SECONDS, Cell, Row
 
 # Equal is the rate, or the computation of a budget.
 SAME_RATE = "the same rate"

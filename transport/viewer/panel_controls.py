@@ -8,7 +8,7 @@ from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import agent_name
 from transport.scene.drawn_paths_links_and_thrust import LAYERS
 from transport.scene.scene_at_tick import Scene, SceneBuilder
-from transport.viewer import html
+from transport.viewer import panel_values
 from transport.viewer.link_controls import LinkControls
 from transport.viewer.playback import Playback
 from transport.viewer.plots import Plots
@@ -66,7 +66,7 @@ class Panel:
 
     def set_notice(self, text: str, *, warning: bool = False) -> None:
         """Set the sentence on top of the panel."""
-        self._notice.content = html.notice(text, warning=warning)
+        self._notice.content = panel_values.notice(text, warning=warning)
 
     def show_playback(self) -> None:
         """Show whether the viewer plays or follows."""
@@ -84,8 +84,8 @@ class Panel:
             self._target.show(scene)
         if self._links is not None:
             self._links.show()
-        self._flight.content = html.flight(scene, self._duration_s, behind_s)
-        self._agents.content = html.agents(scene, self._setup.owned, self._period_s)
+        self._flight.content = panel_values.flight(scene, self._duration_s, behind_s)
+        self._agents.content = panel_values.agents(scene, self._setup.owned, self._period_s)
 
     def close_controls(self) -> None:
         """Hide the controls of a live run, which has ended, and show its whole time."""
@@ -114,7 +114,7 @@ def _add_layers(gui: Any, view3d: View3D) -> None:
     for name in LAYERS:
         switch = gui.add_checkbox(name, True)
         switch.on_update(from_browser(partial(view3d.show_layer, name)))
-    gui.add_html(html.legend())
+    gui.add_html(panel_values.legend())
 
 
 def _add_processes(gui: Any, setup: Setup, commands: Commands) -> Any:
