@@ -406,4 +406,6 @@ def test_exceptions_are_needed(name: str) -> None:
 def test_only_sessions_and_bus_know_zenoh() -> None:
     """Zenoh is imported in one place: its sessions, what a process does with one, and requests to it."""
     who = [named(path) for path in SOURCES if "zenoh" in top(imports(path))]
-    assert who == [f"protocol/network/{file}.py" for file in ("bus", "requests", "session")]
+    assert who == [
+        f"protocol/network/{file}.py" for file in ("bus", "requests_and_answers", "session")
+    ]

@@ -38,7 +38,6 @@ from typing import Any
 import zenoh
 
 from transport.protocol.admission.acceptance_and_refusals import Accepted, Gate
-from transport.protocol.network.answers_to_requests import Requests
 from transport.protocol.network.bus_events import (
     Arrival,
     BusEvent,
@@ -50,6 +49,7 @@ from transport.protocol.network.bus_events import (
 )
 from transport.protocol.network.joining import ASK_EVERY_S, Joining
 from transport.protocol.network.presence import ANSWER_S, OtherPresences, OwnPresence
+from transport.protocol.network.requests_and_answers import Requests
 from transport.protocol.network.session import (
     BusError,
     fetch_answer,

@@ -20,7 +20,7 @@ from transport.protocol.admission.acceptance_and_refusals import Gate
 from transport.protocol.network.bus import Bus
 from transport.protocol.network.bus_events import BusOptions, Place
 from transport.protocol.network.endpoints import Endpoints
-from transport.protocol.network.requests_from_outside import Reach, ask
+from transport.protocol.network.requests_and_answers import Reach, ask
 from transport.protocol.network.session import BusError
 from transport.protocol.wire.codec import MAX_BYTES, VERSION, encode
 from transport.protocol.wire.key_expressions import Keys

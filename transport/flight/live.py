@@ -16,7 +16,7 @@ import psutil
 
 from transport.flight import registry
 from transport.model.arrays import Array
-from transport.protocol.network.requests_from_outside import Reach, ask
+from transport.protocol.network.requests_and_answers import Reach, ask
 from transport.protocol.network.security import Security
 from transport.protocol.scenario.files.atomic_writing import write_whole
 from transport.protocol.scenario.links.link_changes import PERFECT

@@ -10,7 +10,7 @@ from prometheus_client import CollectorRegistry, generate_latest
 from transport.cli.hosts import prometheus_metrics
 from transport.cli.hosts.prometheus_metrics import Exporter
 from transport.protocol.network.endpoints import Endpoints
-from transport.protocol.network.requests_from_outside import Reach
+from transport.protocol.network.requests_and_answers import Reach
 from transport.protocol.network.session import BusError
 
 NAMES = ("coordinator", "plant", "agent1", "agent2")

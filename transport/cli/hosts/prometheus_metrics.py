@@ -13,7 +13,7 @@ from transport.cli.output import Format, fail, show
 from transport.flight.signals import take_interrupt
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.mesh import default_mesh, process_names, security_of
-from transport.protocol.network.requests_from_outside import Reach, ask
+from transport.protocol.network.requests_and_answers import Reach, ask
 from transport.protocol.network.session import BusError
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.wire.key_expressions import Keys
