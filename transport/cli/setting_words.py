@@ -4,6 +4,7 @@ import os
 import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from itertools import pairwise
 from typing import Any, Literal, get_args, get_origin
 
 import typer
@@ -20,7 +21,7 @@ _KEY = "_TRANSPORT_COMPLETE_KEY"
 
 
 def rejoin_settings() -> None:
-    """Join the words of settings in a completion by bash, which splits KEY=VALUE at the sign.
+    """Join the words of options and settings in a completion by bash, which splits them at each sign =.
 
     `--set clock.mode=real` arrives as the words `--set`, `clock.mode`, `=` and `real`, of which bash
     replaces `real` alone. It is completed as the value of the key in the environment, `_KEY`. The
@@ -36,28 +37,28 @@ def rejoin_settings() -> None:
     # The cursor is at the sign or right behind it: bash replaces the value alone.
     is_split = "=" in words[place - 1 : place + 1]
     joined, place = _rejoined(words, place)
-    key, sign, value = joined[place].partition("=")
-    if is_split and sign and joined[place - 1] == "--set":
-        os.environ[_KEY] = key
-        joined[place] = value
+    option = "" if joined[place - 1] == "--set" else "--set="
+    if is_split and joined[place].startswith(option):
+        key, sign, value = joined[place].removeprefix(option).partition("=")
+        if sign:
+            os.environ[_KEY] = key
+            joined[place] = option + value
     os.environ |= {_WORDS: shlex.join(joined), _PLACE: str(place)}
 
 
 def _rejoined(words: Sequence[str], place: int) -> tuple[list[str], int]:
-    """Return words with those of a setting in one, and the place of the completed one in them."""
+    """Return words with those around a sign = in one, and the place of the completed one in them."""
     if place == len(words):
         words = [*words, ""]  # a new word is completed
 
-    joined: list[str] = []
+    joined = [words[0]]
     joined_place = 0
-    is_value = False
-    for index, word in enumerate(words):
-        is_sign = word == "=" and joined[-2:-1] == ["--set"]
-        if is_sign or is_value:
+    for index, (before, word) in enumerate(pairwise(words), start=1):
+        is_value = before == "=" and index != place + 1  # behind the cursor another word begins
+        if word == "=" or is_value:
             joined[-1] += word
         else:
             joined.append(word)
-        is_value = is_sign
         if index == place:
             joined_place = len(joined) - 1
     return joined, joined_place
@@ -153,7 +154,7 @@ def _present(key: str, ctx: typer.Context) -> Iterator[str]:
     unassigned = [str(word) for word in ctx.args]
     name = unassigned[0] if unassigned else ctx.params.get("scenario") or "paper"
     value: Any = None
-    with suppress(ScenarioError, OSError, KeyError, IndexError, TypeError):
+    with suppress(ScenarioError, LookupError):
         value = read_scenario(find_scenario(str(name)), allow_large=True).tree()
         for part in key.split("."):
             value = value[int(part) - 1] if part.isdecimal() else value[part]

@@ -124,27 +124,63 @@ def test_the_shell_completes_settings(word: str, expected: list[str]) -> None:
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ("controller.hor", ["controller.horizon=", "controller.horizon=20"]),
-        ("controller.solver =", ["daqp", "clarabel"]),
-        ("controller.solver = da", ["daqp"]),
-        ("controller.horizon =", ["20"]),
-        ("name =", ["resilient"]),
-        ("links.loss = 0.1 --set name =", ["resilient"]),
-        ("maneuver.phase.0.dur", []),
-        ("controller.solver=da", ["controller.solver=daqp"]),  # one word: bash replaces all of it
-        ("maneuver.phase.2.name =", ["climb"]),
-        ("name='a", []),  # the quotation mark is open
-        ("links.loss = 0.1 --set controller.preview = t", ["true"]),
-        ("links.loss = 0.1 --set clock.m", ["clock.mode=lockstep", "clock.mode=realtime"]),
+        ("run resilient --set controller.hor", ["controller.horizon=", "controller.horizon=20"]),
+        ("run resilient --set controller.solver =", ["daqp", "clarabel"]),
+        ("run resilient --set controller.solver = da", ["daqp"]),
+        ("run resilient --set controller.horizon =", ["20"]),
+        ("run resilient --set name =", ["resilient"]),
+        ("run resilient --set name = ", ["resilient"]),  # a new word
+        ("run resilient --set links.loss = 0.1 --set name =", ["resilient"]),
+        ("run resilient --set maneuver.phase.0.dur", []),
+        ("run resilient --set controller.solver=da", ["controller.solver=daqp"]),  # replaces all of it
+        ("run resilient --set maneuver.phase.2.name =", ["climb"]),
+        ("run resilient --set system.uav.4.mass_kg =", ["1.5"]),
+        ("run resilient --set name='a", []),  # the quotation mark is open
+        ("run resilient --set links.loss = 0.1 --set controller.preview = t", ["true"]),
+        (
+            "run resilient --set links.loss = 0.1 --set clock.m",
+            ["clock.mode=lockstep", "clock.mode=realtime"],
+        ),
+        ("run resilient --set name =| --no-figures", ["resilient"]),  # the cursor is in the middle
+        ("run resilient --set = clock.m", ["clock.mode=lockstep", "clock.mode=realtime"]),
+        ("run resilient --set = clock.mode = real", ["realtime"]),
+        ("run resilient --format = j", ["json"]),
+        ("run --out = x resilient --set name =", ["resilient"]),
+        ("run resilient paper --set name =", ["resilient"]),  # the first one
+        ("experiment loss --set name =", ["paper"]),
+        # Nothing is known of a scenario that there is not, and of a section that a scenario has not.
+        ("run nosuch --set name =", []),
+                ("run resilient --set radio.rate_mbps =", []),
+        ("run resilient --set links.change.3.at_s =", []),
+        ("run large.toml --set name =", ["large"]),  # beyond the limits without --allow-large
     ],
-)
-def test_bash_completes_what_is_behind_the_sign(words: str, expected: list[str]) -> None:
-    """bash splits a setting at its sign, and replaces the part behind it."""
-    line = f"transport run resilient --set {words}"
-    place = str(len(line.split()) - 1)
+)  # fmt: skip
+def test_bash_completes_what_is_behind_the_sign(
+    words: str, expected: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """bash splits options and settings at their signs =, and replaces the part behind."""
+    monkeypatch.chdir(tmp_path)
+    large = runs.PAPER.read_text(encoding="utf-8").replace('name = "paper"', 'name = "large"')
+    large = large.replace("duration_s = 5.0", "duration_s = 500000.0")
+    Path("large.toml").write_text(large, encoding="utf-8")
+    before, *behind = f"transport {words}".split("|")
+    line = "".join([before, *behind])
+    place = str(len(before.split()) - (not before.endswith(" ")))
     asked = {"_TRANSPORT_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": place}
     done = CliRunner().invoke(app, [], prog_name="transport", env=asked)
+    assert done.exit_code == 0, done.exception
     assert done.stdout.split() == expected, done.stderr
+
+
+def test_zsh_splits_no_setting() -> None:
+    """It gives the line as it is, and replaces whole words."""
+    asked = {
+        "_TRANSPORT_COMPLETE": "complete_zsh",
+        "_TYPER_COMPLETE_ARGS": "transport run resilient --set controller.preview=t",
+    }
+    done = CliRunner().invoke(app, [], prog_name="transport", env=asked)
+    assert done.exit_code == 0, done.exception
+    assert '"controller.preview=true"' in done.stdout
 
 
 def test_the_shell_completes_scenarios() -> None:

@@ -2,17 +2,24 @@
 
 import csv
 import json
+import sys
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from msgspec import structs
 from typer.testing import CliRunner, Result
 
 from tests.support import logs, runs
 from transport.cli.main import app
 from transport.log.run_log import read_log, topic_of
 from transport.log.tables import INPUT_NAMES, RATE_NAMES, tables
+from transport.log.writer import LogWriter
 from transport.model import state
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import (
@@ -70,15 +77,114 @@ def test_whole_log(flight: tuple[Path, list[Message]]) -> None:
     assert content["lost"] == []
     assert (content["last_tick"], content["ticks_of_the_run"]) == (29, 30)
     assert content["messages"] == len(messages)
-    channels = {c["topic"]: c for c in content["channels"]}  # type: ignore[attr-defined]
-    assert channels["/plan/3"]["messages"] == 10  # killed at tick 10
-    lengths: dict[str, list[int]] = {}
+    by_topic: dict[str, list[Message]] = {}
     for message in messages:
-        lengths.setdefault(topic_of(message), []).append(len(encode(message)))
-    means = {topic: round(np.mean(one)) for topic, one in lengths.items()}
-    assert {topic: channel["mean_bytes"] for topic, channel in channels.items()} == means
-    assert any(means[topic] < max(one) for topic, one in lengths.items())
+        by_topic.setdefault(topic_of(message), []).append(message)
+    assert content["channels"] == [row_of(topic, by_topic[topic]) for topic in sorted(by_topic)]
+    assert len(by_topic["/plan/3"]) == 10  # killed at tick 10
+    assert content["bytes"] == (folder / "run.mcap").stat().st_size
+    assert (content["scenario"], content["outcome"], content["reason"]) == (
+        "paper",
+        "completed",
+        "",
+    )
     assert "complete" in ask("info", folder / "run.mcap").output
+
+
+def row_of(topic: str, messages: list[Message]) -> dict[str, object]:
+    """Return the description of the messages of a topic."""
+    ticks = [message.tick for message in messages]
+    return {
+        "topic": topic,
+        "messages": len(messages),
+        "mean_bytes": round(np.mean([len(encode(message)) for message in messages])),
+        "first_tick": min(ticks),
+        "last_tick": max(ticks),
+    }
+
+
+def write(messages: Sequence[Message], folder: Path) -> None:
+    """Write the log of a run, without its scenario."""
+    with closing(LogWriter(folder / "run.mcap", logs.HEADER, period_ns=50_000_000)) as writer:
+        for number, message in enumerate(messages):
+            writer.write(message, number * logs.MILLISECOND_NS)
+
+
+def test_a_log_without_a_scenario(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is described with its gaps, and has tables; a bag needs the run."""
+    monkeypatch.chdir(tmp_path)
+    run = runs.setup()
+    states: list[Message] = [
+        structs.replace(runs.plant_state(run, tick), sequence=tick) for tick in (2, 5, 9)
+    ]
+    end = structs.replace(runs.end(4), outcome="diverged", reason="too far", sequence=0)
+    write([*states, end], tmp_path)
+    content = info(tmp_path)
+    assert content["channels"] == [row_of("/control", [end]), row_of("/plant_state", states)]
+    assert (content["outcome"], content["reason"], content["last_tick"]) == (
+        "diverged",
+        "too far",
+        9,
+    )
+    assert (content["scenario"], content["ticks_of_the_run"]) == (None, None)
+    assert [content[name] for name in ("run_id", "versions", "machine")] == [
+        logs.HEADER[name] for name in ("run_id", "versions", "machine")
+    ]
+    gap = "some messages of ticks 0 to 9 did not reach the recorder"
+    assert (content["complete"], content["lost"]) == (False, [gap])
+    described = [" ".join(line.split()) for line in ask("info", tmp_path).stdout.splitlines()]
+    assert f"lost {gap}" in described
+    assert any(line.startswith("/plant_state 3 ") for line in described)
+
+    for _ in range(2):  # into a folder that there may be
+        exported = ask("export", tmp_path, "--out", "new/tables", "--kind", "plant_state")
+        assert exported.stderr == f"warning: {gap}\n"
+        assert exported.stdout == " new/tables/plant_state.csv  3 rows\n"
+    assert [path.name for path in Path("new/tables").iterdir()] == ["plant_state.csv"]
+    refused = ask("export", tmp_path, "--ros2", "bag.mcap")
+    assert (refused.exit_code, refused.stdout) == (2, "")
+    assert refused.stderr.startswith("transport: --ros2: ")
+    assert refused.stderr.endswith("run.mcap has no scenario, or one of another version\n")
+
+
+def test_a_log_without_messages(tmp_path: Path) -> None:
+    """It has no last tick, and no table of topics."""
+    write([], tmp_path)
+    content = info(tmp_path)
+    assert (content["messages"], content["last_tick"], content["channels"]) == (0, None, [])
+    assert "topic" not in ask("info", tmp_path).stdout
+
+
+def test_tables_and_bag_are_counted(
+    flight: tuple[Path, list[Message]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A table in rows, a bag in ticks."""
+    bag = SimpleNamespace(write_bag=lambda *_: 30)
+    monkeypatch.setitem(sys.modules, "transport.report.ros2_bag", bag)
+    words = ("--out", tmp_path, "--kind", "roster", "--ros2", tmp_path / "bag.mcap")
+    files = json.loads(ask("export", flight[0], *words, "--format", "json").stdout)["files"]
+    rosters = sum(message.kind == "roster" for message in flight[1])
+    assert files == [
+        {"file": str(tmp_path / "roster.csv"), "rows": rosters},
+        {"file": str(tmp_path / "bag.mcap"), "ticks": 30},
+    ]
+
+
+def test_the_package_of_parquet_is_asked_for_before_the_log_is_read(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Which may take minutes."""
+
+    def find_spec(name: str, *_: object) -> None:
+        if name == "pyarrow":
+            raise ModuleNotFoundError(name=name)
+
+    for name in ("pyarrow", "pyarrow.parquet"):
+        monkeypatch.delitem(sys.modules, name)
+    finder: Any = SimpleNamespace(find_spec=find_spec)
+    monkeypatch.setattr(sys, "meta_path", [finder, *sys.meta_path])
+    refused = ask("export", "nowhere", "--out", "tables", "--parquet")
+    assert refused.stderr.startswith("transport: expected the package pyarrow, got none: pip ")
 
 
 def test_log_cut_at_sixty_percent(flight: tuple[Path, list[Message]], tmp_path: Path) -> None:
