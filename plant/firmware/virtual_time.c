@@ -68,13 +68,11 @@ static void resume(struct coroutine *one)
 /* Send the motor outputs, wait for the state of the next step, and let the coroutines receive it. */
 static void step(void)
 {
-    ssize_t length;
     if (send(exchange, motors, sizeof motors, MSG_NOSIGNAL) != sizeof motors)
-        _exit(0);
-    while ((length = recv(exchange, &request, sizeof request, 0)) < 0 && errno == EINTR)
-        ;
-    if (length <= 0)
         _exit(0); /* the simulation has ended */
+    ssize_t length = recv(exchange, &request, sizeof request, 0);
+    if (length <= 0)
+        _exit(0);
     for (int i = 0; i < count; i++) {
         int waits_for = coroutines[i].descriptor;
         if (waits_for == state_socket || (waits_for == sticks_socket && length == sizeof request) ||
@@ -92,12 +90,11 @@ int nanosleep(const struct timespec *time, struct timespec *rest)
     int64_t until_ns = now_ns + time->tv_sec * INT64_C(1000000000) + time->tv_nsec;
     while (next_ns <= until_ns) {
         seen_ns = next_ns;
-        now_ns = now_ns < next_ns ? next_ns : now_ns;
         next_ns += step_ns;
         if (state_socket >= 0 && sticks_socket >= 0)
             step();
     }
-    now_ns = until_ns > now_ns ? until_ns : now_ns;
+    now_ns = until_ns;
     return 0;
 }
 
@@ -141,7 +138,7 @@ int select(int descriptors, fd_set *to_read, fd_set *to_write, fd_set *exception
     (void)timeout;
     if (running) {
         int last = descriptors - 1;
-        running->descriptor = last >= 0 && (last == state_socket || last == sticks_socket) ? last : -1;
+        running->descriptor = last == state_socket || last == sticks_socket ? last : -1;
         struct coroutine *one = running;
         swapcontext(&one->context, &main_loop);
         if (one->descriptor != -1)
