@@ -28,6 +28,7 @@ from transport.protocol.wire.messages import (
     VehicleStatus,
 )
 from transport.vehicle.autopilot import AutopilotState, Finding
+from transport.vehicle.law_by_autopilot_state import OwnLaw
 from transport.vehicle.node import Conduct, VehicleNode
 from transport.vehicle.plan_in_force import Plans, interpolated
 
@@ -298,6 +299,35 @@ def test_its_own_law_holds_the_hover() -> None:
     low.begin()
     low.until(0.3)
     assert low.autopilot.commands[-1][1] > 1.1 * hover_N
+
+
+def test_after_a_plan_its_own_law_has_no_integral() -> None:
+    """Its first inputs after a plan are those of a law that has observed the same and never summed an error."""
+    run = Flight()
+    assert run.autopilot.told is not None
+    assert run.autopilot.told.sensed is not None
+    run.autopilot.told.sensed[state.POSITION] += [0.0, 0.0, 0.05]
+    run.begin()
+    run.until(2.02)  # 41 ticks by its own law
+    plan = run.plan(40, thrust_N=float(run.setup.hover.u[4]))
+    plan.inputs[:, 1:] = 0.0
+    run.tell(plan)
+    run.until(2.44)
+    assert run.statuses()[-1].plan_tick == 40
+
+    law = OwnLaw(run.setup.run, UAV - 1)
+    law.warm_up()
+    first = 49  # start 41 and 8 steps of 0.05 s
+    run.until(first * T_S + 0.001)
+    _, thrust_N, rates_rads, _ = run.autopilot.commands[-2]  # the plan's last
+    for message in run.measured():
+        law.observe(message.uav_states[0], float(message.inputs[0, 0]), message.tick)
+    newest = run.measured()[-1]
+    expected = law.inputs(newest.uav_states[0], first, np.array([thrust_N, *rates_rads]))
+    assert newest.tick == first
+    _, thrust_N, rates_rads, since_s = run.autopilot.commands[-1]
+    assert since_s == pytest.approx(first * T_S)
+    np.testing.assert_allclose([thrust_N, *rates_rads], expected, rtol=1e-12, atol=1e-12)
 
 
 def test_a_silent_autopilot_gets_no_setpoint() -> None:
