@@ -133,7 +133,12 @@ class OwnPresence:
         self._newest = incarnation
 
     def begin_anew(self, incarnation: int) -> None:
-        """Replace the tokens by those of a new incarnation, ready at once, unless this process leaves."""
+        """Replace the tokens by those of a new incarnation, ready at once, unless this process leaves.
+
+        Of several notes only the newest counts.
+        """
+        if incarnation != self._newest:
+            return
         self._go(PresenceStep.BEGIN_ANEW)
         if self._stage is Stage.LEAVING:
             return

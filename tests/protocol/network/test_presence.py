@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from tests.support.runs import setup
+from tests.support.runs import setup, tick
 from transport.protocol.admission.acceptance_and_refusals import Gate
 from transport.protocol.network.presence import (
     STAGES,
@@ -14,7 +14,7 @@ from transport.protocol.network.presence import (
     Stage,
 )
 from transport.protocol.network.session import BusError
-from transport.protocol.wire.codec import VERSION
+from transport.protocol.wire.codec import VERSION, encode
 from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.messages import Presence
 
@@ -110,6 +110,21 @@ def test_a_new_incarnation_is_asked_for_once_and_seldom() -> None:
     assert presence.may_renew(5, 11.0)
 
 
+def test_of_two_notes_the_newer_one_is_followed() -> None:
+    """A process that is removed again before it has read the note of its return begins once."""
+    presence, shown = own()
+    presence.announce()
+    presence.join()
+    presence.renew(4)
+    presence.renew(5)
+    before = list(shown.story)
+    presence.begin_anew(4)
+    assert shown.story == before
+    presence.begin_anew(5)
+    assert (presence.incarnation, presence.stage) == (5, Stage.READY)
+    assert shown.now == [KEYS.alive("agent2", 5, DIGEST, VERSION), KEYS.ready("agent2", 5)]
+
+
 @pytest.mark.parametrize("stage", Stage)
 def test_each_stage_can_be_left(stage: Stage) -> None:
     """A process may leave at any time, and only once; what is no step of its stage is a defect."""
@@ -146,6 +161,17 @@ def test_a_process_that_is_gone_has_left() -> None:
     assert plant.take(alive, is_there=False) == Presence("agent2", 1, alive=False)
     assert plant.departed == {"agent2"}
     assert plant.alive == {}
+    assert plant.take(KEYS.alive("agent2", 2, DIGEST, VERSION), is_there=True) is None
+    assert not plant.departed
+
+
+def test_a_start_that_is_announced_ends_the_messages_of_the_one_before() -> None:
+    """The gate learns of it by its token."""
+    gate = Gate("plant", KEYS, setup().rules.shape)
+    plant = OtherPresences("plant", DIGEST, KEYS, gate)
+    plant.take(KEYS.alive("coordinator", 1, DIGEST, VERSION), is_there=True)
+    assert list(gate.accept(KEYS.of(tick(0)), encode(tick(0)))) == []
+    assert [entry.reason for entry in gate.rejections] == ["wrong_incarnation"]
 
 
 @pytest.mark.parametrize(
@@ -185,8 +211,10 @@ def test_a_malformed_token_is_counted_once() -> None:
     ],
 )
 def test_a_process_that_does_not_fit_is_refused(key: str, text: str) -> None:
-    """Another of this name, another protocol, another scenario; and it is not counted as up."""
+    """Another of this name, another protocol, another scenario; a token that does not say so is ignored."""
     plant = others()
     with pytest.raises(BusError, match=text):
         plant.check(key, 0)
-    plant.check(KEYS.alive("plant", 0, DIGEST, VERSION), 0)
+    fitting = KEYS.alive("plant", 0, DIGEST, VERSION)
+    for harmless in (fitting, KEYS.ready("plant", 7), f"{KEYS.prefix}/alive/plant"):
+        plant.check(harmless, 0)

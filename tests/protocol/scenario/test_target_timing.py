@@ -1,6 +1,7 @@
 """Targets are timed by their least duration first and by the motion between the instants, whatever the request."""
 
 import math
+import re
 import tracemalloc
 from functools import cache
 from typing import Any
@@ -235,6 +236,54 @@ def test_a_target_is_at_most_as_low_as_the_payload_may_be(
         plan(setup, HOVERS, points_m=[[1.0, 0.0, lowest_m + ONE_MM]])
 
 
+@pytest.mark.parametrize(
+    ("to", "told"),
+    [
+        ([], ()),
+        ([3], (3,)),
+        ([3, 1, 3], (1, 3)),
+        ([4, 2, 1], (1, 2, 4)),
+        ([1, 1, 2, 3], (1, 2, 3)),
+        ([4, 2, 1, 3], ()),
+    ],
+)
+def test_the_agents_that_are_told_are_named_once_in_order(
+    to: list[int], told: tuple[int, ...]
+) -> None:
+    """All agents are as none named: they are told at one tick, and no plan has to carry the target."""
+    numbers = plan(runs.ready("resilient"), HOVERS, points_m=[[1.0, 0.0, -10.0]], to=to)
+    assert numbers["to"] == told
+
+
+def test_some_agents_alone_are_told_where_there_are_no_vehicles() -> None:
+    """The process of a UAV hears all targets, so its agent does; a stranger is refused first."""
+    for to, problem in (([1], "expected none with [vehicles]"), ([5], "expected agents 1 to 4, got 5")):
+        with pytest.raises(RequestError, match=f"^to: {re.escape(problem)}"):
+            plan(runs.ready("flight"), points_m=[[1.0, 0.0, -10.0]], to=to)
+
+
+@pytest.mark.parametrize(
+    ("at_s", "phase"), [(0.95, "stands"), (3.05, "up"), (6.0, None), (13.05, "down")]
+)
+def test_a_target_is_for_a_payload_in_flight(at_s: float, phase: str | None) -> None:
+    """None is given while the payload stands, takes off or lands; the refusal has the phase and the time."""
+    phases = (
+        "maneuver.phase=[{name='stands',duration_s=1,displacement_m=[0,0,0]},"
+        "{name='up',kind='take_off',duration_s=4,displacement_m=[0,0,-2]},"
+        "{name='hovers',duration_s=8,displacement_m=[0,0,0]},"
+        "{name='down',kind='land',duration_s=4,displacement_m=[0,0,2]},"
+        "{name='rests',duration_s=9,displacement_m=[0,0,0]}]"
+    )
+    setup = runs.ready("resilient", phases, "maneuver.start_m=[0.0,0.0,-1.125]", *ON_GROUND)
+    tick = round(at_s / setup.settings.sampling_period_s)
+    if phase is None:
+        assert plan(setup, tick, points_m=[[0.5, 0.0, -3.0]])["approach_s"] > 0.0
+        return
+    problem = rf"^expected a payload in flight, got phase '{phase}' at t = {at_s:.2f} s$"
+    with pytest.raises(RequestError, match=problem):
+        plan(setup, tick, points_m=[[0.5, 0.0, -3.0]])
+
+
 LAST_S = 24.95  # the last sampling instant of a run of 25 s
 TO_THE_GROUND_S = 2.0  # in which the ground takes over the weight of the payload
 
@@ -255,11 +304,12 @@ def test_a_target_is_reached_at_the_last_instant_at_the_latest(
         plan(setup, latest + 1, **given)
 
 
-def test_a_payload_at_or_below_the_ground_cannot_land() -> None:
+@pytest.mark.parametrize("z_m", [0.5, -0.125])
+def test_a_payload_at_or_below_the_ground_cannot_land(z_m: float) -> None:
     """It would have to rise to where it would rest; that is half a box of 0.25 m above z = 0."""
-    setup = runs.ready("resilient", HOVER, "maneuver.start_m=[0.0,0.0,0.5]")
+    setup = runs.ready("resilient", HOVER, f"maneuver.start_m=[0.0,0.0,{z_m}]")
     with pytest.raises(
-        RequestError, match=r"land: expected a payload above z = -0\.125 m, .*got 0\.5"
+        RequestError, match=rf"land: expected a payload above z = -0\.125 m, .*got {z_m}"
     ):
         plan(setup, HOVERS, land=True)
 
@@ -320,6 +370,7 @@ def test_the_way_down_has_half_the_speed() -> None:
     """To a place at 1 m/s at most, then down at 0.5 m/s at most, in cruise between the ramps."""
     setup = runs.ready("resilient", HOVER, "maneuver.start_m=[0.0,0.0,-3.125]")
     numbers = plan(setup, HOVERS, land=True, land_at_m=[4.0, 0.0])
+    assert numbers["lands"]
     assert numbers["points"].tolist() == [[4.0, 0.0, -3.125], [4.0, 0.0, -0.125]]
     assert numbers["approach_s"] - numbers["approach_ramp_s"] == pytest.approx(4.0 / 1.0)
     assert numbers["way_s"] - numbers["way_ramp_s"] == pytest.approx(3.0 / 0.5)
