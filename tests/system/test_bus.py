@@ -17,7 +17,7 @@ from tests.support import runs
 from tests.support.commands import free_base
 from tests.support.runs import setup
 from transport.protocol.admission.acceptance_and_refusals import Gate
-from transport.protocol.network.bus import Bus
+from transport.protocol.network.bus import LINGER_S, Bus
 from transport.protocol.network.bus_events import BusOptions, Place
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.requests_and_answers import Reach, ask
@@ -35,13 +35,13 @@ PATIENCE_S = 20.0
 class Plant:
     """The bus of a plant, and its counts of refused messages."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, join_timeout_s: float = 1.0) -> None:
         self.gate = Gate("plant", KEYS, setup().rules.shape)
         self.rejections = self.gate.rejections
         place = Place(
             run=KEYS.run,
             endpoints=Endpoints(listen=[f"tcp/127.0.0.1:{port}"], connect=[]),
-            join_timeout_s=1.0,
+            join_timeout_s=join_timeout_s,
         )
         self.bus = Bus("plant", place, DIGEST, self.gate, BusOptions(tell_every_s=0.1))
 
@@ -76,11 +76,11 @@ def stranger(port: int) -> Iterator[zenoh.Session]:
         yield session
 
 
-@pytest.fixture
-def network() -> Iterator[tuple[Plant, zenoh.Session]]:
-    """A plant and an unknown session that is connected to the plant."""
+@contextmanager
+def connected(join_timeout_s: float = 1.0) -> Iterator[tuple[Plant, zenoh.Session]]:
+    """Connect an unknown session to a plant."""
     port = free_base()
-    plant = Plant(port)
+    plant = Plant(port, join_timeout_s)
     try:
         with stranger(port) as session:
             key = f"{KEYS.prefix}/tick"
@@ -94,6 +94,13 @@ def network() -> Iterator[tuple[Plant, zenoh.Session]]:
             yield plant, session
     finally:
         plant.bus.close()
+
+
+@pytest.fixture
+def network() -> Iterator[tuple[Plant, zenoh.Session]]:
+    """A plant and an unknown session that is connected to the plant."""
+    with connected() as both:
+        yield both
 
 
 def test_a_stranger_is_counted(network: tuple[Plant, zenoh.Session]) -> None:
@@ -284,3 +291,110 @@ def test_a_new_incarnation_is_announced_after_all_that_came_before(
     assert own[-1].event == Presence("plant", 1, alive=True)
     assert bus.incarnation == 1
     status.undeclare()  # type: ignore[no-untyped-call]
+
+
+def test_a_wait_begins_anew_while_all_that_are_missing_start() -> None:
+    """Each is asked for, as its work since the last question counts; one that does not start ends the wait."""
+    timeout_s = 0.2
+    plant = Plant(free_base(), timeout_s)
+    asked: list[str] = []
+
+    def is_starting(name: str) -> bool:
+        asked.append(name)
+        return name == "agent2" or len(asked) <= 2
+
+    begun_s = time.monotonic()
+    with pytest.raises(BusError, match="no sign of agent1, agent2 within"):
+        plant.bus.join({"agent1", "agent2"}, is_starting=is_starting)
+    assert time.monotonic() - begun_s >= 2 * timeout_s
+    assert asked == ["agent1", "agent2"] * 2
+    plant.bus.close()
+
+
+def test_those_that_were_never_seen_are_named_before_those_that_have_left() -> None:
+    """A process that was there, and is gone, is named if no other is missing."""
+    with connected(join_timeout_s=0.1) as (plant, session):
+        token = session.liveliness().declare_token(KEYS.alive("agent1", 0, DIGEST, VERSION))
+        assert plant.waits_for(lambda: "agent1" in plant.bus.alive)
+        token.undeclare()  # type: ignore[no-untyped-call]
+        assert plant.bus.next(PATIENCE_S) is not None
+        for expected, named in ((["agent1", "agent2"], "agent2"), (["agent1"], "agent1")):
+            with pytest.raises(BusError, match=f"no sign of {named} within"):
+                plant.bus.join(expected)
+
+
+@pytest.mark.parametrize(
+    ("status", "awaited"),
+    [
+        ({"tick": -1, "members": [2]}, "agent1, vehicle1"),
+        ({"tick": 0, "members": [2, 3]}, ""),
+        ({"tick": 0, "members": [1, 2]}, "agent1"),
+        ({"tick": 7, "members": [2], "observers": ["viewer"]}, "viewer"),
+    ],
+)
+def test_one_that_joins_late_waits_for_those_that_take_part(
+    status: dict[str, object], awaited: str
+) -> None:
+    """Once the run has begun: for agents on the roster that it expects, and for observers."""
+    with connected(join_timeout_s=PATIENCE_S) as (plant, session):
+        liveliness = session.liveliness()
+        tokens = [
+            liveliness.declare_token(KEYS.alive(name, 0, DIGEST, VERSION))
+            for name in ("coordinator", "agent2")
+        ]
+        tokens.append(liveliness.declare_token(KEYS.ready("coordinator", 0)))
+        key = KEYS.request("coordinator", "status")
+        asked: list[str] = []
+
+        def answer(query: zenoh.Query) -> None:
+            query.reply(key, json.dumps(status))
+            asked.append(key)
+
+        queryable = session.declare_queryable(key, answer)
+        said: list[str] = []
+
+        def on_wait(text: str) -> None:
+            said.append(text.partition(";")[0])
+            if asked and said[-2:] == [f"waiting for {awaited}"] * 2:
+                plant.bus.interrupt("as expected")
+
+        end = plant.bus.join(["coordinator", "agent1", "agent2", "vehicle1"], on_wait)
+        assert (end is None) is (not awaited)
+        queryable.undeclare()  # type: ignore[no-untyped-call]
+        for token in tokens:
+            token.undeclare()  # type: ignore[no-untyped-call]
+
+
+@pytest.mark.parametrize(
+    ("leave_first", "waits"),
+    [(["agent1"], True), (["recorder"], True), (["agent1", "recorder"], False)],
+)
+def test_a_process_leaves_after_the_recorder_and_others(
+    network: tuple[Plant, zenoh.Session], leave_first: list[str], waits: bool
+) -> None:
+    """It tells that its last message is sent, and waits for them until it is interrupted."""
+    plant, session = network
+    told = session.declare_subscriber(KEYS.left("plant"))
+    tokens = {
+        name: session.liveliness().declare_token(KEYS.alive(name, 0, DIGEST, VERSION))
+        for name in ("agent1", "recorder")
+    }
+    assert plant.waits_for(lambda: tokens.keys() <= plant.bus.alive.keys())
+    for name in leave_first:
+        tokens.pop(name).undeclare()  # type: ignore[no-untyped-call]
+    interrupted: list[float] = []
+
+    def interrupt() -> None:
+        interrupted.append(time.monotonic())
+        plant.bus.interrupt("of the test")
+
+    timer = threading.Timer(0.3 if waits else PATIENCE_S, interrupt)
+    timer.start()
+    begun_s = time.monotonic()
+    plant.bus.leave(after=["agent1"])
+    timer.cancel()
+    assert time.monotonic() - begun_s < LINGER_S
+    assert bool(interrupted) is waits
+    assert told.recv() is not None
+    for token in tokens.values():
+        token.undeclare()  # type: ignore[no-untyped-call]

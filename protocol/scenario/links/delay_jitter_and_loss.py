@@ -200,7 +200,7 @@ def traced_delay_s(trace: Sequence[Sequence[float]], sent_s: float) -> float:
     duration_s = 2.0 * trace[-1][0] - trace[-2][0] - begin_s
     at_s = begin_s + sent_s % duration_s
     row = bisect_right(trace, at_s + _SLACK, key=itemgetter(0)) - 1
-    return trace[max(row, 0)][1]
+    return trace[row][1]
 
 
 def _ended(before: LinkSection, keys: Mapping[str, Any]) -> Mapping[str, Any]:

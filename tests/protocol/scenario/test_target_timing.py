@@ -257,9 +257,21 @@ def test_the_agents_that_are_told_are_named_once_in_order(
 
 def test_some_agents_alone_are_told_where_there_are_no_vehicles() -> None:
     """The process of a UAV hears all targets, so its agent does; a stranger is refused first."""
-    for to, problem in (([1], "expected none with [vehicles]"), ([5], "expected agents 1 to 4, got 5")):
+    for to, problem in (
+        ([1], "expected none with [vehicles]"),
+        ([5], "expected agents 1 to 4, got 5"),
+    ):
         with pytest.raises(RequestError, match=f"^to: {re.escape(problem)}"):
             plan(runs.ready("flight"), points_m=[[1.0, 0.0, -10.0]], to=to)
+
+
+def test_outside_a_landing_may_end_after_the_maneuver() -> None:
+    """A person ends the run there; other targets are reached before the maneuver ends."""
+    setup = runs.ready("flight", "plant.kind=vehicles")
+    last = math.ceil(setup.maneuver.duration_s / setup.settings.sampling_period_s) - 1
+    assert plan(setup, last, land=True)["tick"] == last
+    with pytest.raises(RequestError, match="before the end of the maneuver at t = "):
+        plan(setup, last, points_m=[[1.0, 0.0, -10.0]])
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from transport.protocol.scenario.links.link_changes import link_change
 from transport.protocol.scenario.scenario_file import ScenarioError, validate
 from transport.protocol.scenario.sections.link_sections import (
     GilbertElliottSection,
+    LinkChangeSection,
     LinkSection,
     LinksSection,
     PartitionSection,
@@ -85,6 +86,14 @@ def test_bursts_of_gilbert_elliott() -> None:
     assert abs(lengths.mean() - 1.0 / leave) < SIGMAS * lengths.std() / np.sqrt(len(lengths))
 
 
+def test_bursts_and_other_losses_are_independent() -> None:
+    """A message arrives if neither takes it: in the bad state a share of them is lost as well."""
+    # The next state does not depend on the state: bad with probability `enter`.
+    bursts = GilbertElliottSection(enter=0.3, leave=0.7, loss=0.5)
+    lost = [not delays for delays in link_history(LinkSection(loss=0.3, gilbert_elliott=bursts))]
+    share(lost, 1.0 - (1.0 - 0.3) * (1.0 - 0.3 * 0.5))
+
+
 @pytest.mark.parametrize(
     ("distribution", "mean_s", "deviation_s"),
     [
@@ -144,6 +153,7 @@ def test_partition_has_a_start_and_an_end() -> None:
         LinkSection(), partition=[PartitionSection(between=["agent1"], start_s=0.5, end_s=1.0)]
     )
     assert [bool(one.delays(tick)) for tick in (9, 10, 19, 20)] == [True, False, False, True]
+    assert [one.usable_ticks(tick) for tick in (9, 10)] == [[10], []]
 
 
 @pytest.mark.parametrize("rate_hz", [0.5, 3.0, 7.0, 10.0, 15.0, 19.9])
@@ -159,16 +169,27 @@ def test_rate_limit(rate_hz: float) -> None:
     assert set(np.diff(at)) <= {int(np.floor(apart)), int(np.ceil(apart))}
 
 
+def test_rounding_delays_no_message_of_a_limited_rate() -> None:
+    """At 5.6 Hz the message of tick 25 is the seventh after the first, though 25 (5.6 0.05) < 7 in floats."""
+    one = link(LinkSection(rate_hz=5.6))
+    assert [bool(one.delays(tick)) for tick in (24, 25, 26)] == [False, True, False]
+
+
 @pytest.mark.parametrize(
     ("delay_s", "ticks"),
-    [(0.0, 1), (0.03, 1), (0.05, 1), (0.051, 2), (0.1, 2), (0.15, 3), (0.4, 8)],
+    # 1.1 / 0.05 > 22 in floats.
+    [(0.0, 1), (0.03, 1), (0.05, 1), (0.051, 2), (0.1, 2), (0.15, 3), (0.4, 8), (1.1, 22)],
 )
 def test_virtual_arrival(delay_s: float, ticks: int) -> None:
     """A message is usable at the first tick later than its own at or after its arrival.
 
     Source: docs/time.md.
     """
-    assert link(LinkSection(delay_s=delay_s)).usable_ticks(7) == [7 + ticks]
+    one = link(LinkSection(delay_s=delay_s))
+    assert one.usable_ticks(7) == [7 + ticks]
+    assert one.usable_ticks(7, after=2) == [7 + max(ticks, 2)]
+    on_air = link(LinkSection())
+    assert on_air.usable_ticks(7, air_s=delay_s) == [7 + ticks]
 
 
 def test_negotiations_are_independent() -> None:
@@ -299,6 +320,19 @@ def test_scripted_change() -> None:
     assert [one.impairments(tick).loss for tick in (0, 19, 20)] == [0.25, 0.25, 0.5]
 
 
+def test_the_later_one_of_two_changes_is_in_force() -> None:
+    """In any order in the file, within one sampling period, and where one by hand comes before a scripted one."""
+    both = "links.change=[{at_s=0.99,delay_s=0.2,loss=0.5},{at_s=0.96,delay_s=0.1}]"
+    one = setup(both).rules.link("agent1", "agent2")
+    assert one.impairments(20).delay_s == 0.2
+    by_hand = LinkChangeSection.model_validate({"at_s": 0.0, "delay_s": 0.3})
+    one.change(10, by_hand)
+    found = [
+        (one.impairments(tick).delay_s, one.impairments(tick).loss) for tick in (9, 10, 19, 20)
+    ]
+    assert found == [(0.0, 0.0), (0.3, 0.0), (0.3, 0.0), (0.2, 0.5)]
+
+
 def test_a_change_does_not_rewrite_the_past() -> None:
     """Delays of messages sent before a change are those of a link that never changes, bursts included."""
     bursts = "links={loss=0.1,gilbert_elliott={enter=0.1,leave=0.2}}"
@@ -307,7 +341,7 @@ def test_a_change_does_not_rewrite_the_past() -> None:
         bursts, "links.change=[{at_s=10.0,gilbert_elliott={enter=0.5,leave=0.1}}]"
     ).rules.link("agent1", "agent2")
     delays_before, delays_after = (
-        [one.delays(tick) for tick in range(400)] for one in (before, after)
+        [one.delays(tick) for tick in reversed(range(400))][::-1] for one in (before, after)
     )
     assert delays_before[:200] == delays_after[:200]
     assert sum(map(bool, delays_after[200:])) < sum(map(bool, delays_before[200:])) - 50

@@ -38,12 +38,26 @@ def test_losses_act_beside_a_trace() -> None:
 
 
 @pytest.mark.parametrize("before", [TRACE, "links={distribution='empirical',samples_s=[0.3,0.4]}"])
-def test_a_delay_given_later_takes_the_place_of_recorded_ones(before: str) -> None:
+@pytest.mark.parametrize(
+    ("given", "delays_s"),
+    [
+        ("delay_s=0.6", (0.6, 0.6)),
+        ("jitter_s=0.2", (0.0, 0.1)),
+        ("distribution='normal'", (0.0, 0.0)),
+        ("distribution='empirical',samples_s=[0.7]", (0.7, 0.7)),
+    ],
+)
+def test_a_delay_given_later_takes_the_place_of_recorded_ones(
+    before: str, given: str, delays_s: tuple[float, float]
+) -> None:
     """From the change on messages have its delay; a change of the loss leaves the recorded ones."""
-    change = "links.change=[{at_s=0.1,loss=0.0},{at_s=0.2,delay_s=0.6}]"
+    change = f"links.change=[{{at_s=0.1,loss=0.0}},{{at_s=0.2,{given}}}]"
     link = setup(before, change).rules.link("agent1", "agent2")
     assert {delay for tick in range(4) for delay in link.delays(tick)} <= {0.01, 0.02, 0.3, 0.4}
-    assert [link.delays(tick) for tick in range(4, 8)] == 4 * [[0.6]]
+    least_s, most_s = delays_s
+    assert all(
+        least_s <= delay_s <= most_s for tick in range(4, 8) for delay_s in link.delays(tick)
+    )
 
 
 def test_a_trace_comes_from_a_file(tmp_path: Path) -> None:
