@@ -1,9 +1,8 @@
-"""Sessions: opening, requests from outside, closing; endpoints in words, and in the configuration."""
+"""Sessions: opening and closing; endpoints in words, and in the configuration."""
 
 import os
 import socket
-from collections.abc import Sequence
-from types import SimpleNamespace
+import threading
 from typing import Any
 
 import pytest
@@ -13,10 +12,7 @@ from transport.protocol.network import session
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.session import (
     BusError,
-    Reach,
-    ask,
     configuration,
-    fetch_answer,
     in_bounded_time,
     open_session,
 )
@@ -32,6 +28,35 @@ def test_all_is_closed_although_one_part_fails() -> None:
 
     in_bounded_time(fail, lambda: closed.append("session"))
     assert closed == ["session"]
+
+
+def test_a_peer_that_does_not_read_delays_the_end_for_a_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Closing goes on in the background."""
+    monkeypatch.setattr(session, "CLOSE_S", 0.01)
+    reads = threading.Event()
+    closed: list[str] = []
+    in_bounded_time(reads.wait, lambda: closed.append("session"))
+    assert closed == []
+    reads.set()
+
+
+class Keyed:
+    """Keys that note for which process and run they are used."""
+
+    @staticmethod
+    def configure(configuration: dict[str, Any], name: str, prefix: str) -> None:
+        """Add the access control of a process."""
+        configuration["access_control"] = name, prefix
+
+
+def test_a_session_uses_the_keys_it_is_given() -> None:
+    """They are those of the process, for the expressions of its run."""
+    keyed: Any = Keyed()
+    endpoints = Endpoints(listen=[], connect=[], security=keyed)
+    found = configuration(endpoints, 0.1, "agent1", Keys("run"))
+    assert found["access_control"] == ("agent1", "transport/run")
 
 
 def test_endpoints_in_words_have_no_empty_part() -> None:
@@ -79,104 +104,3 @@ def test_a_process_that_cannot_use_the_network_says_why(monkeypatch: pytest.Monk
     monkeypatch.setattr(session, "_first_user", os.getpid() + 1)
     with pytest.raises(BusError, match=r"forked from one that has used the network.*'spawn'"):
         open_session(endpoints, 1.0, "plant", Keys("run"), 0.0)
-
-
-def reply(answer: str | None) -> Any:
-    """Return a reply of Zenoh; None: one of an error."""
-    if answer is None:
-        return SimpleNamespace(ok=None)
-    return SimpleNamespace(ok=SimpleNamespace(payload=SimpleNamespace(to_string=lambda: answer)))
-
-
-class Asked:
-    """A session of a client that finds a process, or none, and gets some replies of it."""
-
-    def __init__(self, replies: Sequence[str | None], *, is_there: bool = True) -> None:
-        self.replies = replies
-        self.is_there = is_there
-        self.opened: tuple[str, str] | None = None
-
-    def open(self, endpoints: Endpoints, _patience_s: float, name: str, *_: object) -> "Asked":
-        """Return this session as that of a client."""
-        self.opened = endpoints.mode, name
-        return self
-
-    def liveliness(self) -> "Asked":
-        """Return what tells of processes."""
-        return self
-
-    def get(self, _key: str, payload: str | None = None, timeout: float = 0.0) -> list[Any]:
-        """Return the replies to a request, or of a search for a process."""
-        if payload is None:
-            return [reply("")] if self.is_there else [reply(None)]
-        return [reply(one) for one in self.replies]
-
-    def close(self) -> None:
-        """Close."""
-
-
-@pytest.mark.parametrize(
-    ("replies", "answer"),
-    [
-        ([], None),
-        ([None], None),
-        ([None, '{"tick": 3}'], {"tick": 3}),
-        (['{"tick": 3}', '{"tick": 4}'], {"tick": 3}),
-    ],
-)
-def test_the_first_answer_that_is_no_error_counts(
-    replies: list[str | None], answer: dict[str, int] | None
-) -> None:
-    """A router replies with an error for a process that is gone; without another reply there is none."""
-    asked: Any = Asked(replies)
-    assert fetch_answer(asked, "key", {}, 1.0) == answer
-
-
-@pytest.mark.parametrize(
-    ("places", "what", "mode", "client"),
-    [
-        (1, "status", "client", "watcher"),
-        (2, "status", "peer", "watcher"),
-        (1, "link", "client", "operator"),
-    ],
-)
-def test_a_client_has_the_rights_that_its_request_needs(
-    places: int, what: str, mode: str, client: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Only requests that change the run are those of an operator; one place may be a router."""
-    asked = Asked(["{}"])
-    monkeypatch.setattr(session, "open_session", asked.open)
-    reach = Reach(connect=["tcp/127.0.0.1:7447"] * places)
-    assert ask("run", reach, "coordinator", what, {}) == {}
-    assert asked.opened == (mode, client)
-
-
-@pytest.mark.parametrize(
-    ("asked", "problem"),
-    [
-        (
-            Asked([], is_there=False),
-            "is not reachable.*no sign of it within 0 s at tcp/plant:1, tcp/b:2",
-        ),
-        (Asked([None]), "does not answer within 0 s: it is stopped, or its host is too busy"),
-    ],
-)
-def test_a_request_without_an_answer_has_its_reason(
-    asked: Asked, problem: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A process that is not there is told from one that does not answer."""
-    monkeypatch.setattr(session, "open_session", asked.open)
-    with pytest.raises(BusError, match=f"^plant of run r {problem}"):
-        ask("r", Reach(connect=["tcp/plant:1", "tcp/b:2"], timeout_s=0.0), "plant", "health", {})
-
-
-def test_a_connection_that_closes_meanwhile_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The text of Zenoh's error is about its sources."""
-
-    def closed(*_: object) -> Asked:
-        raise zenoh.ZError("src/api/session.rs")
-
-    monkeypatch.setattr(session, "open_session", closed)
-    with pytest.raises(BusError, match=r"^plant of run r has closed the connection") as refused:
-        ask("r", Reach(connect=["tcp/plant:1"]), "plant", "health", {})
-    assert "session.rs" not in str(refused.value)
