@@ -1,8 +1,9 @@
 """`transport replay`: equal bits from equal messages, and the first difference otherwise."""
 
 import json
-from collections.abc import Sequence
-from dataclasses import replace
+from bdb import BdbQuit
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,12 +14,15 @@ from msgspec.structs import replace as edited
 from typer.testing import CliRunner, Result
 
 from tests.support import logs, runs
-from transport.analysis.replay.replay_difference import Comparison, Difference
+from transport.analysis.replay.replay_difference import Comparison, Difference, InputsApart
 from transport.analysis.replay.replay_of_agent import Replay, _due_changes
 from transport.cli.commands import replay
 from transport.cli.main import app
 from transport.flight.run_files import machine, versions
 from transport.log.run_log import RunLog
+from transport.log.tables import INPUT_NAMES, RATE_NAMES
+from transport.protocol.scenario.scenario_file import read_scenario
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.wire.messages import LinkChange, Measurement, Message, Plan
 
 CLOSED_LOOP = ("controller.prediction='closed_loop'", "controller.relaxation='auto'")
@@ -226,6 +230,206 @@ def test_the_debugger_opens_before_one_tick(monkeypatch: pytest.MonkeyPatch) -> 
             before(node, runs.measurement(runs.setup(), 1, tick))
         assert opened == expected
         opened.clear()
+
+
+class Again:
+    """A replay of the ticks 0 to 9, left in the debugger at one of them."""
+
+    left_at: int | None = None
+    notes: Sequence[str] = ()
+
+    def __init__(self, setup: Any, _log: Any, _agent: int, before: Any = None) -> None:
+        self.setup = setup
+        self.before = before
+
+    def steps(self) -> Iterator[Any]:
+        """Yield its ticks."""
+        for tick in range(10):
+            if tick == self.left_at:
+                raise BdbQuit
+            yield SimpleNamespace(tick=tick)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "settings", "ignored", "names"),
+    [
+        ("paper", (), (), INPUT_NAMES),
+        ("resilient", ("controller.inputs=rates",), (), RATE_NAMES),
+        ("paper", ("clock={mode='realtime',speed=1.0}",), UNKNOWN_IN_REAL_TIME, INPUT_NAMES),
+    ],
+)
+def test_ticks_are_compared_by_clock_and_inputs(
+    scenario: str,
+    settings: tuple[str, ...],
+    ignored: tuple[str, ...],
+    names: tuple[str, ...],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In real time without what no log tells; the first and the last tick that are asked for count."""
+    setup = runs.ready(scenario, *settings)
+    added: list[Any] = []
+    monkeypatch.setattr(
+        Comparison, "add", lambda _, step, ignored: added.append((step.tick, ignored))
+    )
+    options = replay.ReplayOptions(begin=2, end=4, stop_at=7)
+    run: Any = SimpleNamespace(setup=setup)
+    again: Any = Again(setup, None, 1)
+    assert replay._compared(run, again, options).command_names == names
+    assert added == [(tick, ignored) for tick in (2, 3, 4)]
+
+
+def test_a_debugger_that_is_left_ends_the_command(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before the end of the comparison; it has been asked for at its tick."""
+    made: list[Again] = []
+
+    class Left(Again):
+        left_at = 5
+
+        def __init__(self, *given: Any) -> None:
+            super().__init__(*given)
+            made.append(self)
+
+    opened: list[int] = []
+    monkeypatch.setattr(replay, "Replay", Left)
+    monkeypatch.setattr(
+        replay, "Comparison", lambda **_: SimpleNamespace(add=lambda *_, **__: None)
+    )
+    result = ask(folder, "--agent", "1", "--pdb", "5")
+    assert result.exit_code == 2
+    where = "--pdb: the debugger was left at tick 5, before the end of the comparison"
+    assert result.stderr == f"transport: {where}\n"
+    monkeypatch.setattr(replay, "leave_interrupts_to_python", lambda: opened.append(-1))
+    monkeypatch.setattr("sys.breakpointhook", lambda: opened.append(5))
+    for tick in range(9):
+        made[0].before(None, runs.measurement(runs.setup(), 1, tick))
+    assert opened == [-1, 5]
+
+
+@pytest.mark.parametrize(
+    ("notes", "why"),
+    [
+        (["one", "two"], "one; two"),
+        ([], "the log has no plan of agent 1 between those ticks"),
+    ],
+)
+def test_why_nothing_can_be_compared(
+    notes: list[str], why: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The reasons of the replay, or else that there is no plan."""
+    monkeypatch.setattr(Again, "notes", notes)
+    monkeypatch.setattr(replay, "Replay", Again)
+    monkeypatch.setattr(replay, "_compared", lambda *_: Comparison())
+    assert ask(folder, "--agent", "1").stderr == f"transport: {folder}: nothing to compare: {why}\n"
+
+
+def differing(*kinds: str, apart: float = 0.0) -> Comparison:
+    """Return a comparison of 8 plans of the ticks 3 to 6, of which 3 differ from tick 4 on."""
+    found = Comparison(ticks=[3, 4, 5, 6], plans=8, identical=5)
+    for kind in kinds:
+        one = Difference(
+            tick=4, kind=kind, negotiation=0, name="inputs", where="UAV2, step 3", got="2.5",
+            expected="2.0", size=0.5,
+        )  # fmt: skip
+        found.by_field[one.field] = [one]
+    found.inputs_apart.append(InputsApart(5, 0.0, 0.0, 0.0, apart))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("words", "is_noted"),
+    [
+        ((), True),
+        (("--set", "controller.weights.attitude=6.0"), False),
+        (("--against", "resilient"), False),
+    ],
+)
+@pytest.mark.parametrize(("apart", "beyond"), [(0.9e-6, None), (1.1e-6, 5)])
+def test_a_difference_is_told_in_text_and_json(
+    words: tuple[str, ...],
+    apart: float,
+    is_noted: bool,
+    beyond: int | None,
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """First difference, inputs beyond rounding, fields, files; of a changed controller no other machine is noted."""
+    comparison = differing("plan", "report", apart=apart)
+    drawn: list[Any] = []
+
+    def draw(setup: Any, *given: Any) -> list[Path]:
+        drawn.append((setup.scenario.name, setup.scenario.controller.weights.attitude, *given))
+        return [tmp_path / "replay.png"]
+
+    monkeypatch.setattr(replay, "draw_replay", draw)
+    monkeypatch.setattr(replay, "_compared", lambda *_: comparison)
+    out = tmp_path / "a" / "b"
+    result = ask(folder, "--agent", "2", *words, "--out", out)
+    lines = [" ".join(line.split()) for line in result.stdout.splitlines()]
+    assert result.exit_code == 8
+    assert lines[:3] == [
+        "agent2: 3 of 8 plans of ticks 3 to 6 are different from tick 4 on",
+        "first: plan.inputs UAV2, step 3: got 2.5, expected 2.0",
+        f"first tick with inputs that differ by more than 1e-06 (SI): {beyond or 'none'}",
+    ]
+    assert lines[3:6] == [
+        "field ticks first tick largest where".replace("first tick", "first_tick"),
+        "plan.inputs 1 4 0.5 UAV2, step 3",
+        "report.inputs 1 4 0.5 UAV2, step 3",
+    ]
+    assert lines[6] == str(tmp_path / "replay.png")
+    assert drawn == [("paper", 5.0, comparison, out)]  # in the units of the run
+    assert out.is_dir()
+    note = "recorded with python 3.12.1, numpy 2.0.0 on a machine, 2 cores: last digits may differ"
+    notes = [note] if is_noted else []
+    assert result.stderr == "".join(f"note: {text}\n" for text in notes)
+
+    told = ask(folder, "--agent", "2", *words, "--format", "json")
+    content = json.loads(told.stdout)
+    first = {**asdict(comparison.by_field["plan.inputs"][0])}
+    fields = content.pop("fields")
+    assert [row["field"] for row in fields] == ["plan.inputs", "report.inputs"]
+    assert content == {
+        "run": str(folder), "agent": 2, "ticks": [3, 6], "plans": 8, "identical": 5, "first": first,
+        "first_tick_beyond_rounding": beyond, "notes": notes,
+    }  # fmt: skip
+    assert told.stderr == ""
+
+
+def test_plans_without_a_difference_have_no_figure(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reports may differ: they have a table, and the exit code is that of equal plans."""
+    monkeypatch.setattr(replay, "_compared", lambda *_: differing("report"))
+    result = ask(folder, "--agent", "2", "--out", tmp_path / "out")
+    assert result.exit_code == 0
+    first, *table = result.stdout.splitlines()
+    assert first == "agent2: all 8 plans of ticks 3 to 6 are identical, bit for bit"
+    assert "report.inputs" in table[1]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_run_beyond_the_limits_is_replayed_with_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was allowed when it was recorded; a scenario that does not fit it is named."""
+    other = tmp_path / "other.toml"
+    text = runs.PAPER.read_text(encoding="utf-8")
+    other.write_text(text.replace("sampling_period_s = 0.05", "sampling_period_s = 0.1"))
+    run: Any = SimpleNamespace(setup=runs.setup(), scenario_file=runs.PAPER)
+
+    def read(path: Path, settings: Sequence[str], *, allow_large: bool = False) -> Any:
+        assert allow_large
+        return read_scenario(path, settings)
+
+    monkeypatch.setattr(replay, "read_scenario", read)
+    changed = replay._changed_setup(run, ["controller.weights.attitude=6.0"], None)
+    assert changed.scenario.controller.weights.attitude == 6.0
+    with pytest.raises(ScenarioError) as refused:
+        replay._changed_setup(run, [], str(other))
+    assert refused.value.source == str(other)
 
 
 def test_the_limits_of_a_comparison_are_told() -> None:

@@ -117,14 +117,14 @@ def test_a_log_without_a_scenario(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     states: list[Message] = [
         structs.replace(runs.plant_state(run, tick), sequence=tick) for tick in (2, 5, 9)
     ]
-    end = structs.replace(runs.end(4), outcome="diverged", reason="too far", sequence=0)
+    end = structs.replace(runs.end(12), outcome="diverged", reason="too far", sequence=0)
     write([*states, end], tmp_path)
     content = info(tmp_path)
     assert content["channels"] == [row_of("/control", [end]), row_of("/plant_state", states)]
     assert (content["outcome"], content["reason"], content["last_tick"]) == (
         "diverged",
         "too far",
-        9,
+        12,
     )
     assert (content["scenario"], content["ticks_of_the_run"]) == (None, None)
     assert [content[name] for name in ("run_id", "versions", "machine")] == [
@@ -168,6 +168,15 @@ def test_tables_and_bag_are_counted(
         {"file": str(tmp_path / "roster.csv"), "rows": rosters},
         {"file": str(tmp_path / "bag.mcap"), "ticks": 30},
     ]
+
+    def full(*_: object) -> int:
+        raise OSError(28, "full", "a file")
+
+    bag.write_bag = full
+    for option, place in (("--ros2", "bag.mcap"), ("--out", "roster.csv")):
+        refused = ask("export", flight[0], option, tmp_path / place)
+        assert refused.exit_code == 2
+        assert refused.stderr.startswith(f"transport: {option}: cannot write ")
 
 
 def test_the_package_of_parquet_is_asked_for_before_the_log_is_read(
@@ -321,6 +330,10 @@ def test_targets_and_airtime_have_tables(form: str, tmp_path: Path) -> None:
         (
             ("export", "nowhere", "--out", "tables", "--kind", "poem"),
             f"expected one of {', '.join(KINDS)}, got 'poem'",
+        ),
+        (
+            ("export", "nowhere", "--out", "tables", "--kind", "plan", "--kind", "poem"),
+            "got 'poem'",
         ),
         (("export", "nowhere"), "expected --out, --ros2 or both, got none"),
         (

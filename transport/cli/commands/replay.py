@@ -39,7 +39,6 @@ def _owned(setup: Setup) -> list[list[int]]:
 # Fixed values: the recorded messages fit no other number of UAVs, iterations or ticks.
 _FIXED: dict[str, Callable[[Setup], object]] = {
     "agents.owned": _owned,
-    "system.uav": lambda setup: f"{setup.system.N} UAVs",
     "controller.sampling_period_s": lambda setup: setup.settings.sampling_period_s,
     "controller.negotiation_iterations": (
         lambda setup: setup.scenario.controller.negotiation_iterations
