@@ -116,11 +116,10 @@ class CompiledProgram:
         self._law = law
         return self._newest, is_new
 
-    def condense(self, objective: Objective, *, keeps: bool) -> None:
+    def condense(self, objective: Objective) -> None:
         """Write Hessian, gradient, bounds and the rows of constraints with `in_kernel` into the QP.
 
-        With `keeps`, effects and Hessian of the step before are kept if their data are the same:
-        without a control law the derivatives are those of the tick's own state.
+        Effects and Hessian of the step before are kept if their data are the same arrays, as about hover.
         Source: docs/equations.md (26)-(30), (36e), (48).
         """
         copied = self._copies.copied
@@ -145,7 +144,7 @@ class CompiledProgram:
         problem.begin = begin + np.dtype(np.intp).itemsize * pattern.first_rows[-2]
         problem.value = self._input("value", linear.model.jacobians.values)
 
-        problem.known = keeps and not self._changed
+        problem.known = not self._changed
         native.KERNELS.fill(ctypes.addressof(problem))
         self._changed.clear()
 

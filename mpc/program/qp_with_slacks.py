@@ -156,7 +156,7 @@ class Program:
         if self.compiled is None or not self.compiled.is_newest(prediction):
             return self._without_kernels(objective, trajectory)
 
-        self.compiled.condense(objective, keeps=law is not None)
+        self.compiled.condense(objective)
         qp = self.compiled.qp
         rows = Rows(A=qp.A, lower=qp.row_lower, upper=qp.row_upper)
         self.stack.fill(rows, trajectory, self._uncompiled)

@@ -1,5 +1,6 @@
 """Compiled kernels against their equivalents in Python, and the behaviour without a compiler."""
 
+import ctypes
 import os
 import platform
 import subprocess
@@ -243,6 +244,8 @@ def test_addresses_follow_their_arrays() -> None:
     first, second = np.arange(3.0), np.arange(3.0)
     begin = addresses.of("x", first)
     assert begin == native.address(first) == addresses.of("x", first)
+    assert addresses.address_of("x", first) == begin
+    assert addresses.address_of("x", second) is None
     assert addresses.of("x", second) == native.address(second)
     assert addresses.array("x") is second
 
@@ -275,6 +278,21 @@ def test_an_array_that_a_kernel_cannot_read_is_refused(array: Any) -> None:
     fine.setflags(write=False)
     assert native.address(fine) == begin == fine.ctypes.data
     assert native.address(np.zeros((0, 3))) == 0
+
+
+def test_a_work_space_is_aligned_and_kept() -> None:
+    """All calls of a kernel of one size share one, which has room for that size from the begin of a vector on."""
+    spaces = {}
+    for kernel in ("one of the test", "another"):
+        for size in (*range(1, 10), 100):
+            begin = native.work(kernel, size)
+            assert begin % 64 == 0
+            assert native.work(kernel, size) == begin
+            memory = native._WORK_SPACES[kernel, size]._memory
+            assert native.address(memory) <= begin
+            assert begin + 8 * size <= native.address(memory) + memory.nbytes
+            spaces[kernel, size] = begin
+    assert len(set(spaces.values())) == len(spaces)
 
 
 def frozen_copy(array: Any) -> Any:
@@ -319,14 +337,15 @@ def test_everything_works_without_a_compiler(environment: dict[str, str], tmp_pa
     code = (
         "from transport.model.kernels import native;"
         "from transport.model.kernels.casadi_functions import compile_functions, functions;"
-        "print(native.AVAILABLE, compile_functions(1), functions(1)['derivative'].class_name())"
+        "print(native.AVAILABLE, compile_functions(1), functions(1)['derivative'].class_name());"
+        "print(native.description())"
     )
     output = subprocess.run(
         [sys.executable, "-c", code],
         env={**os.environ, "PAYLOAD_TRANSPORT_CACHE": str(tmp_path), **environment},
         capture_output=True, check=True, text=True,
     )  # fmt: skip
-    assert output.stdout.split() == ["False", "False", "SXFunction"]
+    assert output.stdout.split() == ["False", "False", "SXFunction", "plain"]
     assert not list(tmp_path.glob("*.so"))
 
 
@@ -342,8 +361,21 @@ def test_a_library_of_another_user_is_not_loaded(
     if library.stat().st_uid != 0:
         assert not compiler.intact(library)
     else:
+        assert compiler.intact(library), "root put it there"
         os.chown(library, 12345, -1)
         assert not compiler.intact(library)
+
+
+@needs_kernels
+def test_a_library_that_does_not_load_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that the system refuses, as for a folder without rights to execute: the plain kernels are used."""
+
+    def refuse(_: str) -> None:
+        raise OSError("failed to map segment from shared object")
+
+    assert native.load() is not None
+    monkeypatch.setattr(ctypes, "PyDLL", refuse)
+    assert native.load() is None
 
 
 @needs_compiler

@@ -3,6 +3,7 @@
 import time
 from dataclasses import replace
 from functools import lru_cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -187,6 +188,65 @@ def test_gains_that_also_hold_other_loads_come_first() -> None:
     assert not any(map(has_margins, holding))
     assert setup.alone.holds
     assert has_margins(setup.alone.gains)
+
+
+# Growth of deviations, 1/s: with the known plant, a delay or a lag, weaker motors, a heavier payload.
+HOLDS = (-0.5, -0.1, -0.1, -0.1)
+HOLDS_NO_WEAKER = (-0.5, -0.1, 0.1, -0.1)
+HOLDS_NO_HEAVIER = (-0.5, -0.1, -0.1, 0.1)
+SLOW = (-0.01, -0.005, -0.1, -0.1)
+NOT_LATE = (-0.5, 0.2, -0.1, -0.1)
+NOT_AS_LATE = (-0.1, 0.1, -0.1, -0.1)
+GROWS = (0.5, 0.6, 0.6, 0.6)
+GROWS_LESS = (0.4, 0.7, 0.7, 0.7)
+
+
+@pytest.mark.parametrize(
+    ("stiff", "soft", "expected"),
+    [
+        ({2: HOLDS, 3: HOLDS}, {}, (0, 2)),
+        ({2: HOLDS_NO_WEAKER, 3: HOLDS_NO_HEAVIER, 4: HOLDS}, {}, (0, 4)),
+        ({2: HOLDS_NO_WEAKER, 3: HOLDS_NO_WEAKER}, {1: HOLDS}, (0, 2)),
+        ({2: SLOW}, {1: HOLDS_NO_HEAVIER, 2: HOLDS, 3: HOLDS}, (1, 2)),
+        ({2: SLOW, 3: NOT_LATE}, {1: HOLDS_NO_HEAVIER, 2: HOLDS_NO_WEAKER}, (1, 1)),
+        ({2: NOT_LATE, 3: NOT_AS_LATE}, {1: NOT_LATE}, (0, 3)),
+        ({2: GROWS_LESS}, {1: NOT_LATE}, (1, 1)),
+        ({3: GROWS_LESS}, {}, (0, 3)),
+    ],
+)
+def test_the_first_member_with_the_most_margins_is_chosen(
+    stiff: dict[int, tuple[float, ...]],
+    soft: dict[int, tuple[float, ...]],
+    expected: tuple[int, int],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """First of those that hold other plants too, of those that hold, stiff before soft, else the least growth: (31h).
+
+    Members of both families by number; all others grow.
+    """
+    setup = team(0)
+    alone = replace(setup.team_alone(next_tick=False), team_gain=None)
+    families = [list(alone._possible(family)) for family in (FAMILY, SOFT_FAMILY)]
+    growths = {
+        families[of][number]: growth
+        for of, table in enumerate((stiff, soft))
+        for number, growth in table.items()
+    }
+    known_lag_s = setup.settings.motor_lag_s
+
+    def loop(_: TeamAlone, gains: AloneGains, system: object = None) -> SimpleNamespace:
+        known, late, weaker, heavier = growths.get(gains, GROWS)
+
+        def growth(plant: Mismatch) -> float:
+            if plant.gain != 1.0 or plant.payload_mass != 1.0:
+                return weaker if plant.gain < 1.0 else heavier
+            return late if plant.delay_s > 0.0 or plant.lag_s > known_lag_s else known
+
+        return SimpleNamespace(growth=growth)
+
+    monkeypatch.setattr(TeamAlone, "loop", loop)
+    of, number = expected
+    assert alone._designed().gains == families[of][number]
 
 
 def given(setup: Setup, gains: AloneGains) -> TeamAlone:

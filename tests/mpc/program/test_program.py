@@ -3,13 +3,14 @@
 from dataclasses import fields, replace
 from typing import Any, Literal
 
+import msgspec
 import numpy as np
 import pytest
 
 from tests.support import naive
 from tests.support.programs import random_qp
 from tests.support.systems import paper_setup, ring_setup, situation
-from transport.model.arrays import Array
+from transport.model.arrays import Array, frozen
 from transport.model.kernels import native
 from transport.model.linear.discretisation import Discrete
 from transport.mpc.controller import Controller
@@ -298,6 +299,64 @@ def test_relaxed_plans_of_the_kernels(
         strict=True,
     ):
         assert close(found, expected, CANCELLED)
+
+
+@needs_kernels
+def test_a_plan_is_of_the_law_given_and_stays() -> None:
+    """Another law than that of the prediction counts, and a later plan does not change the one before, (36a)."""
+    one, prediction, _, law, _ = problem(CASES[3])
+    assert law is not None
+    program = one._program
+    assert program.compiled is not None
+    assert program.compiled.follows(prediction, law), "no plan is that of the kernels"
+    z = np.random.default_rng(2).standard_normal(program.decision.size)
+    other = msgspec.structs.replace(law, c=law.c + 1.0)
+    plans = [
+        program.relaxed(prediction, of, factor * z, 0.5)
+        for of in (law, other)
+        for factor in (1.0, -1.0)
+    ]
+    plain = [
+        program.relaxed(replace(prediction), of, factor * z, 0.5)
+        for of in (law, other)
+        for factor in (1.0, -1.0)
+    ]
+    for found, expected in zip(plans, plain, strict=True):
+        for part, expected_part in zip(found, expected, strict=True):
+            assert close(part, expected_part, CANCELLED)
+
+
+@needs_kernels
+@pytest.mark.parametrize("in_place", [False, True], ids=["another array", "in place"])
+@pytest.mark.parametrize("which", ["A", "B", "K", "drift"])
+def test_one_new_matrix_makes_a_new_prediction(which: str, *, in_place: bool) -> None:
+    """The difference equation, or the gain, is new if one of its matrices is; another drift alone changes the rest."""
+    one, _, _, law, _ = problem(CASES[7])
+    assert law is not None
+    compiled = one._program.compiled
+    assert compiled is not None
+    setup = paper_setup()
+    at = situation(setup, one.settings, 2, SMALL)
+    linear = one.linearise(at.x, at.u)
+    hold = one.discretise(linear)
+    matrices = {"A": hold.A.copy(), "B": hold.B.copy(), "K": law.K.copy()}
+    if not in_place:
+        frozen(*matrices.values())
+    for is_second in (False, True):
+        if is_second and which in matrices:
+            if in_place:
+                matrices[which] *= 1.5
+            else:
+                matrices[which] = 1.5 * matrices[which]
+        drift = hold.f_d + 0.1 * is_second
+        discrete = Discrete(A=matrices["A"], B=matrices["B"], f_d=drift)
+        given = msgspec.structs.replace(law, K=matrices["K"])
+        found, is_new = compiled.respond(linear, discrete, at.U, given, only_new=which in matrices)
+        expected = predict(discrete, linear.u0, one.own, at.U, given)
+        assert is_new == (not is_second or which in matrices or in_place)
+        one.condense(linear, found, at.y_ref, given)
+        for name in ("effect", "feedback") if which in matrices else ("effect", "dX_free", "U_all"):
+            assert close(getattr(found, name), getattr(expected, name), CANCELLED), name
 
 
 @needs_kernels
