@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from tests.model.path.test_flatness import ROUNDING, unequal
-from tests.model.path.test_targets import EIGHT, target
+from tests.model.path.test_targets import EIGHT, RAMPS, target
 from transport.agent.estimation.repeated_ticks import WINDOW
 from transport.model.arrays import Array
 from transport.model.path.flat_reference import FlatReference
+from transport.model.path.maneuver import Maneuver
+from transport.model.path.target_and_stop import Slowing
 from transport.model.physics.hover import hover
-from transport.mpc.reference import KEPT, Reference
+from transport.mpc.reference import KEPT, HoverReference, Reference
 
 PERIOD_S = 0.05
 TARGET_TICK = 160
@@ -66,3 +68,65 @@ def test_a_target_changes_the_reference_from_its_tick_on(tick: int) -> None:
     assert change is not None
     assert change.track is not None
     assert (change.first, change.track.first) == (tick, tick)
+
+
+RAMPS_PRESSED = replace(RAMPS, start_I=np.array([0.0, 0.0, -3.0]), press_m=0.2)
+LOSSES = [Slowing(since_s=since_s, lost_s=0.6, ramp_s=1.0) for since_s in (1.0, 4.0)]
+DOWN = replace(target(4.0, [0.0, 0.0, -0.125]), lands=True)
+
+
+def ramps(maneuver: Maneuver = RAMPS_PRESSED) -> Reference:
+    """Return a reference by hover of a climb, 13 s long."""
+    return Reference(HoverReference(SYSTEM, hover(SYSTEM), maneuver), PERIOD_S, INSTANTS)
+
+
+@pytest.mark.parametrize("is_loss", [False, True], ids=["landing", "second loss of time"])
+def test_each_change_has_the_rest_of_the_way(*, is_loss: bool) -> None:
+    """A landing until the ground has the payload, a loss to the end of the run; rows before stay as they were."""
+    before = ramps().with_slowing(LOSSES[0]) if is_loss else ramps()
+    after = before.with_slowing(LOSSES[1]) if is_loss else before.with_target(DOWN)
+    path = HoverReference(SYSTEM, hover(SYSTEM), after.maneuver)
+    Y, X = path.followed(after.times_s)
+    np.testing.assert_allclose(after.sampled.X, X, atol=ROUNDING)
+    np.testing.assert_allclose(after.sampled.Y, Y, atol=ROUNDING)
+    assert np.abs(X[-1] - path.states(after.times_s)[-1]).max() == (0.0 if is_loss else 0.2)
+
+    change = after.sampled.change
+    assert change is not None
+    assert change.first == 80
+    np.testing.assert_array_equal(after.sampled.X[:80], before.sampled.X[:80])
+    assert (after.sampled.X[120] != before.sampled.X[120]).any()
+
+
+def test_a_clock_ahead_is_earlier_on_the_way() -> None:
+    """The outputs at a time are those of the time that the clock shows."""
+    t_s = np.linspace(0.0, 12.0, 25)
+    np.testing.assert_array_equal(ramps().by_clock(0.4).outputs(t_s), ramps().outputs(t_s + 0.4))
+
+
+def test_results_are_shared_by_what_they_follow_from() -> None:
+    """Nodes with one change of one reference share it; another reference, change or instant is told apart."""
+    longer = ramps(RAMPS_PRESSED.with_longer(2, 1.5))
+    for changed in (Reference.with_slowing, Reference.with_target):
+        for change in LOSSES if changed is Reference.with_slowing else (DOWN, TARGET):
+            assert changed(ramps(), change) is changed(ramps(), change)  # type: ignore[operator]
+            assert changed(longer, change) is not changed(ramps(), change)  # type: ignore[operator]
+    assert ramps().with_slowing(LOSSES[0]) is not ramps().with_slowing(LOSSES[1])
+
+    flat = Reference(FlatReference(SYSTEM, hover(SYSTEM), EIGHT), PERIOD_S, INSTANTS)
+    samples = flat.with_target(TARGET).sampled
+    assert samples.track is not None
+    assert samples.change is not None
+    later = replace(samples.change, first=samples.change.first + 1)
+    moved = replace(samples.track, first=samples.track.first + 1)
+    turned = replace(samples.track, U=samples.track.U + 1.0)
+    keys = [
+        samples.key,
+        flat.sampled.key,
+        replace(samples, X=samples.X + 1.0).key,
+        replace(samples, change=later).key,
+        replace(samples, track=moved).key,
+        replace(samples, track=turned).key,
+        replace(samples, track=None).key,
+    ]
+    assert len(set(keys)) == len(keys)

@@ -138,13 +138,20 @@ def test_a_processor_is_known_by_its_model_and_what_it_can(
 ) -> None:
     """Its present frequency and its number of cores make no other processor."""
 
-    def identity(text: str) -> str:
-        monkeypatch.setattr(Path, "read_text", lambda *_, **__: text)
+    def identity(text: str | None) -> str:
+        def read(*_: Any, **__: Any) -> str:
+            if text is None:
+                raise FileNotFoundError
+            return text
+
+        monkeypatch.setattr(Path, "read_text", read)
         return compiler._processor.__wrapped__()
 
     assert old in CPUINFO
     before, after = identity(CPUINFO), identity(CPUINFO.replace(old, new))
     arm = identity(CPUINFO.replace("flags\t\t: fma avx2", "Features\t: asimd"))
+    monkeypatch.setattr(platform, "processor", lambda: "as Python has it")
+    assert identity(None).endswith("as Python has it")
     monkeypatch.undo()
     assert (after != before) == is_another
     assert arm != after

@@ -90,11 +90,12 @@ END_S = 10.0  # of the phases of `RAMPS`
         [],
         [target(2.0, [1.0, 0.0, -10.0])],  # ends in the second phase
         [target(5.0, [1.0, 0.0, -10.0])],  # begins with it
+        [target(6.0, [1.0, 0.0, -10.0])],  # ends with it
         [target(8.0, [1.0, 0.0, -10.0])],  # ends after it
         [target(2.0, [1.0, 0.0, -10.0]), target(4.0, [2.0, 0.0, -10.0], 3.0)],  # on the way
         [target(1.0, [1.0, 0.0, -10.0], 3.0), target(6.0, [2.0, 0.0, -10.0], 3.0)],  # at rest
     ],
-    ids=["none", "within", "boundary", "beyond", "replaced", "two"],
+    ids=["none", "within", "boundary", "end", "beyond", "replaced", "two"],
 )
 def test_the_stages_of_a_flight_follow_each_other(targets: list[PathTarget]) -> None:
     """Each begins where the one before it ends, and is the phase at its first and last instant."""

@@ -71,6 +71,8 @@ def test_with_the_fourth_on_its_rod_the_opposite_one_has_no_thrust() -> None:
     """
     at = hover_after_failures(table_1(), {DEAD}, set())
     assert thrusts(at.u)[OPPOSITE] == 0.0
+    given = hover_after_failures(table_1(), {DEAD}, set(), {DEAD: 20.0})
+    np.testing.assert_array_equal(given.u, at.u, "without motors there is no thrust to give")
     np.testing.assert_allclose(
         thrusts(at.u)[list(NEIGHBOURS)], 3.0 * WEIGHT_N, atol=FORCE_TOLERANCE_N
     )

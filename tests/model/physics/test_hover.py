@@ -103,12 +103,13 @@ def test_one_vehicle_hovers_above_the_centre_of_mass() -> None:
     assert hover(system).u[0] == pytest.approx(3.0 * system.gravity, rel=FORCE_RATIO_TOLERANCE)
 
 
-def test_one_vehicle_off_axis_is_refused_with_the_imbalance() -> None:
-    """A rod beside the centre of mass leaves a moment.
+@pytest.mark.parametrize("d", [0.3, 1e-7])
+def test_one_vehicle_off_axis_is_refused_with_the_imbalance(d: float) -> None:
+    """A rod beside the centre of mass leaves a moment, which is no rounding.
 
     The text has the largest part that no tension removes.
     """
-    d, weight = 0.3, 3.0 * 9.81
+    weight = 3.0 * 9.81
     system = System(
         payload=Payload(mass=3.0, inertia=[0.5, 0.5, 0.5]),
         uavs=[Uav(mass=1.5, inertia=[0.03, 0.03, 0.05], rho=[d, 0.0, -0.1], rod_length=2.0)],
@@ -162,8 +163,11 @@ def test_given_thrusts_are_those_of_the_equilibrium() -> None:
     assert at.tensions[4] == pytest.approx(-system.uavs[4].mass * system.gravity)
 
 
-def test_a_given_thrust_on_a_tilted_rod_is_refused() -> None:
+@pytest.mark.parametrize("leans", [(0.3, 0.2), (0.3, 0.0), (0.0, -0.3)])
+def test_a_given_thrust_on_a_tilted_rod_is_refused(leans: tuple[float, float]) -> None:
     """Along a tilted rod no thrust follows from the tension alone; the UAV and its rod are named."""
     system = ring_system(np.random.default_rng(2200), 4)
+    rods = np.tile(K, (4, 1))
+    rods[2, :2] = leans
     with pytest.raises(ParameterError, match="given thrust of UAV3: expected a vertical rod, got "):
-        hover(system, spread_rods(system, 2.0), {2: 20.0})
+        hover(system, rods, {2: 20.0})

@@ -85,6 +85,21 @@ def test_clearances_of_a_team_by_hand() -> None:
     np.testing.assert_array_equal(clear_of(wall, ball), np.minimum(clear_of(wall), clear_of(ball)))
 
 
+def test_an_endless_wall_is_as_near_everywhere() -> None:
+    """Kilometres along it, and up, a team of which rods and payload lean has the same distances, (69a)."""
+    system = table_1()
+    wall = Solid(
+        centre_I=np.array([0.0, 2.0, 0.0]), heading_rad=0.0, half=np.array([np.inf, 1.0, np.inf])
+    )
+    obstacle = Obstacle(name="", solids=(wall,), margin_m=0.3, load_margin_m=0.1, penalty=1.0)
+    x = np.tile(hover(system).x, (4, 1))
+    x[:, 6:9] = (0.2, -0.1, 0.3)
+    x[:, :3] = [(0.0, 0.0, -10.0), (900.0, 0.0, -10.0), (-9000.0, 0.0, -10.0), (0.0, 0.0, -3000.0)]
+    here, *elsewhere = clearances(system, obstacle, x)
+    for found in elsewhere:
+        np.testing.assert_allclose(found, here, atol=1e-9)
+
+
 def test_gradients_are_those_of_the_nearest_of_several_solids() -> None:
     """Distances of points are the least of all solids, gradients their finite differences."""
     rng = np.random.default_rng(7)

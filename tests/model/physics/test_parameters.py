@@ -9,6 +9,7 @@ import pytest
 from transport.model.arrays import ArrayLike, ShapeError
 from transport.model.physics.parameters import (
     Payload,
+    System,
     Uav,
     payload_half_size,
     resting_height,
@@ -30,6 +31,8 @@ BAD_INERTIA: list[tuple[ArrayLike, str]] = [
     ),
     ([1.0, 1.0, -0.5], "expected positive principal moments, got [-0.5, 1.0, 1.0] kg m^2"),
     ([1.0, 1.0, 0.0], "expected positive principal moments, got [0.0, 1.0, 1.0] kg m^2"),
+    ([[1.0, 1e-6, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], "expected a symmetric matrix, got "),
+    ([1.0, 1.0, 2.0 + 1e-6], "no body has principal moments [1.0, 1.0, 2.000001] kg m^2"),
     # Positive entries, but a determinant below zero: the principal moments decide, not the
     # diagonal.
     ([[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]], "expected positive principal moments"),
@@ -93,7 +96,29 @@ def test_table_1_has_the_papers_values() -> None:
         [-0.25, 0.25, -0.125],
     ]
     assert [own.rod_length for own in system.uavs] == [3.2] * 4
-    assert (system.N, system.n, system.m, system.total_mass) == (4, 60, 16, 9.0)
+    assert (system.N, system.n, system.m, system.p, system.total_mass) == (4, 60, 16, 25, 9.0)
+    assert system.gravity == 9.81
+    heavier = (*system.uavs[:3], replace(system.uavs[3], mass=2.0))
+    assert replace(system, uavs=heavier).total_mass == 9.5
+
+
+@pytest.mark.parametrize("is_asked", [False, True])
+@pytest.mark.parametrize(
+    ("payload", "across", "along"), [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.0, 0.2)]
+)
+def test_equations_have_drag_if_one_body_has_it(
+    payload: float, across: float, along: float, *, is_asked: bool
+) -> None:
+    """Or if it is asked for, to be estimated: then the parameters end with the drag of all bodies."""
+    bodies = table_1()
+    uavs = (*bodies.uavs[:3], replace(bodies.uavs[3], drag=[across, along]))
+    system = System(payload=replace(bodies.payload, drag=payload), uavs=uavs, has_drag=is_asked)
+    has_drag = is_asked or payload + across + along > 0.0
+    assert system.has_drag is has_drag
+    assert system.kind.drag is has_drag
+    end = [payload, *[0.0, 0.0] * 3, across, along]
+    assert len(system.vector()) == 8 + 11 * 4 + len(end) * has_drag
+    assert not has_drag or system.vector()[-9:].tolist() == end
 
 
 def test_a_flat_body_is_one() -> None:
