@@ -41,7 +41,7 @@ from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import requested
 from transport.protocol.scenario.sections.schema import ControllerSection, Scenario
 from transport.protocol.scenario.targets.target_checks import target_fields
-from transport.protocol.wire.messages import Target
+from transport.protocol.wire.messages import MAX_DATA, Target
 from transport.protocol.wire.node_interface import Outbox
 
 # 0.6 s, long enough for costs that differ.
@@ -86,15 +86,15 @@ class Steady:
 
 
 class Large(Steady):
-    """An entry with data that fit into a message for four UAVs, but not for eight.
+    """An entry with data that fit into a message for four UAVs, but not for three.
 
     It declares data and returns none, so each of its steps fails.
     """
 
     def start(self, run: Run) -> None:
-        """Declare the inputs of the whole team over the horizon as data."""
+        """Declare data, the more the fewer UAVs."""
         super().start(run)
-        run.share((run.horizon, state.INPUTS * run.system.N))
+        run.share((4 * MAX_DATA // run.system.N,))
 
 
 class Falling(Steady):
@@ -113,9 +113,10 @@ LARGE = f"{__name__}:Large"
 @pytest.fixture
 def short_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replace the tasks by two short ones."""
+    import_module("transport.experiments.information_experiment")  # reads the tasks
     tasks = {
         "short": Task(text="0.6 s", settings=(SHORT,)),
-        "eight UAVs": Task(text="0.6 s of eight", settings=(SHORT,), uavs=8),
+        "three UAVs": Task(text="0.6 s of three", settings=(SHORT,), uavs=3),
     }
     for module in (
         "arena_report",
@@ -302,12 +303,12 @@ def test_the_whole_command(tmp_path: Path) -> None:
     assert points["short", PERFECT, REFERENCE]["cost_ratio"] == 1.0
     assert points["short", "late", "alone"]["completed"] == 2
     assert points["short", "late", "alone"]["cost_ratio_ci95"] is not None
-    assert points["eight UAVs", "late", LARGE]["refused"]
-    assert points["eight UAVs", "late", STEADY]["completed"] == 2
+    assert points["three UAVs", "late", LARGE]["refused"]
+    assert points["three UAVs", "late", STEADY]["completed"] == 2
     pixels = imread(tmp_path / "figure.png")
     assert pixels.min() < pixels.max()  # something is drawn
     report = (tmp_path / "report.md").read_text(encoding="utf-8")
-    assert "| algorithm | network | short | eight UAVs |" in report
+    assert "| algorithm | network | short | three UAVs |" in report
 
     # Runs of `Large` with four UAVs: each of its steps fails.
     ended = [file.name for file in sorted((tmp_path / "ended").iterdir())]

@@ -12,7 +12,7 @@ from transport.model.kernels.casadi_functions import library
 from transport.model.kernels.compiler import find_compiler
 
 BY_RATES = ("controller.inputs=rates", "controller.rate_time_constant_s=[0.05,0.05,0.2]")
-UAVS = 4
+UAVS = 1  # compiled the fastest
 
 
 @pytest.mark.slow
@@ -24,7 +24,7 @@ def test_controllers_and_plant_are_compiled_once(
     monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(tmp_path))
     monkeypatch.delenv("PAYLOAD_TRANSPORT_NATIVE", raising=False)
     # Their plant has moments.
-    scenario = runs.ready("resilient", *BY_RATES).scenario
+    scenario = runs.setup(*runs.SINGLE_UAV, *BY_RATES).scenario
     text = io.StringIO()
     for _ in range(2):
         compile_models(iter([scenario]), Console(file=text))
