@@ -11,7 +11,7 @@ from tests.support import runs
 from tests.support.log_messages import report
 from tests.support.messages import sample
 from tests.support.runs import setup, ticks
-from transport.model.state import PER_UAV, SENSED
+from transport.model.state import PER_UAV, REPORTED, REPORTS, SENSED
 from transport.protocol.admission.plausibility import check_plausible
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.errors_and_exit_codes import MessageError
@@ -46,6 +46,13 @@ def refusal(message: Message, shape: RunShape = RUN.rules.shape) -> tuple[str, s
         ),
         (PLAN, {"agent": 9, "sender": "agent9"}, "unknown_agent", "plan of agent 9, the run has 4"),
         (PLAN, {"uavs": (3,)}, "wrong_uavs", "plan of UAVs [3], agent 2 has [2]"),
+        (PLAN, {"uavs": ()}, "wrong_uavs", "plan of UAVs [], agent 2 has [2]"),
+        (
+            PLAN,
+            {"targets": (encode(runs.tick(3)),)},
+            "wrong_sender",
+            "targets: expected targets of the coordinator or an agent, got tick of coordinator",
+        ),
         (PLAN, {"start_tick": 4}, "future", "plan of tick 3 that starts at tick 4"),
         (PLAN, {"start_tick": 2}, "past", "plan of tick 3 that starts at tick 2"),
         (PLAN, {"negotiation": 1}, "out_of_range", "negotiation: expected less than 1, got 1"),
@@ -173,7 +180,7 @@ def refusal(message: Message, shape: RunShape = RUN.rules.shape) -> tuple[str, s
         ),
         (
             replace(sample(VehicleStatus), tick=3),
-            {"changes": (encode(replace(TARGET, to=(9,))),)},
+            {"changes": (encode(TARGET), encode(replace(TARGET, to=(9,))))},
             "unknown_agent",
             "to: expected agents of this run, got [9]",
         ),
@@ -201,6 +208,12 @@ def refusal(message: Message, shape: RunShape = RUN.rules.shape) -> tuple[str, s
             "wrong_shape",
             "x: expected a state of 4 UAVs",
         ),
+        (
+            runs.plant_state(RUN, 3),
+            {"plan_ticks": (3,) * 5},
+            "wrong_shape",
+            "x: expected a state of 4 UAVs, got one of 5",
+        ),
     ],
 )
 def test_implausible_messages_are_refused(
@@ -212,13 +225,51 @@ def test_implausible_messages_are_refused(
     assert text in found[1]
 
 
+LOW, HIGH = RUN.rules.shape.limits[2]
+BESIDE_PAIR = setup("agents.owned=[[1,2],[3],[4]]", ticks(40))
+
+
+@pytest.mark.parametrize(
+    ("message", "changes", "shape"),
+    [
+        (PLAN, {"tick": 0, "start_tick": 0}, {}),
+        (PLAN, {"tick": 39, "start_tick": 39}, {}),
+        (PLAN, {"negotiation": 2}, {"negotiation_iterations": 3}),
+        (PLAN, {"inputs": np.tile(LOW, (5, 1))}, {}),
+        (PLAN, {"inputs": np.tile(HIGH, (5, 1))}, {}),
+        (PLAN, {"corrections": np.full((5, 4), 1e6)}, {}),
+        (MEASUREMENT, {"payload": np.full(12, -1e6)}, {}),
+        (PLAN, {"uav_states": np.zeros((1, REPORTS * REPORTED))}, {"vehicle_sensors": True}),
+        (
+            MEASUREMENT,
+            {"uav_states": np.zeros((1, SENSED)), "payload": np.zeros(0), "missing": (1,)},
+            {"vehicle_sensors": True},
+        ),
+    ],
+)
+def test_what_is_just_possible_is_accepted(
+    message: Message, changes: dict[str, Any], shape: dict[str, Any]
+) -> None:
+    """The first and the last tick, the last proposal, inputs at limits, the largest numbers; what sensors measure."""
+    assert refusal(replace(message, **changes), dataclasses.replace(RUN.rules.shape, **shape)) == (
+        "",
+        "",
+    )
+
+
+def test_each_agent_has_the_limits_of_its_own_uavs() -> None:
+    """An agent of one UAV has other limits than one of two."""
+    assert refusal(runs.plan(BESIDE_PAIR, 2, 3), BESIDE_PAIR.rules.shape) == ("", "")
+
+
 def test_rod_directions_of_all_uavs_count() -> None:
     """The refusal tells the length that is farthest from 1, of whichever UAV."""
-    both = setup("agents.owned=[[1,2],[3],[4]]", ticks(40))
-    found = runs.measurement(both, 1, 3)
+    found = runs.measurement(BESIDE_PAIR, 1, 3)
     states = found.uav_states.copy()
     states[1] *= 0.5
-    refused = refusal(replace(found, uav_states=states, answered=(), shared=()), both.rules.shape)
+    refused = refusal(
+        replace(found, uav_states=states, answered=(), shared=()), BESIDE_PAIR.rules.shape
+    )
     expected = "uav_states: expected rod directions of length 1, got 0.5"
     assert refused == ("out_of_range", expected)
 

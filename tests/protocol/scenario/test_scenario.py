@@ -286,6 +286,7 @@ def test_digest_ignores_formatting(tmp_path: Path) -> None:
         ("controller.solver=clarabel", ("controller", "solver"), "clarabel"),
         ('controller.solver="clarabel"', ("controller", "solver"), "clarabel"),
         ("controller.solver='clarabel'", ("controller", "solver"), "clarabel"),
+        ("controller.solver= clarabel ", ("controller", "solver"), "clarabel"),
         (" controller.horizon = 7 ", ("controller", "horizon"), 7),
         ("clock.speed=2", ("clock", "speed"), 2.0),
         ("clock.speed=2.5e-1", ("clock", "speed"), 0.25),
@@ -349,6 +350,7 @@ def test_automatic_relaxation() -> None:
     [
         ["clock.mode=realtime"],
         ["clock={mode='realtime'}"],
+        ["clock={barrier_timeout_s=5.0}", "clock.mode=realtime"],  # no speed at all
         ["clock.mode=realtime", "clock.speed=1"],
     ],
 )

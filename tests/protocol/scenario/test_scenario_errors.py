@@ -14,6 +14,7 @@ from tests.support import drawn_settings
 from tests.support.drawn_settings import KEYS, choices, setting_of
 from tests.support.runs import PAPER
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
+from transport.protocol.scenario.sections.scenario_errors import PythonSetting, hint
 from transport.protocol.scenario.sections.scenario_keys import ending_of, key_of, section_in
 from transport.protocol.scenario.setup.run_setup import Setup
 
@@ -70,6 +71,13 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ("shema=1", "unknown key; did you mean 'schema'?"),
     ("zzz=1", "unknown key; known: schema, name, seed, system, "),
     (
+        "controller.separation={minimum=1}",
+        "controller.separation.minimum: unknown key; did you mean",
+    ),
+    # Short names of Python, which are those of the whole scenario.
+    ("wind_mps=[1,0,0]", "unknown key; did you mean 'plant.wind.speed_mps'?"),
+    ("plant.wind_mps=[1,0,0]", "unknown key; did you mean 'wind'?"),
+    (
         "maneuver.phase=[{name='hover',duration_s=1}]",
         "maneuver.phase.1.displacement_m: expected a value, got nothing",
     ),
@@ -81,6 +89,11 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ("controller.horizon=2.5", "expected a valid integer, got 2.5"),
     ("controller.horizon=true", "expected a valid integer, got True"),
     ("controller.sampling_period_s=0.05s", "expected a number in s, got '0.05s'"),
+    ("controller.sampling_period_s=[1]", "expected a number in s, got [1]"),
+    ("links.loss='x'", "expected a number, got 'x'"),
+    ("name=3", "expected text, got 3"),
+    ("plant=3", "expected a section with keys, got 3"),
+    ("plant.uav.id=1", "plant.uav: expected a valid list, got {'id': 1}"),
     ("maneuver.start_m=[0,inf,0]", "maneuver.start_m.2: expected a finite number, got inf"),
     (
         "controller.constraint=[{expression='r0[2]<=1',soft=1}]",
@@ -88,6 +101,7 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ),
     # Shapes.
     ("maneuver.start_m=[0,0]", "expected 3 numbers, got [0, 0]"),
+    ("controller.weights.moments=1", "expected a list, got 1"),
     ("controller.limits.thrust_N=[1]", "expected a list of at least 2, got [1]"),
     ("controller.limits.thrust_N=[1,2,3]", "expected a list of at most 2, got [1, 2, 3]"),
     ("maneuver.phase=[]", "expected a list of at least 1, got []"),
@@ -471,6 +485,12 @@ def test_wrong_scenario(settings: str | tuple[str, ...], problem: str) -> None:
             "[0.0, 20.0]",
             "controller.limits.thrust_N: expected a range that contains the hover thrust",
         ),
+        # Only settings that ask for real time have its speed by themselves.
+        (
+            'mode = "lockstep"',
+            'mode = "realtime"',
+            "clock.speed: expected a number > 0 with mode realtime",
+        ),
     ],
 )
 def test_wrong_file(line: str, wrong: str, problem: str, tmp_path: Path) -> None:
@@ -491,6 +511,43 @@ def test_all_settings_of_a_field_are_blamed() -> None:
     whole = ["agents.owned=[[1],[2],[3,4]]", "seed=1", "agents.owned.3=[4]"]
     last = f"--set {whole[0]} --set {whole[2]}: agents.owned: expected each UAV of [1, 2, 3, 4] once, got [1, 2, 4]"
     assert refusal(PAPER, *whole) == last
+    two = "clock.mode=realtime", "clock=3"
+    both = f"--set {two[0]} --set {two[1]}: clock: expected a section with keys, got 3"
+    assert refusal(PAPER, *two) == both
+    # A key that only begins with the same letters is another one.
+    share = "controller.share=on_change", "controller.share_threshold=0.02"
+    text = refusal(PAPER, *share, "agents.controller=own:Law", *ON_CHANGE[:2])
+    assert text.startswith(f"--set {share[0]}: expected 'always'")
+
+
+@pytest.mark.parametrize(
+    ("name", "known", "text"),
+    [
+        ("ab", ["zz", "ac"], "did you mean 'ac'?"),  # half of the letters
+        ("abc", ["axy", "zz"], "known: axy, zz"),  # a third
+        ("samples", ["other", "samples_s"], "it is now 'samples_s'"),
+        ("links.samples", ["links.samples_s"], "it is now 'links.samples_s'"),
+        ("samples", ["zz"], "known: zz"),
+        ("a", [], "known: none"),
+    ],
+)
+def test_an_unknown_name_has_its_new_or_a_similar_one_else_all(
+    name: str, known: list[str], text: str
+) -> None:
+    """A renamed key is told as such where the new one is known; what is less than half alike is not offered."""
+    assert hint(name, known) == text
+
+
+def test_a_value_of_python_is_named_without_an_option() -> None:
+    """The error has the setting as it is written there, and tuples as lists of a file."""
+    setting = PythonSetting("maneuver.start_m=(0, 0)")
+    setting.value = (0, 0)
+    assert refusal(PAPER, setting) == f"{setting}: expected 3 numbers, got [0, 0]"
+
+
+def test_a_value_of_several_lines_makes_no_second_line() -> None:
+    """The error is one line, whatever the setting has."""
+    assert refusal(PAPER, "name=a\nb").startswith("--set name=a b: string should match pattern")
 
 
 def test_a_limit_that_hover_exceeds_blames_the_bodies() -> None:
@@ -609,6 +666,23 @@ def test_a_number_of_thousands_of_digits_is_no_entry() -> None:
 def test_unknown_key_of_any_name(key: str) -> None:
     """A key is unknown by any name, also one that looks like a type or an index."""
     assert refusal(PAPER, f"{key}=1").startswith(f"--set {key}=1: unknown key; ")
+
+
+def test_a_scenario_is_found_by_its_path_or_as_a_ready_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A name is that of a file that is there, of one that should be by its form, or of a ready scenario."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own").touch()
+    for path in ("own", "missing.toml", "folder/missing"):
+        assert find_scenario(path) == Path(path)
+    assert find_scenario("paper").samefile(PAPER)
+    expected = "expected a scenario file or the name of a ready one"
+    for name, text in (("papr", "did you mean 'paper'?"), ("zzz", "known: alone, centralized, ")):
+        with pytest.raises(ScenarioError, match=f"^{name}: {expected}; {re.escape(text)}"):
+            find_scenario(name)
+    with pytest.raises(ScenarioError, match=expected):
+        find_scenario("\0")
 
 
 def test_missing_file(tmp_path: Path) -> None:

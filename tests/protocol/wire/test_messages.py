@@ -29,7 +29,22 @@ from transport.protocol.wire.codec import (
     header_of,
 )
 from transport.protocol.wire.errors_and_exit_codes import MessageError
-from transport.protocol.wire.messages import MAX_DATA, Measurement, Message, Plan, StepReport, Tick
+from transport.protocol.wire.messages import (
+    MAX_DATA,
+    Airtime,
+    Control,
+    LinkChange,
+    Measurement,
+    Message,
+    Plan,
+    PlantState,
+    Rejected,
+    Roster,
+    StepReport,
+    Target,
+    Tick,
+    VehicleStatus,
+)
 from transport.protocol.wire.node_interface import Outbox
 
 SEED = 20240611
@@ -227,6 +242,96 @@ def test_age_of_a_plan() -> None:
     with pytest.raises(MessageError, match="stale") as refused:  # fresh at a tick to come
         decode(encode(sample(Plan, tick=3, stale=-1)))
     assert refused.value.reason == "out_of_range"
+
+
+def test_a_plan_counts_the_steps_it_has_played() -> None:
+    """From its start on, and from the tick at which its inputs were fresh."""
+    plan = sample(Plan, tick=10, start_tick=11, stale=4)
+    assert (plan.solved_tick, plan.played(13)) == (6, 6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words", "first_tick"),
+    [
+        ({}, "target (0, 1, 2) m", 3),
+        ({"to": (2, 4)}, "target (0, 1, 2) m, told to agent2, agent4", 3),
+        ({"lands": True}, "landing (6, 7, 8) m", 3),
+        ({"begins": 9}, "target (0, 1, 2) m", 9),
+        ({"begins": 9, "brakes": True}, "target (0, 1, 2) m", 3),
+    ],
+)
+def test_a_target_tells_where_and_from_when_on(
+    changes: dict[str, Any], words: str, first_tick: int
+) -> None:
+    """A landing is named by its place; one that is confirmed begins when all had it, braking at its own tick."""
+    plain = {"to": (), "informed": (), "got": (), "begins": 0, "lands": False, "brakes": False}
+    target = sample(Target, **plain | changes)
+    assert (target.in_words(), target.first_tick) == (words, first_tick)
+
+
+UAV = {"uavs": (2,), "uav_states": np.zeros((1, 12)), "inputs": np.zeros((1, 4))}
+
+
+def steps(count: int) -> dict[str, Any]:
+    """Return the inputs of a plan of one UAV, without corrections."""
+    return UAV | {"inputs": np.zeros((count, 4)), "corrections": np.zeros((0, 4))}
+
+
+def points(count: int) -> dict[str, Any]:
+    """Return the points of a target."""
+    return {"points": np.zeros((count, 3)), "times": np.zeros(count)}
+
+
+@pytest.mark.parametrize(
+    ("kind", "possible", "beyond", "text"),
+    [
+        (Plan, steps(1), steps(0), "inputs: expected 1 to 10000 steps, got 0"),
+        (Plan, steps(10_000), steps(10_001), "inputs: expected 1 to 10000 steps, got 10001"),
+        (
+            Plan,
+            steps(2) | {"corrections": np.zeros((2, 4))},
+            steps(2) | {"corrections": np.zeros((1, 4))},
+            "corrections: expected none or 2 steps, got 1",
+        ),
+        (Plan, {"negotiation": 19}, {"negotiation": 20}, "negotiation"),
+        (Plan, {"alone": 1.0}, {"alone": 1.01}, "alone"),
+        (Plan, {"tick": 3, "lag": 3}, {"tick": 3, "lag": 4}, "lag"),
+        (Airtime, {"negotiation": 19}, {"negotiation": 20}, "negotiation"),
+        (Airtime, {}, {"exchanges": (0,)}, "exchanges: expected one for each of 2 agents, got 1"),
+        (Target, points(1), points(0), "points: expected 1 to 256, got 0"),
+        (Target, points(256), points(257), "points: expected 1 to 256, got 257"),
+        (Target, {"number": 1}, {"number": 0}, "number"),
+        (
+            Target,
+            {"informed": (1,), "got": (0,)},
+            {"informed": (1,), "got": ()},
+            "got: expected one",
+        ),
+        (LinkChange, {"number": 1}, {"number": 0}, "number"),
+        (Roster, {"incarnations": (0, 2)}, {"incarnations": (0,)}, "incarnations: expected one"),
+        (StepReport, {}, {"state_ages": (1,)}, "state_ages: expected one for each of 2 peers"),
+        (StepReport, {"measurement_age": -1}, {"measurement_age": -2}, "measurement_age"),
+        (PlantState, {"plan_ticks": (-3, 0)}, {"plan_ticks": (-4, 0)}, "plan_ticks"),
+        (VehicleStatus, {"plan_tick": -3}, {"plan_tick": -4}, "plan_tick"),
+        (Control, {"exit_code": 255}, {"exit_code": 256}, "exit_code"),
+        (Rejected, {"count": 1}, {"count": 0}, "count"),
+        (
+            Measurement,
+            UAV | {"missing": (1,)},
+            UAV | {"missing": (1, 1)},
+            "missing: expected none or one",
+        ),
+        (Measurement, UAV | {"missing": ()}, UAV | {"uavs": (2, 3)}, "uav_states: expected shape"),
+    ],
+)
+def test_each_limit_is_kept_and_no_more(
+    kind: type[Message], possible: dict[str, Any], beyond: dict[str, Any], text: str
+) -> None:
+    """The last value that a field may have is read, the next one refused with the field."""
+    message = sample(kind, **possible)
+    assert encode(decode(encode(message))) == encode(message)
+    with pytest.raises(MessageError, match=text):
+        decode(encode(sample(kind, **beyond)))
 
 
 def test_own_messages_keep_their_arrays() -> None:
