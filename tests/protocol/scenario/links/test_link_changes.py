@@ -68,6 +68,24 @@ def test_scripted_changes_stay_where_they_are() -> None:
     assert [model.delay_s for model in models] == [0.0, 0.0, 0.0, 0.5, 0.5]
 
 
+@pytest.mark.parametrize(
+    ("before", "given", "after"),
+    [
+        ("links={distribution='exponential',jitter_s=0.1}", "delay_s=0.2", "exponential"),
+        ("links={distribution='empirical',samples_s=[0.1]}", "delay_s=0.2", "uniform"),
+        (
+            "links={distribution='empirical',samples_s=[0.1]}",
+            "delay_s=0.2,distribution='normal'",
+            "normal",
+        ),
+    ],
+)
+def test_only_measured_delays_end_with_another_delay(before: str, given: str, after: str) -> None:
+    """The distribution stays, but that of measured delays, unless the change gives one."""
+    found = links(before, f"links.change=[{{at_s=0.5,{given}}}]")["agent2"].impairments(10)
+    assert (found.delay_s, found.distribution) == (0.2, after)
+
+
 WRONG = [
     "",
     "[]",

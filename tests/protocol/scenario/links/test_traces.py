@@ -24,6 +24,15 @@ def test_a_trace_is_followed_and_repeated() -> None:
     assert delays == 2 * [[0.01], [0.3], [], [0.02]]
 
 
+@pytest.mark.parametrize(
+    "besides", ["jitter_s=0.5", "delay_s=0.2", "distribution='empirical',samples_s=[0.2]"]
+)
+def test_recorded_delays_take_the_place_of_others(besides: str) -> None:
+    """Those of the trace are the whole delays, also where there is none."""
+    link = setup(f"links={{trace=[[0.0,0.0],[0.05,0.3]],{besides}}}").rules.link("agent1", "agent2")
+    assert [link.delays(tick) for tick in range(3)] == [[0.0], [0.3], [0.0]]
+
+
 def test_rows_hold_until_the_next() -> None:
     """Between two rows the earlier one holds; the last one as long as the one before."""
     trace = [[1.0, 0.1], [1.2, 0.2], [1.5, 0.3]]
@@ -45,6 +54,7 @@ def test_losses_act_beside_a_trace() -> None:
         ("jitter_s=0.2", (0.0, 0.1)),
         ("distribution='normal'", (0.0, 0.0)),
         ("distribution='empirical',samples_s=[0.7]", (0.7, 0.7)),
+        ("delay_s=0.1,trace=[[0.0,0.8],[1.0,0.8]]", (0.8, 0.8)),
     ],
 )
 def test_a_delay_given_later_takes_the_place_of_recorded_ones(
