@@ -111,7 +111,7 @@ def test_equations_have_drag_if_one_body_has_it(
 ) -> None:
     """Or if it is asked for, to be estimated: then the parameters end with the drag of all bodies."""
     bodies = table_1()
-    uavs = (*bodies.uavs[:3], replace(bodies.uavs[3], drag=[across, along]))
+    uavs = (*bodies.uavs[:3], replace(bodies.uavs[3], drag=np.array([across, along])))
     system = System(payload=replace(bodies.payload, drag=payload), uavs=uavs, has_drag=is_asked)
     has_drag = is_asked or payload + across + along > 0.0
     assert system.has_drag is has_drag
