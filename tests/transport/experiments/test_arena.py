@@ -118,6 +118,7 @@ def short_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
         "short": Task(text="0.6 s", settings=(SHORT,)),
         "three UAVs": Task(text="0.6 s of three", settings=(SHORT,), uavs=3),
     }
+    import_module("transport.experiments.information_experiment")  # whose task is not a short one
     for module in (
         "arena_report",
         "arena_runs",
@@ -299,6 +300,8 @@ def test_the_whole_command(tmp_path: Path) -> None:
     assert content["arena"] == VERSION
     assert content["algorithms"][STEADY]["version"] == "7"
     assert content["tasks"]["short"]["version"] == 1
+    assert content["seeds"] == 2
+    assert content["networks"] == {name: [*settings] for name, settings in NETWORKS.items()}
     points = {(row["task"], row["network"], row["algorithm"]): row for row in content["points"]}
     assert points["short", PERFECT, REFERENCE]["cost_ratio"] == 1.0
     assert points["short", "late", "alone"]["completed"] == 2
@@ -310,8 +313,11 @@ def test_the_whole_command(tmp_path: Path) -> None:
     report = (tmp_path / "report.md").read_text(encoding="utf-8")
     assert "| algorithm | network | short | three UAVs |" in report
 
-    # Runs of `Large` with four UAVs: each of its steps fails.
-    ended = [file.name for file in sorted((tmp_path / "ended").iterdir())]
+    # Runs of `Large` with four UAVs: each of its steps fails. The first of two is kept.
+    files = sorted((tmp_path / "ended").iterdir())
+    assert [read_scenario(file).seed for file in files] == [0, 0]
+    assert all(f" {file}\n" in done.stdout for file in (*files, tmp_path / "arena.json"))
+    ended = [file.name for file in files]
     assert [name.partition("-tests-")[0] for name in ended] == ["short-late", "short-perfect"]
     assert all(name.endswith("test-arena-Large.toml") for name in ended)
 
@@ -398,6 +404,29 @@ def test_each_measure_has_its_number_in_its_unit() -> None:
     ]
     assert rows[::2] == ["2/4 1.2 s 1!", "1.50", "1.2", "0.412", "0.34", "2.3", "25.6", "1.23"]
     assert set(rows[1::2]) == {"no"}
+
+
+def test_a_measure_of_which_some_points_have_a_number_has_a_table(tmp_path: Path) -> None:
+    """The others have none in their cells, and a measure of none has no table; it is drawn in its unit."""
+    some = {"payload_rms_m": 0.02, VIOLATION: None}
+    measured = []
+    for task, numbers in (("a", some), ("b", {})):
+        estimates = {
+            name: None if one is None else Estimate(one, None, 1, one, one)
+            for name, one in numbers.items()
+        }
+        point = _counted(task, "late", "one", 0, 0)
+        measured.append(replace(point, numbers={"cost_mean": None, **estimates}))
+    arena_runs: Any = SimpleNamespace(algorithms={"one": None}, refused={})
+    result = ArenaResult(arena_runs, SimpleNamespace(measured=measured))  # type: ignore[arg-type]
+    _, error = result.tables()
+    assert [next(iter(column.cells)) for column in error.columns] == ["one", "late", "2.0", "-"]
+
+    files = result.draw("error", tmp_path)
+    assert [file.name for file in files] == ["figure-error.png", "figure-error.svg"]
+    drawn = files[1].read_text(encoding="utf-8")
+    assert "payload error, cm rms" in drawn
+    assert ">2</" in drawn or "<!-- 2 -->" in drawn  # at the scale of colours
 
 
 def test_numbers_of_the_arena_alone() -> None:
@@ -671,21 +700,22 @@ def test_the_text_of_a_task_has_the_numbers_of_its_settings() -> None:
 
 
 def test_the_origin_of_a_report_is_told_by_its_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A single seed has no spread; reasons that are the same are one sentence with all places."""
+    """A single seed has no spread; reasons that are the same are one sentence with all places, in their order."""
     monkeypatch.setattr("transport.experiments.arena.arena_report.versions", lambda: "python 3")
     monkeypatch.setattr("transport.experiments.arena.arena_report.machine", lambda: "a machine")
     tuned: Any = SimpleNamespace(version="", tuned="nothing")
     for seeds, told in ((1, "1 seed of each"), (2, "2 seeds of each random run, ±")):
         points = [_counted(task, "late", "one", 0, 0) for task in ("a", "b", "c")]
         arena_runs: Any = SimpleNamespace(
-            algorithms={"one": tuned}, refused={0: "why", 2: "why"}, seeds=seeds
+            algorithms={"one": tuned}, refused={0: "why", 1: "because", 2: "why"}, seeds=seeds
         )
         result = ArenaResult(arena_runs, SimpleNamespace(measured=points))  # type: ignore[arg-type]
         lines = result.markdown().splitlines()
         assert lines[-1].startswith(f"*Arena {VERSION}, {told}")
         assert lines[-1].endswith("; python 3; machine: a machine*")
-        assert lines[-5:-2] == [
+        assert lines[-6:-2] == [
             "- one: tuned: nothing",
+            "- no: one: because: b on late",
             "- no: one: why: a on late, c on late",
             f"- late: {NETWORK_TEXTS['late']}",
         ]

@@ -5,7 +5,7 @@ Periods of equal computation, cost curves seed by seed, and the whole command.
 
 import csv
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +14,7 @@ import pytest
 
 from tests.support.results import here
 from tests.support.runs import ticks
-from transport.experiments.cases import Case, cases_of
+from transport.experiments.cases import Case, ExperimentError, cases_of
 from transport.experiments.paper import comparison_report, controllers_and_periods
 from transport.experiments.paper.comparison_curves import ComparisonCurve, curves_of, equal_periods
 from transport.experiments.paper.controllers_and_periods import (
@@ -28,7 +28,7 @@ from transport.experiments.paper.controllers_and_periods import (
     Cell,
 )
 from transport.experiments.run_numbers import NUMBERS, resource_use
-from transport.experiments.simulation import Result
+from transport.experiments.simulation import ERROR, Result
 from transport.experiments.statistics import estimate
 from transport.experiments.sweep import Swept
 
@@ -85,14 +85,17 @@ def test_equal_computation(exponent: float, agents: int) -> None:
         ([0.5, 0.7, 0.9], (0.0, 0.0)),  # less than the reference even at the shortest period
         ([1.1, 1.5, 3.0], (math.inf, math.inf)),  # more even at the longest
         ([0.5, 2.0, 1.5], (0.1 / math.sqrt(2.0),) * 2),  # a decrease is noise
+        # Of several repetitions the range.
+        ([[0.5, 0.5, 0.25], [2.0, 1.0, 1.0], [2.0, 2.0, 2.0]], (0.05, 0.1 / math.sqrt(2.0))),
     ],
 )
 def test_equal_computation_beyond_the_measured_periods(
-    loads: list[float], expected_s: tuple[float, float]
+    loads: list[float] | list[list[float]], expected_s: tuple[float, float]
 ) -> None:
     """The range of periods is open at the end beyond which it lies."""
     periods_s = np.array([0.1, 0.05, 0.025])
-    assert equal_periods(periods_s, np.array(loads)[:, None]) == pytest.approx(expected_s)
+    repeated = np.array(loads).reshape(len(periods_s), -1)
+    assert equal_periods(periods_s, repeated) == pytest.approx(expected_s)
 
 
 # Costs of three seeds of wind, by controller and period.
@@ -105,7 +108,9 @@ COSTS = {
 
 
 def paper_curve(
-    outcome: Callable[[Case], str] = lambda _: "completed", seeds: int = 3
+    outcome: Callable[[Case], str] = lambda _: "completed",
+    seeds: int = 3,
+    costs: Mapping[tuple[str, float], Sequence[float]] = COSTS,
 ) -> ComparisonCurve:
     """The cost curve of the paper's algorithm in gusts, with made-up costs."""
     cells = [
@@ -118,7 +123,7 @@ def paper_curve(
     for case in cases:
         numbers: dict[str, float | None] = dict.fromkeys(NUMBERS)
         labels = points[case.point].labels
-        numbers["cost_mean"] = numbers["cost_max"] = COSTS[
+        numbers["cost_mean"] = numbers["cost_max"] = costs[
             str(labels["controller"]), float(labels["period_s"])
         ][case.scenario.seed]
         numbers["lost_s"] = None if outcome(case) == "completed" else 3.5
@@ -128,7 +133,11 @@ def paper_curve(
         experiment=replace(experiment, points=tuple(points)), cases=cases, results=results
     )
     measurement = replace(experiment, points=experiment.points[: len(cells)])
-    times = [replace(result, numbers={"cpu_step_p50_ms": 1.0}) for result in results]
+    # Of three repetitions the median is 1 ms; neither their mean nor their largest is.
+    times = [
+        replace(result, numbers={"cpu_step_p50_ms": (0.5, 9.0, 1.0)[case.scenario.seed]})
+        for case, result in zip(cases, results, strict=True)
+    ]
     timed = Swept(experiment=measurement, cases=cases, results=times)
     _, curve = curves_of(curves, timed, swept, REFERENCE)
     return curve
@@ -169,6 +178,46 @@ def test_a_range_of_periods_is_cut_to_the_grid() -> None:
     assert curve.cost_range(0.0, math.inf) == pytest.approx((0.9, 4.0))
     assert curve.cost_range(0.2, math.inf) is None
     assert curve.cost_range(0.0, 0.02) is None
+
+
+def test_a_range_of_costs_has_their_intervals() -> None:
+    """Student's 95 % about the mean of the seeds, not below zero; a range of one period has its cost."""
+    curve = paper_curve()
+    mean = estimate([1.2, 1.1, 1.2])
+    assert mean is not None
+    assert mean.half_width is not None
+    around = (mean.mean - mean.half_width, mean.mean + mean.half_width)
+    assert curve.cost_range(0.05, 0.05) == pytest.approx(around)
+
+    apart = paper_curve(costs={**COSTS, (PAPER, 0.05): (0.1, 0.2, 40.0)})
+    low, high = apart.cost_range(0.0, math.inf) or (math.nan, math.nan)
+    assert low == 0.0
+    assert high > 10.0  # not that of an end
+
+
+@pytest.mark.parametrize(
+    ("seed", "outcome", "cost", "problem"),
+    [
+        (0, "diverged", 1.0, "paper: expected a centralized controller that completes, got one that"),
+        (2, "diverged", 1.0, "paper: expected a centralized controller that completes, got one that"),
+        (1, "completed", 0.0, "paper: expected a centralized controller that completes, got one that"),
+        (1, ERROR, 1.0, "a run raised an error: "),
+    ],
+)  # fmt: skip
+def test_without_a_reference_in_each_weather_there_is_no_comparison(
+    seed: int, outcome: str, cost: float, problem: str
+) -> None:
+    """The centralized controller completes with every seed, at a cost that others can be compared with."""
+    of_reference = [1.0, 2.0, 4.0]
+    of_reference[seed] = cost
+
+    def ends(case: Case) -> str:
+        is_it = at(case, CENTRALIZED, 0.05) and case.scenario.seed == seed
+        return outcome if is_it else "completed"
+
+    with pytest.raises(ExperimentError) as refusal:
+        paper_curve(ends, costs={**COSTS, (CENTRALIZED, 0.05): of_reference})
+    assert str(refusal.value).startswith(problem)
 
 
 def test_diverged_runs_are_not_compared() -> None:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import matplotlib as mpl
@@ -19,6 +20,7 @@ import pytest
 import threadpoolctl
 
 import transport
+from tests.support.logs import log_of
 from tests.support.runs import recorded, reproducible
 from transport.interface.fly import console
 from transport.interface.run_series import QUANTITIES
@@ -185,6 +187,22 @@ def test_real_time_needs_processes() -> None:
         short("paper", {"clock.mode": "realtime", "clock.speed": 1.0})
 
 
+def test_a_recorded_run_may_be_large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has been simulated, so that no limit refuses its scenario."""
+    large = transport.Scenario("paper", {"plant.step_s": 1e-6}, allow_large=True)
+    file = large.save(tmp_path / "scenario.toml")
+    recorded_run = SimpleNamespace(scenario_file=file, setup=large.setup, log=log_of([]))
+    monkeypatch.setattr("transport.interface.fly.open_run", lambda _: recorded_run)
+    assert transport.load(tmp_path).scenario == large
+
+
+def test_a_folder_that_exists_is_refused_before_the_simulation(tmp_path: Path) -> None:
+    """Nothing is simulated in vain, and nothing written into a folder of the user."""
+    with pytest.raises(ArgumentError, match="folder: expected a folder that does not exist yet"):
+        transport.fly("paper", folder=tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
 def digest(run: transport.Run) -> list[bytes]:
     """Return the bits of all plans and states."""
     messages: list[Message] = [entry.message for entry in run.log.messages]
@@ -254,6 +272,10 @@ def test_a_team_flies_a_path() -> None:
     np.testing.assert_allclose(
         run.series["payload_reference_m"][[0, 30], 0], [0.0, 0.15], atol=1e-9
     )
+    # A spline speeds up and slows down in half of its time each, in 3 s at most.
+    rows = [[0.0, 0.0, 0.0, 0.0], [10.0, 1.0, 0.0, 0.0]]
+    ramps_s = [path_phase(given, flat=True)["ramp_s"] for given in (path, rows)]
+    assert ramps_s == [1.5, 3.0]
     flat = transport.Scenario("eight", phases=[path_phase(path, flat=True)])
     along, _ = flat.setup.maneuver.path(np.array([0.0, 1.5, 3.0]))
     np.testing.assert_allclose(along[:, 0], [0.0, 0.15, 0.3], atol=1e-9)

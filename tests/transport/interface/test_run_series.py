@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from tests.support import runs
 from tests.support.log_messages import on_reference, report
@@ -49,6 +50,7 @@ def test_places_and_attitudes_are_those_of_the_state_until_a_release() -> None:
     def turned(x: Array, u: Array) -> None:
         x[state.THETA0] = np.radians([1.0, -2.0, 3.0])
         x[state.OMEGA0] = [0.1, 0.2, 0.3]
+        x[state.R0] += [1.0, 2.0, 2.0]
         x[state.uav_slice(1)][state.THETA] = np.radians([4.0, 5.0, 6.0])
 
     found = series(run, [on_reference(run, 1), on_reference(run, 2, turned)])
@@ -56,6 +58,9 @@ def test_places_and_attitudes_are_those_of_the_state_until_a_release() -> None:
     assert found["payload_attitude_deg"][1] == pytest.approx([1.0, -2.0, 3.0])
     assert found["attitude_max_deg"] == pytest.approx([0.0, 3.0])
     assert found["payload_rate_radps"][1] == pytest.approx([0.1, 0.2, 0.3])
+    assert found["payload_position_m"][1] == pytest.approx([1.0, 2.0, -8.0])
+    assert found["payload_reference_m"][1] == pytest.approx([0.0, 0.0, -10.0])
+    assert found["payload_error_norm_m"] == pytest.approx([0.0, 3.0])
     assert found["uav_attitude_deg"][1, 1] == pytest.approx([4.0, 5.0, 6.0])
     for name in ("uav_position_m", "uav_attitude_deg", "uav_error_m"):
         is_missing = np.isnan(found[name]).all(axis=2)
@@ -77,8 +82,8 @@ def test_inputs_have_their_limits_and_cables_their_tensions() -> None:
         run,
         [
             *(on_reference(run, k, pushed) for k in range(2)),
-            actual(run, 1, (7.0, 5.0, 0.0, 6.0)),
             actual(run, 9, (1.0, 1.0, 1.0, 1.0)),  # no state of this tick is recorded
+            actual(run, 1, (7.0, 5.0, 0.0, 6.0)),
         ],
     )
     assert found["thrust_N"][1].tolist() == [0.0, 4.0, 8.0, 12.0]
@@ -113,7 +118,11 @@ def test_agents_have_numbers_where_they_have_made_a_step() -> None:
     )
     unused = report(run, 3, 1, peers=(1, 2, 4), plan_ages=(-1, -1, -1))
     states = [on_reference(run, k) for k in range(2)]
-    found = series(run, [*states, told, unused, report(run, 1, 9)])
+    elsewhere = [
+        report(run, 1, 9),
+        replace(report(run, 1, 0), agent=5),
+    ]  # of another tick, and team
+    found = series(run, [*states, *elsewhere, told, unused])
 
     def row(of: Sequence[float]) -> Array:
         return np.array([[NAN] * 4, of])

@@ -126,6 +126,18 @@ def test_sections_are_attributes() -> None:
     assert {"links", "resized"} <= set(dir(scenario))
 
 
+@pytest.mark.parametrize(
+    ("made", "sizes"),
+    [
+        (transport.Scenario("centralized"), "4 UAVs, 1 agent, 25 s"),
+        (transport.Scenario("resilient").resized(2), "2 UAVs, 2 agents, 25 s"),
+    ],
+)
+def test_a_scenario_is_told_by_its_sizes(made: transport.Scenario, sizes: str) -> None:
+    """With its name, the number of UAVs and agents, and the duration."""
+    assert repr(made) == f"Scenario({made.name!r}: {sizes})"
+
+
 def test_listed_attributes_can_be_read() -> None:
     """`dir` has the keys of a section as they are read, also `from`, which Python reserves."""
     scenario = transport.Scenario(

@@ -5,17 +5,21 @@ import gc
 import os
 import signal
 import threading
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import transport
-from transport.experiments.declaration import Experiment
+from transport.experiments.cases import Case, Point
+from transport.experiments.declaration import Experiment, axis
+from transport.experiments.run_numbers import NUMBERS
 from transport.experiments.simulation import ERROR, Result
 from transport.experiments.sweep import Swept
 from transport.interface import swept_runs
 from transport.model.kernels.casadi_functions import compile_functions
+from transport.protocol.scenario.scenario_file import find_scenario
 
 PHASES = (
     {"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]},
@@ -51,6 +55,7 @@ def test_points_and_runs(table: transport.Sweep) -> None:
     ]
     assert repr(table) == "Sweep(4 points, 6 runs)"
     assert "cost mean" in str(table)
+    assert str(table).startswith("means of completed runs")
     assert points[0]["cost_ratio"] == 1.0
     assert points[2]["plan_age_mean_ticks"] > points[0]["plan_age_mean_ticks"]
     assert len(table.to_pandas("runs")) == 6
@@ -114,7 +119,10 @@ def test_figures(table: transport.Sweep) -> None:
         "loss of plans 30 %",
     ]
     assert table.plot("loss").axes[-1].get_xlabel() == "loss of plans (%)\nbars: range of 2 runs"
-    assert table.plot(kind="map").axes[0].get_ylabel() == "loss of plans (%)"
+    for along, up in (("links.delay_s", "loss"), ("loss", "links.delay_s")):
+        panel = table.plot(along, kind="map").axes[0]
+        titles = [axis(name).title for name in (along, up)]
+        assert [panel.get_xlabel(), panel.get_ylabel()] == titles
     with pytest.raises(
         transport.ArgumentError, match=r"x: expected one of links.delay_s, loss, got 'delay'"
     ):
@@ -126,6 +134,15 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"grid": {"delay_s": 0.1}}, "delay_s: expected a list of values, got 0.1"),
     ({"grid": {"delay_s": []}}, "delay_s: expected different values, at least one, got"),
     ({"grid": {"delay_s": [0.1, 0.1]}}, "delay_s: expected different values"),
+    (
+        {"grid": {"solver": "daqp" * 50}},
+        f"solver: expected a list of values, got '{'daqp' * 14}daq",
+    ),
+    (
+        {"grid": {"radio": {"rate_mbps": 6.0}}},
+        "radio: expected a list of values, got {'rate_mbps': 6.0}",
+    ),
+    ({"grid": {"horizon": [5] * 99}}, f"at least one, got [{'5, ' * 19}5,"),
     (
         {"grid": {"delay_s": [0.1], "links.delay_s": [0.2]}},
         "each once, got ['links.delay_s', 'links.delay_s']",
@@ -147,6 +164,7 @@ def test_wrong_arguments(arguments: dict[str, Any], text: str) -> None:
         transport.sweep(**{"base": "paper", "progress": False, **arguments})
     assert text in str(caught.value)
     assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 160  # long values are cut
 
 
 def test_refused_before_the_first_run(tmp_path: Path) -> None:
@@ -160,7 +178,55 @@ def test_refused_before_the_first_run(tmp_path: Path) -> None:
         transport.sweep(
             "paper", {"delay_s": [0.0]}, workers="nowhere", folder=folder, progress=False
         )
+    with pytest.raises(transport.ScenarioError, match=r"agents\.controller: its import from"):
+        transport.sweep(
+            "paper", {"agents.controller": ["nowhere:Mine"]}, folder=folder, progress=False
+        )
     assert not folder.exists()
+
+
+def test_a_sweep_with_an_error_has_its_tables_and_tells_its_progress(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A line with the last run on standard error, unless it is hidden; there are as many workers as asked for."""
+    asked: list[int | None] = []
+
+    def simulated(cases: Sequence[Case], jobs: int | None) -> Iterator[Result]:
+        asked.append(jobs)
+        for case in cases:
+            outcome = ERROR if case.scenario.links.delay_s else "completed"
+            yield Result(
+                key=case.key, outcome=outcome, reason="why", numbers=dict.fromkeys(NUMBERS)
+            )
+
+    monkeypatch.setattr(swept_runs, "on_cores", simulated)
+    grid = {"delay_s": [0.0, 0.1]}
+    for workers, folder in ((3, tmp_path / "new" / "sweep"), (None, None)):
+        with pytest.raises(transport.ExperimentError, match="a run raised an error: why"):
+            transport.sweep(
+                base(), grid, workers=workers, folder=folder, progress=folder is not None
+            )
+        told = "2 of 2 runs done; last: resilient, delay_s 0.1, seed 0: error\n"
+        told_of = capsys.readouterr().err
+        assert told_of.endswith(told) if folder else told_of == ""
+    assert asked == [3, None]
+    assert {"points.csv", "cases.csv", "figure.png", "figure.svg"} <= {
+        path.name for path in (tmp_path / "new" / "sweep").iterdir()
+    }
+
+
+@pytest.mark.parametrize(
+    ("given", "labels"),
+    [
+        (find_scenario("paper"), ["paper"]),
+        (["paper", base()], ["paper", "resilient"]),
+        ({1: "paper", "b": find_scenario("paper")}, ["1", "b"]),
+    ],
+    ids=["file", "several", "by label"],
+)
+def test_scenarios_of_a_sweep_have_their_names_or_labels(given: Any, labels: list[str]) -> None:
+    """A file, a name, a scenario, several of them, or labels of any kind."""
+    assert list(swept_runs._scenarios(given)) == labels
 
 
 # Of an interrupt that Python ignores, see below.
@@ -209,6 +275,7 @@ def test_a_figure_has_one_setting_along_and_the_others_tell_curves(table: transp
             flown.plot(kind="map")
         drawn, measured = flown._drawn_as("delay_s", "curves")
         labels = [dict(one.point.labels) for one in measured]
+        assert all(point.text for point in plan.points)
         if len(grid) == 1:
             assert (drawn.x, drawn.curves, labels) == (
                 "delay_s",
@@ -218,3 +285,9 @@ def test_a_figure_has_one_setting_along_and_the_others_tell_curves(table: transp
         else:
             assert (drawn.x, drawn.curves, labels[-1]["delay_s"]) == ("delay_s", "settings", 0.1)
             assert str(labels[-1]["settings"]).endswith("True")
+
+    several = Point({"delay_s": 0.1, "loss": 0.3, "speed_mps": 2.0}, "")
+    assert swept_runs._relabelled(several, "delay_s", ["loss", "speed_mps"]).labels == {
+        "delay_s": 0.1,
+        "settings": "loss of plans 30 %, largest speed 2 m/s",
+    }

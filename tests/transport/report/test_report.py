@@ -15,7 +15,15 @@ from transport.protocol.wire.errors_and_exit_codes import Reason
 from transport.protocol.wire.messages import Message
 from transport.report.report import write_report
 from transport.report.summary_table import summary_table, warnings
-from transport.report.summary_texts import limits_text, own_constraint_text, plans_text, radio_text
+from transport.report.summary_texts import (
+    deadlines_text,
+    limits_text,
+    own_constraint_text,
+    plans_text,
+    radio_text,
+    separation_text,
+    solver_text,
+)
 
 SCHEMA = json.loads(
     files("transport.analysis").joinpath("summary.schema.json").read_text(encoding="utf-8")
@@ -331,6 +339,43 @@ def test_plans_are_told_by_what_became_of_them() -> None:
     assert (
         plans_text(earlier, {"mean": 1.0, "max": 1}) == "0 of 0 lost, 0 late; age 1.00 ticks, max 1"
     )
+
+
+NO_LOSS = {"planned": 8, "shared": 8, "sent": 9, "lost": 0, "late": 0}
+BOTH_LOST = {kind: {"sent": 9, "lost": 2} for kind in ("measurements", "commands")}
+ON_TIME = {**DEADLINE, "missed": 0, "share": 0.0, "worst_ms": 0.0}
+TWO_FAILED = [{"agent": agent, "steps": 40, "failures": agent} for agent in (2, 3)]
+
+
+@pytest.mark.parametrize(
+    ("told", "text"),
+    [
+        (
+            plans_text({**NO_LOSS, "lost": 9}, {"mean": None, "max": None}),
+            "9 of 9 lost, 0 late; age - ticks, max -",  # none is in use
+        ),
+        (
+            plans_text({**NO_LOSS, **BOTH_LOST}, {"mean": 1.0, "max": 1}),
+            "0 of 9 lost, 0 late; age 1.00 ticks, max 1; measurements 2 of 9 lost; commands 2 of 9 lost",
+        ),
+        (
+            deadlines_text(ON_TIME),
+            "0 of 100 missed (0.00%); ticks opened late: median 0.50 ms, p99 1.00 ms, max 2.0 ms",
+        ),
+        (
+            solver_text({"fallbacks": 1, "failures": 5, "failed_agents": TWO_FAILED}),
+            "1 fallbacks, 5 failures: agent2 2 of 40, agent3 3 of 40",
+        ),
+        (separation_text({"separation_min_m": None, "collision": None}), "-"),
+        (
+            radio_text({**RADIO, **QUIET, "airtime_share": None, "delivered_share": None, "slots": None}),
+            "6 Mb/s, - of the airtime; - delivered; delay median 1.2 ms, p99 3.5 ms",
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_not_there_is_not_told(told: str, text: str) -> None:
+    """Plans of which none arrived have no age, deadlines that none missed no lateness; all that is there is told."""
+    assert told == text
 
 
 def rows_of(summary: dict[str, Any]) -> list[tuple[str, str]]:
