@@ -6,6 +6,7 @@ Depths inside a solid are known for points alone: segments and boxes that enter 
 rounding have minus the radius as their distance, however deep they are.
 """
 
+import math
 from dataclasses import dataclass
 from itertools import product
 
@@ -17,6 +18,7 @@ from transport.model.physics.parameters import System, payload_half_size
 from transport.model.physics.rotations import rotation
 
 _FAR_M = 1e6  # half size in place of an infinite one, m
+_WALL_M = 1e5  # half width of a wall beside a gap: no path comes near its end
 _HALVINGS = 64  # of a segment: enough for the position along it to be exact to rounding
 
 
@@ -90,6 +92,26 @@ class Solid:
 
         nearest = np.minimum(from_theirs.min(axis=1), from_own.min(axis=1) - self.radius)
         return np.asarray(nearest)
+
+
+def walls_of_gap(
+    middle_I: Array, heading_rad: float, width_m: float, thickness_m: float
+) -> tuple[Solid, Solid]:
+    """Return the two walls beside a gap that is flown through along a heading.
+
+    Args:
+        middle_I: Middle of the gap, (3,), inertial frame, m.
+        heading_rad: Of the way through it, from x towards y.
+        width_m: Between the walls.
+        thickness_m: Of the walls.
+    """
+    across = np.array([-math.sin(heading_rad), math.cos(heading_rad), 0.0])
+    shift_I = (width_m / 2.0 + _WALL_M) * across
+    half = np.array([thickness_m / 2.0, _WALL_M, np.inf])
+    return (
+        Solid(centre_I=middle_I - shift_I, heading_rad=heading_rad, half=half),
+        Solid(centre_I=middle_I + shift_I, heading_rad=heading_rad, half=half),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

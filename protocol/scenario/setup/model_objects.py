@@ -11,7 +11,7 @@ from transport.model.arrays import ArrayLike, ShapeError
 from transport.model.path.curves import Curve
 from transport.model.path.maneuver import Maneuver
 from transport.model.path.phase import Phase
-from transport.model.physics.obstacles import Obstacle, Solid
+from transport.model.physics.obstacles import Obstacle, Solid, walls_of_gap
 from transport.model.physics.parameters import Kind, ParameterError, Payload, System, Uav
 from transport.mpc.program.feedback_law import FeedbackError
 from transport.mpc.settings_period_horizon_weights import SettingsError
@@ -20,8 +20,6 @@ from transport.protocol.scenario.sections.scenario_errors import RequestError, S
 from transport.protocol.scenario.sections.schema import Scenario, UavSection
 
 T = TypeVar("T")
-
-_WALL_M = 1e5  # width of the walls beside a gap: no path comes near their ends
 
 
 def building(
@@ -142,30 +140,22 @@ def _phase(section: PhaseSection, *, is_smooth: bool) -> Phase:
 
 def obstacle_of(section: ObstacleSection) -> Obstacle:
     """Return an obstacle: one rounded box, or the two walls of a gap."""
-    heading_rad = math.radians(section.heading_deg)
     half = np.zeros(3)
-    shifts_m = [0.0]
     if section.kind == "cylinder":
         half[2] = np.inf
     elif section.size_m is not None:
         half = np.array(section.size_m) / 2.0
-    elif section.width_m is not None:
-        half = np.array([section.thickness_m / 2.0, _WALL_M, np.inf])
-        shifts_m = [sign * (section.width_m / 2.0 + _WALL_M) for sign in (-1.0, 1.0)]
-
-    across = np.array([-math.sin(heading_rad), math.cos(heading_rad), 0.0])
-    solids = []
-    for shift_m in shifts_m:
-        solid = Solid(
-            centre_I=section.at_m + shift_m * across,
-            heading_rad=heading_rad,
-            half=half,
-            radius=section.radius_m or 0.0,
-        )
-        solids.append(solid)
+    heading_rad = math.radians(section.heading_deg)
+    at_I = np.array(section.at_m)
+    solids: tuple[Solid, ...]
+    if section.width_m is not None:
+        solids = walls_of_gap(at_I, heading_rad, section.width_m, section.thickness_m)
+    else:
+        radius_m = section.radius_m or 0.0
+        solids = (Solid(centre_I=at_I, heading_rad=heading_rad, half=half, radius=radius_m),)
     return Obstacle(
         name=section.kind,
-        solids=tuple(solids),
+        solids=solids,
         margin_m=section.margin_m,
         load_margin_m=section.load_margin_m,
         penalty=section.penalty,

@@ -67,7 +67,7 @@ def errors_m(settings: dict[str, Any]) -> Array:
     """Return the payload's distances from its path, of each tick of a shortened `eight`."""
     setup = transport.Scenario("eight", {"maneuver.phase": QUICK, **settings}).setup
     x = np.array([one.x for one in plant_states(completed(setup))])
-    times_s = setup.settings.sampling_period_s * np.arange(len(x))
+    times_s: Array = setup.settings.sampling_period_s * np.arange(len(x), dtype=np.float64)
     assert np.linalg.norm(setup.maneuver.path(times_s)[1], axis=1).max() > 2.0, "fast enough"
     return np.asarray(np.linalg.norm(x[:, state.R0] - setup.maneuver.path(times_s)[0], axis=1))
 
