@@ -4,7 +4,7 @@ import io
 import os
 import signal
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,6 +14,7 @@ import psutil
 import pytest
 
 from transport.flight import local_processes
+from transport.flight.fork_server import Start
 from transport.flight.local_processes import (
     Child,
     Harness,
@@ -24,6 +25,8 @@ from transport.flight.local_processes import (
     reserved_ports,
 )
 from transport.protocol.network.endpoints import Endpoints
+from transport.protocol.network.parent_and_environment import PARENT_PIPE, STANDBY
+from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE
 
 
 class Process:
@@ -35,6 +38,7 @@ class Process:
         self.received: list[int] = []
         self.cpu_s = cpu_s
         self.state: str = psutil.STATUS_RUNNING
+        self.error: psutil.Error | None = None  # raised by all but `wait`
 
     def wait(self, timeout_s: float) -> int:
         """Return the exit code."""
@@ -44,17 +48,24 @@ class Process:
 
     def cpu_times(self) -> Any:
         """Return its processor time, half of it in the system."""
+        self._fail()
         return SimpleNamespace(user=self.cpu_s / 2.0, system=self.cpu_s / 2.0)
 
     def status(self) -> str:
         """Return its state."""
+        self._fail()
         return self.state
 
     def send_signal(self, number: int) -> None:
         """End by SIGKILL, or by the signal that it obeys."""
+        self._fail()
         self.received.append(number)
         if number in (signal.SIGKILL, self.obeys):
             self.code = -number
+
+    def _fail(self) -> None:
+        if self.error is not None:
+            raise self.error
 
 
 def child(folder: Path, process: Process, output: str = "", name: str = "plant") -> Child:
@@ -84,6 +95,79 @@ def test_a_process_is_starting_while_it_works_and_has_not_worked_for_too_long(
 
     harness = Harness("r1", tmp_path / "scenario.toml", {}, tmp_path)
     assert not harness.is_starting("agent1", 100.0)  # it is started elsewhere
+    place = Endpoints(listen=["tcp/127.0.0.1:7001"], connect=[])
+    begins = child(tmp_path, Process(cpu_s=2.0))
+    own = Harness("r1", tmp_path / "scenario.toml", {"plant": place}, tmp_path, children=[begins])
+    assert [own.is_starting("plant", longest_s) for longest_s in (2.0, 2.0)] == [True, False]
+
+
+def test_a_process_that_has_gone_meanwhile_is_no_error(tmp_path: Path) -> None:
+    """It is neither stopped nor starting, and takes no signal; without its log it has no words."""
+    process = Process(cpu_s=1.0)
+    process.state = psutil.STATUS_STOPPED
+    plant = child(tmp_path, process, "transport: no\n")
+    assert plant.is_stopped
+    process.error = psutil.NoSuchProcess(1)
+    assert not plant.is_stopped
+    assert not plant.is_starting(10.0)
+    assert plant.signal(signal.SIGTERM)
+    process.error, process.code = None, 0
+    assert not plant.is_stopped
+    assert not plant.signal(signal.SIGTERM)
+    assert process.received == []
+
+    plant.log.write_bytes(b"transport: \xff\n")
+    assert plant.last_words == "\ufffd"
+    plant.log.unlink()
+    assert (plant.last_words, plant.last_output_s) == ("", 0.0)
+
+    class Gone(io.BytesIO):
+        def close(self) -> None:
+            raise BrokenPipeError
+
+    plant.stdin = Gone()
+    plant.close()
+
+
+@pytest.mark.parametrize("standby", [True, False])
+def test_a_child_has_a_new_log_and_the_end_of_a_pipe(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, standby: bool
+) -> None:
+    """Which ends with the parent, or if the start fails; it is told whether it waits for a line."""
+    given: dict[str, str] = {}
+    taken: list[Start] = []
+    pipes: list[int] = []
+    problem: OSError | None = None
+
+    def start(starts: Sequence[Start], extra: Mapping[str, str]) -> list[Process]:
+        given.update(extra)
+        taken.extend(starts)
+        for one in starts:
+            os.write(one.output, " ".join(one.arguments).encode())
+            pipes.append(os.dup(one.stdin))
+        if problem is not None:
+            raise problem
+        return [Process() for _ in starts]
+
+    monkeypatch.setattr(local_processes, "fork_server", lambda: SimpleNamespace(start=start))
+    log = tmp_path / "agent2.log"
+    log.write_text("of an earlier run")
+    wanted = [ToStart("agent2", ["agent", "--id", "2"], log, 3)]
+    (agent,) = local_processes.start_children(wanted, standby=standby)
+    for closed in (taken[0].stdin, taken[0].output):
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            os.fstat(closed)
+    assert given == {PARENT_PIPE: "1", STANDBY: "1" if standby else ""}
+    assert (agent.name, agent.incarnation, log.read_text()) == ("agent2", 3, "agent --id 2")
+    agent.stdin.write(b"go")
+    assert os.read(pipes[0], 10) == b"go"
+    agent.close()
+    problem = OSError("no process left")
+    with pytest.raises(OSError, match="no process left"):
+        local_processes.start_children(wanted, standby=standby)
+    assert [os.read(pipe, 10) for pipe in pipes] == [b"", b""]
+    for pipe in pipes:
+        os.close(pipe)
 
 
 def test_the_first_process_that_has_ended_comes_first(tmp_path: Path) -> None:
@@ -124,7 +208,12 @@ def test_processes_that_stay_are_killed_and_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One that was stopped is continued, as it would ignore SIGTERM; all inputs are closed."""
-    monkeypatch.setattr(Harness, "wait", lambda *_: None)
+    waits: list[tuple[object, float, bool]] = []
+
+    def wait(processes: object, timeout_s: float) -> None:
+        waits.append((processes, timeout_s, children[0].stdin.closed))
+
+    monkeypatch.setattr("psutil.wait_procs", wait)
     stays, ends = Process(), Process(obeys=signal.SIGTERM)
     children = [child(tmp_path, stays, name="agent1"), child(tmp_path, ends, name="plant")]
     said: list[str] = []
@@ -132,6 +221,7 @@ def test_processes_that_stay_are_killed_and_named(
     assert said == ["agent1 did not end: running; it was killed"]
     assert stays.received == [signal.SIGTERM, signal.SIGCONT, signal.SIGKILL]
     assert ends.received == [signal.SIGTERM]
+    assert waits == [([stays, ends], 5.0, False)] * 2
     assert all(one.stdin.closed for one in children)
 
 
@@ -215,10 +305,27 @@ def test_a_port_that_is_taken_is_named() -> None:
         taken.listen()
         port = taken.getsockname()[1]
         key = f"network.base_port: expected free ports, got {port}, which is taken"
-        with pytest.raises(HarnessError, match=f"{key}: cannot listen on 127.0.0.1"):
+        with pytest.raises(HarnessError, match=f"{key}: cannot listen on 127.0.0.1") as refused:
             reserved_ports("127.0.0.1", [port]).__enter__()
+        assert refused.value.exit_code == EXIT_UNREACHABLE
     with pytest.raises(HarnessError, match=r"network\.host: cannot listen on 192"):
         reserved_ports("192.0.2.1", [0]).__enter__()
+
+
+@pytest.mark.parametrize(("platform", "is_kept"), [("linux", True), ("darwin", False)])
+def test_a_reserved_port_is_left_to_one_that_names_it(
+    platform: str, monkeypatch: pytest.MonkeyPatch, *, is_kept: bool
+) -> None:
+    """On Linux it is kept from all that do not share addresses; elsewhere it would be from Zenoh, too."""
+    monkeypatch.setattr(local_processes, "sys", SimpleNamespace(platform=platform))
+    with reserved_ports("127.0.0.1", [0]) as (port,):
+        taken = pytest.raises(OSError, match="in use") if is_kept else nullcontext()
+        with socket.socket() as other, taken:
+            other.bind(("127.0.0.1", port))
+        with socket.socket() as shared:
+            shared.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            shared.bind(("127.0.0.1", port))
+            shared.listen()
 
 
 def test_a_folder_of_keys_may_have_any_name() -> None:
