@@ -2,6 +2,7 @@
 
 import json
 import sys
+import zlib
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,8 +22,10 @@ from tests.support import runs
 from tests.support.logs import log_of
 from tests.support.messages import sample
 from transport.agent.estimation.filter.team_filter import TeamFilter
+from transport.agent.node import AgentNode
 from transport.model import state
 from transport.model.arrays import Array
+from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import STAGES, Plan, VehicleStatus
 
@@ -251,28 +254,123 @@ def test_a_run_goes_round_a_wall_or_rests_before_it(
 def test_lengths_of_plans_in_shorter_forms() -> None:
     """As their bytes are, where the form can be sent; float32 has half the bytes of each number."""
     run = runs.setup()
-    inputs = np.arange(80.0).reshape(20, 4)
-    plan = structs.replace(runs.plan(run, 2, 3), inputs=inputs, corrections=0.1 * inputs)
+    inputs = 0.1 * np.arange(80.0).reshape(20, 4)
+    plan = structs.replace(
+        runs.plan(run, 2, 3, x=run.initial_state() + 0.1), inputs=inputs, corrections=0.1 * inputs
+    )
     numbers = plan.uav_states.size + inputs.size + inputs.size
     assert plan_bytes.length(plan, plan_bytes.single) == len(encode(plan)) - 4 * numbers
     first = structs.replace(plan, inputs=inputs[:1])
     assert plan_bytes.length(plan, plan_bytes.first_input) == len(encode(first))
+    both = len(encode(first)) - 4 * (numbers - inputs[1:].size)
+    assert plan_bytes.length(plan, plan_bytes._both) == both
     bare = structs.replace(plan, corrections=inputs[:0])
     assert plan_bytes.length(plan, plan_bytes.without_corrections) == len(encode(bare))
-    np.testing.assert_array_equal(plan_bytes.first_input(plan).inputs, np.tile(inputs[0], (20, 1)))
-    np.testing.assert_array_equal(
-        plan_bytes.single(plan).corrections, plan.corrections.astype(np.float32)
-    )
+
+    held, short = np.tile(inputs[0], (20, 1)), np.float32
+    for form, expected in (
+        (plan_bytes.first_input, (plan.uav_states, held, plan.corrections)),
+        (plan_bytes.single, map(short, (plan.uav_states, inputs, plan.corrections))),
+        (plan_bytes._both, map(short, (plan.uav_states, held, plan.corrections))),
+        (plan_bytes.without_corrections, (plan.uav_states, inputs, 0.0 * inputs)),
+    ):
+        taken = form(plan)
+        for got, wanted in zip(
+            (taken.uav_states, taken.inputs, taken.corrections), expected, strict=True
+        ):
+            np.testing.assert_array_equal(got, wanted)
 
 
-def test_a_plan_as_expected_from_the_last_one_has_no_differences() -> None:
-    """That is with the same states, and inputs and corrections of a step later."""
+def numbers_of(data: bytes) -> Array:
+    """Return the numbers of a plan that is compressed: their first bytes, their second ones and so on."""
+    by_byte = np.frombuffer(zlib.decompress(data), np.uint8).reshape(8, -1)
+    return np.frombuffer(by_byte.T.tobytes(), np.float64)
+
+
+def test_compressed_plans_are_numbers_or_differences_from_the_last_one() -> None:
+    """No bit differs from one with the same states, and inputs and corrections of a step later."""
     run = runs.setup()
     inputs = np.random.default_rng(1).uniform(0.0, 9.0, (20, 4))
-    before: Plan = structs.replace(runs.plan(run, 2, 3), inputs=inputs, corrections=inputs)
+    before: Plan = structs.replace(runs.plan(run, 2, 3), inputs=inputs, corrections=2.0 * inputs)
+    parts = (before.uav_states, inputs, 2.0 * inputs)
+    whole = np.concatenate([part.ravel() for part in parts])
+    (compressed,) = plan_bytes.compressed([before])
+    np.testing.assert_array_equal(numbers_of(compressed), whole)
+
     shifted = np.vstack([inputs[1:], inputs[-1:]])
-    ended = np.vstack([inputs[1:], np.zeros((1, 4))])
+    ended = np.vstack([2.0 * inputs[1:], np.zeros((1, 4))])
     after = structs.replace(before, inputs=shifted, corrections=ended)
-    other = structs.replace(before, inputs=shifted, corrections=shifted)
-    none, some = (len(plan_bytes.differences([before, one])[0]) for one in (after, other))
-    assert none < some < len(plan_bytes.compressed([before])[0])
+    (difference,) = plan_bytes.differences([before, after])
+    assert not numbers_of(difference).view(np.uint64).any()
+    assert len(difference) < len(compressed)
+
+
+def test_agents_take_a_form_of_the_plans(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of others; messages of the run are as they were sent."""
+    run = runs.setup()
+    plan = runs.plan(run, 2, 3)
+    taken: list[Any] = []
+
+    def simulate(_setup: Any, record: Callable[[Any], None]) -> None:
+        AgentNode._take_plan("node", plan, 7)  # type: ignore[arg-type]
+        record(plan)
+
+    monkeypatch.setattr(AgentNode, "_take_plan", lambda *given: taken.append(given))
+    monkeypatch.setattr(plan_bytes, "simulate", simulate)
+    short = structs.replace(plan, inputs=plan.inputs[:1])
+    assert plan_bytes.flown(run, lambda _: short) == [plan]
+    assert taken == [("node", short, 7)]
+
+
+def test_each_form_has_a_row_with_its_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In every network of the headings: equal bits, or how far the payload is from the run with whole plans."""
+    run = runs.setup()
+    one, other = (
+        structs.replace(runs.plan(run, agent, 3), inputs=np.ones((20 * agent, 4)))
+        for agent in (1, 2)
+    )
+    states = [runs.plant_state(run, tick) for tick in (0, 1)]
+    asked: list[Setup] = []
+
+    def flown(setup: Setup, form: plan_bytes.Form) -> list[Any]:
+        asked.append(setup)
+        x = states[1].x.copy()
+        network = (len(asked) - 1) % 3
+        if form is not plan_bytes._whole and network > 0:
+            x[20] += 5.0  # of a UAV
+            x[1] -= 0.002 * (network - 1)
+        # The bytes are those in the perfect network.
+        sent = other if network == 0 else structs.replace(other, corrections=other.inputs)
+        return [one, sent, sent, states[0], structs.replace(states[1], x=x)]
+
+    written: list[Any] = []
+    monkeypatch.setattr(plan_bytes, "flown", flown)
+    monkeypatch.setattr(plan_bytes, "put", lambda *given: written.append(given))
+    monkeypatch.setattr(plan_bytes, "origin", lambda: "today")
+    plan_bytes.main()
+
+    perfect, late, death = (setup.scenario for setup in asked[:3])
+    assert (perfect.links.delay_s, late.links.delay_s, late.links.loss) == (0.0, 0.1, 0.3)
+    assert [(event.do, event.target) for event in death.faults.event] == [("kill", "agent2")]
+    ((page, marker, text),) = written
+    assert (page.name, marker) == ("radio.md", "bytes")
+    assert text.partition("\n\n")[0].endswith(" today.")
+    rows = [line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("| ")][
+        1:
+    ]
+    effects = ["equal bits", "0 mm", "2 mm"]
+    short = [
+        plan_bytes.length(other, form)
+        for form in (plan_bytes.first_input, plan_bytes.single, plan_bytes._both)
+    ]
+    bits = ["equal bits"] * 3
+    (whole,) = {len(data) for data in map(encode, (other, other))}
+    packed, changed = plan_bytes.compressed([other]), plan_bytes.differences([other, other])
+    assert [row[1:] for row in rows] == [
+        [f"{whole}", *bits],
+        [f"{len(packed[0])}", *bits],
+        [f"{len(changed[0])}", "equal bits", "useless without the last plan", "equal bits"],
+        *[[f"{length}", *effects] for length in short],
+        [f"{plan_bytes.length(other, plan_bytes.without_corrections)}", *effects],
+    ]
+    assert len(changed[0]) < len(packed[0])
