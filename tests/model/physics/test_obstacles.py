@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
+from transport.model import state
 from transport.model.arrays import Array
 from transport.model.physics.hover import hover
 from transport.model.physics.obstacles import Obstacle, Solid, bodies, clearances
@@ -54,6 +55,11 @@ def test_distances_are_those_of_a_least_squares_problem(half: list[float]) -> No
     outside = distances > 0.0
     np.testing.assert_allclose(distances[outside], found[outside], atol=SAME_M)
     assert touching
+    # Within the rounding, beyond an edge or a corner.
+    has_end = np.isfinite(solid.half)
+    within = solid.centre_I + solid.R @ np.where(has_end, solid.half + 0.02, 0.0)
+    distance = float(solid.from_points(within)[0])
+    assert distance == pytest.approx(0.02 * np.sqrt(has_end.sum()) - solid.radius, abs=SAME_M)
     for axis in np.eye(3):
         slopes = [solid.from_points(r + sign * 1e-5 * axis)[0] for sign in (1.0, -1.0)]
         np.testing.assert_allclose(normals @ axis, (slopes[0] - slopes[1]) / 2e-5, atol=SAME_SLOPE)
@@ -85,17 +91,20 @@ def test_clearances_of_a_team_by_hand() -> None:
     np.testing.assert_array_equal(clear_of(wall, ball), np.minimum(clear_of(wall), clear_of(ball)))
 
 
-def test_an_endless_wall_is_as_near_everywhere() -> None:
-    """Kilometres along it, and up, a team of which rods and payload lean has the same distances, (69a)."""
+@pytest.mark.parametrize("axis", [0, 2], ids=["beam", "pole"])
+def test_an_endless_solid_is_as_near_everywhere(axis: int) -> None:
+    """Kilometres along a beam or a pole through its payload a team that leans has the same distances, (69a)."""
     system = table_1()
-    wall = Solid(
-        centre_I=np.array([0.0, 2.0, 0.0]), heading_rad=0.0, half=np.array([np.inf, 1.0, np.inf])
-    )
-    obstacle = Obstacle(name="", solids=(wall,), margin_m=0.3, load_margin_m=0.1, penalty=1.0)
+    half = np.zeros(3)
+    half[axis] = np.inf
+    solid = Solid(centre_I=np.array([0.0, 0.0, -10.0]), heading_rad=0.0, half=half, radius=0.05)
+    obstacle = Obstacle(name="", solids=(solid,), margin_m=0.3, load_margin_m=0.1, penalty=1.0)
     x = np.tile(hover(system).x, (4, 1))
-    x[:, 6:9] = (0.2, -0.1, 0.3)
-    x[:, :3] = [(0.0, 0.0, -10.0), (900.0, 0.0, -10.0), (-9000.0, 0.0, -10.0), (0.0, 0.0, -3000.0)]
+    x[:, state.THETA0] = (0.2, -0.1, 0.3)
+    x[:, :3] = (0.02, 0.01, -10.0)
+    x[1:, axis] += (900.0, -9000.0, -30.0)
     here, *elsewhere = clearances(system, obstacle, x)
+    assert here[-1] == -0.05
     for found in elsewhere:
         np.testing.assert_allclose(found, here, atol=1e-9)
 

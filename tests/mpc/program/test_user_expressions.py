@@ -1,6 +1,9 @@
 """Constraints as text: what they mean, in numbers, and every text that is refused."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from math import nan
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -12,11 +15,18 @@ from transport.model.arrays import Array
 from transport.model.physics.symbols import Symbols
 from transport.mpc.program.user_expressions import (
     Relation,
+    UserConstraints,
+    Variable,
     check_constraints,
+    check_costs,
     compile_constraints,
     read,
 )
-from transport.mpc.settings_period_horizon_weights import ConstraintSection, SettingsError
+from transport.mpc.settings_period_horizon_weights import (
+    ConstraintSection,
+    CostTerm,
+    SettingsError,
+)
 
 # Hand computation and compiled expression differ by rounding only; the largest value here is about
 # 500.
@@ -236,3 +246,52 @@ def test_integers_of_a_text_are_floats() -> None:
     on_state, _ = compile_constraints(beyond_53_bits, setup.system)
     value, _ = on_state.at(setup.hover.x)
     assert value[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("expression", "fields", "expected"),
+    [
+        ("r0[2] >= -12", {}, 3.0),
+        ("r2[0] <= 1", {}, 3.0),  # the place of a UAV goes with that of the payload
+        ("norm(r1 - r3) >= 0.8", {}, 3.0),
+        ("norm(v0) <= 2", {}, 5.0),
+        ("norm(v0) <= 2", {"penalty": 7.0}, 7.0),
+        ("norm(v0) <= 2", {"soft": False}, nan),
+        ("v0[0] == 0", {"penalty": 7.0}, nan),
+        ("thrust1 <= 30", {"penalty": 7.0}, nan),
+    ],
+)
+def test_soft_constraints_have_a_penalty(
+    expression: str, fields: dict[str, Any], expected: float
+) -> None:
+    """Its own, or that of places or of all others; equalities and constraints on inputs are hard, (30d)."""
+    constraint = ConstraintSection(expression=expression, **fields)
+    system = paper_setup().system
+    kinds: list[Variable] = ["state", "input"]
+    found = [UserConstraints([constraint], system, on, (3.0, 5.0)).penalty for on in kinds]
+    on_input = expression.startswith("thrust")
+    assert len(found[not on_input]) == 0
+    assert found[on_input] == pytest.approx([expected], nan_ok=True)
+
+
+def test_costs_are_finite_along_the_reference() -> None:
+    """A term that is finite at hover is refused where the reference leads to its pole."""
+    setup = paper_setup()
+    term = CostTerm(expression="1 / (r0[0] - 1)", weight=1.0)
+    at_pole = setup.hover.x.copy()
+    at_pole[state.R0] = [1.0, 0.0, 0.0]
+    check_costs([term], setup.system, setup.hover.x, [setup.hover.x])
+    with pytest.raises(
+        SettingsError, match=r"cost '1 / \(r0.* on the reference, got the value inf"
+    ):
+        check_costs([term], setup.system, setup.hover.x, [setup.hover.x, at_pole])
+
+
+def test_commanded_rates_have_their_name() -> None:
+    """With an inner loop the inputs beside the thrust are `ratei`, and moments are no inputs."""
+    system = replace(paper_setup().system, rate_gains=np.ones(3))
+    rate, moment = (ConstraintSection(expression=f"{name}2[1] <= 0.5") for name in ("rate", "tau"))
+    values, _ = UserConstraints([rate], system, "input").at(np.arange(16.0))
+    assert values.tolist() == [5.5]
+    with pytest.raises(SettingsError, match="unknown name 'tau2'"):
+        UserConstraints([moment], system, "input")
