@@ -22,7 +22,7 @@ from transport.model.physics.hover import motor_off_state, no_inputs, released_s
 from transport.model.physics.parameters import Payload
 from transport.plant.actual_bodies import payload_during
 from transport.plant.actuator_schedule import MOTOR_OFF, ActuatorSchedule
-from transport.plant.engines import UNKNOWN_ERROR, Engine
+from transport.plant.engines import Engine
 from transport.plant.motion_over_period import Integrated, PeriodMotion
 from transport.plant.plant_run import PlantRun
 from transport.plant.solids_in_sight import seen_from
@@ -286,7 +286,7 @@ class PlantNode(Participant):
             x=x,
             u=period.u,
             plan_ticks=period.sources,
-            local_error=end.error if np.isfinite(end.x).all() else UNKNOWN_ERROR,
+            local_error=end.error,
             diverged=reason,
             plans_lost=period.plans_lost,
         )

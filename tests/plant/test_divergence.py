@@ -58,6 +58,18 @@ def test_position() -> None:
     assert (found.tick, found.diverged) == (9, "payload position error of 0.6 m exceeds 0.5 m")
 
 
+def test_position_is_that_of_the_path_at_its_time() -> None:
+    """A payload that stays behind a moving reference ends the flight when that is too far ahead."""
+    ahead = "maneuver.phase=[{name='leg',duration_s=1.0,displacement_m=[4.0,0.0,0.0]}]"
+    limit = "plant.max_error_m=0.5"
+    run = setup(ahead, limit)
+    path_m = run.maneuver.path(0.05 * np.arange(21.0))[0][:, 0]
+    beyond = int(np.argmax(path_m > 0.5))
+    found = last_state((ahead, limit), {}, ticks=20)
+    reason = f"payload position error of {path_m[beyond]:.1f} m exceeds 0.5 m"
+    assert (found.tick, found.diverged) == (beyond - 1, reason)
+
+
 @pytest.mark.filterwarnings("ignore:overflow")  # that is what is tested
 def test_not_finite() -> None:
     """A state that is no longer finite ends the flight, and is not sent.

@@ -19,7 +19,7 @@ from transport.plant.wind_and_noise import Environment
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors_and_exit_codes import EXIT_DIVERGED
-from transport.protocol.wire.messages import Control, Message
+from transport.protocol.wire.messages import ActualInputs, Control, Message
 
 # An engine of a person: another integrator of the same equations, to its tolerance.
 OWN = """
@@ -311,3 +311,20 @@ def test_tensions_that_are_not_finite(
     assert (control.outcome, control.exit_code) == ("diverged", EXIT_DIVERGED)
     text = f"tensions: expected a finite number for the cable of UAV2, got {number}"
     assert f"engine {name}:Mine: {text}" in control.reason
+
+
+def test_tensions_of_an_engine_with_cables_are_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The least of each period, with the inputs, also where these are the commands; rods have none."""
+    text = broken("self.tensions = [4.0, 3.0, 2.0, 1.0]")
+    module(tmp_path, monkeypatch, "mine_cables", text)
+    module(tmp_path, monkeypatch, "mine_rods", broken())
+    for name, tensions in (("mine_cables", [4.0, 3.0, 2.0, 1.0]), ("mine_rods", [])):
+        messages = recorded(setup(SHORT, f"plant.engine={name}:Mine"))
+        found = [one for one in messages if isinstance(one, ActualInputs)]
+        assert len(found) == (len(plant_states(messages)) if tensions else 0)
+        for one, commands in zip(found, plant_states(messages), strict=False):
+            assert (one.tick, one.uavs, one.cables) == (commands.tick, (1, 2, 3, 4), (1, 2, 3, 4))
+            np.testing.assert_array_equal(one.tensions, tensions)
+            np.testing.assert_allclose(one.inputs.reshape(-1), commands.u)

@@ -10,9 +10,12 @@ from msgspec.structs import replace
 from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, VEHICLE, plan, roster, setup, tick
 from transport.model import state
-from transport.plant.actuator_schedule import MOTOR_OFF
+from transport.model.arrays import Array
+from transport.model.physics.hover import hover_after_failures
+from transport.plant.actuator_schedule import FAIL_SAFE, MOTOR_OFF
+from transport.plant.inner_loops import RateLoop
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.messages import Measurement, Message, PlantState
+from transport.protocol.wire.messages import ActualInputs, Measurement, Message, PlantState
 
 TICKS = 6
 UAV = 2
@@ -95,3 +98,47 @@ def test_sensors_feel_neither_wind_nor_thrust_of_a_released_uav() -> None:
     forces = [one.uav_states[:, state.SPECIFIC_FORCE] for one in measured]
     assert len(forces) == len(ALL) * TICKS
     assert np.abs(forces).max() < 5.0 * run.system.gravity
+
+
+def test_a_uav_without_motors_turns_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its rotation stops, and neither its agent nor an inner loop turns it; the loop is told that the state jumped."""
+    told: list[Array] = []
+    monkeypatch.setattr(RateLoop, "reset", lambda _, x: told.append(x))
+    event = "faults.event=[{at_s=0.1,do='motor_off',target='uav3'}]"
+    run = setup("controller.inputs=rates", "clock.actuation=immediate", event)
+    node = PlantNode(run)
+    messages = list(node.receive(roster(), 0))
+    turning = np.tile([20.0, 0.5, -0.5, 0.3], (20, 1))
+    for k in range(TICKS):
+        messages += node.receive(tick(k), 0)
+        for agent in ALL:
+            messages += node.receive(plan(run, agent, k, inputs=turning), 0)
+    given = [one.inputs for one in messages if isinstance(one, ActualInputs)]
+    rates = [state.uav_blocks(one.x)[:, state.OMEGA] for one in plant_states(messages)]
+    np.testing.assert_array_equal(told, [plant_states(messages)[AT].x])
+    for k in range(TICKS):
+        turned = [True, True, k < AT, True]
+        assert given[k].any(axis=1).tolist() == turned
+        assert rates[k].any(axis=1).tolist() == (turned if k else [False] * 4)
+
+
+@pytest.mark.parametrize("do", ["motor_off", "release"])
+def test_the_fail_safe_carries_what_remains(do: str) -> None:
+    """Without plans the other three hold the payload and, unless it is off its rod, the dead UAV, (51)."""
+    run = setup(
+        "clock.actuation=immediate",
+        "controller.limits.thrust_rate_N_s=2000.0",
+        f"faults.event=[{{at_s=0.1,do='{do}',target='uav3'}}]",
+    )
+    node = PlantNode(run)
+    messages = list(node.receive(roster(), 0))
+    hover = np.tile(run.hover.u[:4], (AT, 1))  # for the ticks before
+    for k in range(AT + 2):
+        messages += node.receive(tick(k, answered=()), 0)
+        for agent in ALL if k == 0 else ():
+            messages += node.receive(plan(run, agent, 0, inputs=hover), 0)
+    found = plant_states(messages)[AT]
+    assert found.plan_ticks == (FAIL_SAFE, FAIL_SAFE, MOTOR_OFF, FAIL_SAFE)
+    released = [UAV] if do == "release" else []
+    expected = hover_after_failures(run.system, [UAV], released).u
+    np.testing.assert_allclose(found.u, expected, atol=1e-3)

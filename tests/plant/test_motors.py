@@ -63,6 +63,10 @@ def test_limited_rotors() -> None:
     found = rotors.limited(thrusts @ rotors.mixing.T) @ np.linalg.inv(rotors.mixing).T
     least, most = ROTORS.thrust_N
     np.testing.assert_allclose(found, np.clip(thrusts, least, most), rtol=0.0, atol=1e-10)
+    # Motors with limits alone are not ideal.
+    motors, u = Motors(MotorsSection(rotors=ROTORS), U_HOVER), 3.0 * U_HOVER
+    limited = rotors.limited(u.reshape(4, 4)).reshape(-1)
+    np.testing.assert_allclose(mean(motors, u), limited, rtol=0.0, atol=1e-10)
 
 
 def test_steps_of_the_thrust() -> None:

@@ -4,14 +4,18 @@ Measures each tick once, integrates when the inputs are decided, refuses, ends.
 """
 
 import numpy as np
+from msgspec.structs import replace
 
 from tests.support.nodes import PlantNode
-from tests.support.runs import ALL, end, integrated, measurement, plan, roster, setup, tick
+from tests.support.runs import ALL, VEHICLE, end, integrated, measurement, plan, roster, setup, tick
+from transport.flight.roles import plant_run
 from transport.model import state
 from transport.plant.actuator_schedule import BEFORE_ANY_PLAN, FAIL_SAFE
+from transport.plant.wind_and_noise import Environment
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Measurement, Message, PlantState, Presence
 
+NOISES = ("position_m", "velocity_mps", "attitude_rad", "rate_rads", "specific_force_mps2")
 IMMEDIATE, NEXT_TICK = "clock.actuation=immediate", "clock.actuation=next_tick"
 
 
@@ -50,6 +54,46 @@ def test_measures_a_tick() -> None:
         assert (message.agent, message.uavs, message.answered) == (agent, expected.uavs, ())
         for field in ("payload", "uav_states", "inputs"):
             np.testing.assert_array_equal(getattr(message, field), getattr(expected, field))
+
+
+def test_a_tick_waits_for_its_roster() -> None:
+    """Agents are measured by the roster that the tick names, which may come after it."""
+    node = ready(setup(NEXT_TICK))
+    assert tell(node, tick(0, members=(1, 2, 3), version=2)) == []
+    found = tell(node, roster({1: 1, 2: 1, 3: 1}, version=2))
+    assert kinds(found) == [*measured(0, 3), "plant_state 0"]
+
+
+def test_vehicle_sensors_measure_the_motion_under_actual_inputs_and_wind() -> None:
+    """Of the actual centre of mass, at the end of the period before; outages are told until their end."""
+    outage = "do='sensors_off',target='uav3',sensors=['position','rate'],duration_s=0.1"
+    run = setup(
+        *VEHICLE,
+        *(f"plant.noise.{name}=0.0" for name in NOISES),
+        "plant.uav=[{id=2,thrust_factor=0.9}]",
+        "plant.payload_centre_m=[0.3,-0.2,0.1]",
+        "plant.wind.gust_mps=[5.0,5.0,5.0]",
+        f"faults.event=[{{at_s=0.1,{outage}}}]",
+        IMMEDIATE,
+    )
+    node = ready(run)
+    found = tell(node, tick(0))
+    for k in range(1, 5):
+        reports = np.zeros((1, state.REPORTS * state.REPORTED))
+        shove = np.tile([25.0, 0.5, -0.5, 0.2], (20, 1))
+        plans = [plan(run, agent, k - 1, inputs=shove) for agent in ALL]
+        found += tell(node, *(replace(one, uav_states=reports) for one in plans), tick(k))
+    states = [one for one in found if isinstance(one, PlantState)]
+    by_agent = [one for one in found if isinstance(one, Measurement) and one.agent == 2]
+    environment = Environment(plant_run(run))
+    factors = np.repeat([1.0, 0.9, 1.0, 1.0], 4)
+    for before, now, one in zip(states, states[1:], by_agent[1:], strict=False):
+        x = environment.of_centre(now.x)
+        forces = environment.forces(before.tick, before.x)
+        expected = environment.model.sensed(x, factors * before.u, forces=forces)
+        np.testing.assert_allclose(one.uav_states[0], expected.reshape(4, -1)[1], atol=1e-9)
+    lacking = [one.missing for one in found if isinstance(one, Measurement) and one.agent == 3]
+    assert lacking == [(), (), (0b01001,), (0b01001,), ()]
 
 
 def test_truth_is_the_integrated_state() -> None:
@@ -94,6 +138,43 @@ def test_plans_that_come_early_are_not_forgotten() -> None:
     assert kinds(found) == [*measured(2), "plant_state 2"]
     assert isinstance(found[-1], PlantState)
     assert found[-1].plan_ticks == (1, 1, 1, 1)
+
+
+def test_lost_plans_are_counted_and_not_followed() -> None:
+    """By the UAVs that do not follow the plan of the tick; the count is that of the period."""
+    run = setup(IMMEDIATE, "links.actuation.loss=0.4")
+    node = ready(run)
+    found = []
+    for k in range(12):
+        found += tell(node, tick(k), *[plan(run, agent, k) for agent in ALL])
+    states = [one for one in found if isinstance(one, PlantState)]
+    missed = [sum(source != one.tick for source in one.plan_ticks) for one in states]
+    assert [one.plans_lost for one in states] == missed
+    assert len(set(missed)) > 2
+
+
+def test_an_agent_is_told_what_its_own_uavs_see() -> None:
+    """A sphere of 0.1 m, whose surface is 1.9 m from the first UAV and farther from the others."""
+    x, y, z = plant_run(setup()).run.positions_I(setup().initial_state())[0]
+    where = [float(x + 2.0 * np.sign(x)), float(y), float(z)]
+    sphere = f"kind='sphere',at_m={where},radius_m=0.1,margin_m=0.1,seen_within_m=1.95"
+    run = setup(f"obstacle=[{{{sphere}}}]", "agents.owned=[[3],[1,2],[4]]")
+    node = PlantNode(run)
+    tell(node, roster({1: 1, 2: 1, 3: 1}))
+    found = [one for one in tell(node, tick(0, members=(1, 2, 3))) if isinstance(one, Measurement)]
+    assert [len(one.seen) for one in found] == [0, 1, 0]
+    np.testing.assert_allclose(found[1].seen[0, 1:4], where)
+
+
+def test_plans_of_a_tick_are_awaited_whatever_a_later_tick_says() -> None:
+    """The clock tells with tick 2 who answered tick 1; inputs from tick 1 on are those of tick 0, of all agents."""
+    run = setup(NEXT_TICK)
+    node = ready(run)
+    tell(node, tick(0), tick(1))
+    assert tell(node, tick(2, answered=(1, 2, 3))) == []
+    assert tell(node, *[plan(run, agent, 0, delay=1) for agent in (1, 2, 3)]) == []
+    found = tell(node, plan(run, 4, 0, delay=1))
+    assert kinds(found) == ["plant_state 1", *measured(2)]
 
 
 def test_lost_agents_uav_plays_on() -> None:

@@ -13,13 +13,17 @@ from transport.plant.actuator_schedule import MOTOR_OFF
 from transport.plant.autopilot.node import PlayedPlant
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.messages import Message, PlantState, Schedule
+from transport.protocol.wire.messages import ActualInputs, Message, PlantState, Schedule
 
 SCENARIO = Path(__file__).resolve().parents[2] / "scenarios" / "flight.toml"
 MS, S = 10**6, 10**9
 WALL_NS = 1_700_000_000 * S
 FOUR_TICKS = "maneuver.phase=[{name='hover',duration_s=0.2,displacement_m=[0,0,0]}]"
-MOTOR_OFF_AT_TICK_2 = "faults.event=[{at_s=0.1,do='motor_off',target='uav2'}]"
+# A degradation of motors that are off gives them no thrust.
+MOTOR_OFF_AT_TICK_2 = (
+    "faults.event=[{at_s=0.1,do='motor_off',target='uav2'},"
+    "{at_s=0.15,do='degrade',target='uav2',efficiency=0.5}]"
+)
 WIND = "plant.wind.speed_mps=[8.0,0.0,0.0]"
 
 
@@ -190,14 +194,12 @@ def test_failures_of_uavs_act_with_their_tick() -> None:
     plant, _ = played(1.0, MOTOR_OFF_AT_TICK_2)
     go(plant, 0, 1 * S)
     plant.receive(schedule(1 * S), 1 * S)
-    states = [message for message in go(plant, 1 * S, 1250 * MS) if isinstance(message, PlantState)]
-    assert [state.plan_ticks[1] == MOTOR_OFF for state in states] == [
-        False,
-        False,
-        True,
-        True,
-        True,
-    ]
+    said = go(plant, 1 * S, 1250 * MS)
+    states = [message for message in said if isinstance(message, PlantState)]
+    given = [message.inputs[1] for message in said if isinstance(message, ActualInputs)]
+    are_off = [False, False, True, True, True]
+    assert [state.plan_ticks[1] == MOTOR_OFF for state in states] == are_off
+    assert [not inputs.any() for inputs in given] == are_off
 
 
 def test_accelerometers_feel_thrust_rods_and_wind() -> None:

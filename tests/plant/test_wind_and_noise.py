@@ -1,5 +1,8 @@
 """Unmodelled effects: masses, wind, noise, each a function of scenario and tick only."""
 
+from dataclasses import replace
+from itertools import combinations
+
 import numpy as np
 import pytest
 
@@ -7,6 +10,7 @@ from tests.support.runs import setup
 from transport.flight.roles import plant_run
 from transport.model import state
 from transport.model.arrays import Array
+from transport.model.linear.linearisation import Model
 from transport.model.physics.rotations import rotation
 from transport.model.state import StateView
 from transport.plant.wind_and_noise import Environment
@@ -23,6 +27,11 @@ LEVELS = {
     "rod_rate_rads": 0.006,
 }
 NOISE = tuple(f"plant.noise.{key}={level}" for key, level in LEVELS.items())
+
+DRAG = (
+    "system.payload.drag_kgps=0.6",
+    *(f"system.uav.{i}.drag_kgps=[0.3,0.1]" for i in (1, 2, 3, 4)),
+)
 
 # Standard deviations of thousands of normal numbers, of which some hang together.
 STATISTICS = 0.1
@@ -63,6 +72,32 @@ def test_masses(payload: float, uavs: float) -> None:
     assert true.gravity == known.gravity
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [
+        ("plant.uav=[{id=2,mass_factor=1.5}]",),
+        ("plant.payload_centre_m=[0.05,0.0,0.0]",),
+        ("plant.payload_inertia_factor=1.5",),
+        (*DRAG, "plant.drag_factor=0.5"),
+    ],
+)
+def test_the_equations_are_those_of_the_actual_bodies(settings: tuple[str, ...]) -> None:
+    """From the start, without a UAV that is released, and with another load."""
+    run = setup(*settings)
+    environment = Environment(plant_run(run))
+    x, u = state_in_motion(run), 1.1 * run.hover.u
+    known = [run.model.derivative(x, u)]
+    for change in ("none", "release", "load"):
+        if change == "release":
+            environment.release(1)
+        if change == "load":
+            environment.load(replace(environment.system.payload, mass=5.0))
+        found = environment.model.derivative(x, u)
+        np.testing.assert_array_equal(found, Model(environment.system).derivative(x, u))
+        assert all(np.abs(found - before).max() > 1e-6 for before in known)
+        known.append(found)
+
+
 def test_drag_is_that_of_the_air_past_each_body() -> None:
     """F_j = c_j (W - velocity), docs/equations.md (42): zero on any body that moves with the air."""
     run = setup(MEAN, "plant.wind.drag_payload_kgps=0.7", "plant.wind.drag_uav_kgps=0.3")
@@ -86,12 +121,6 @@ def test_drag_is_that_of_the_air_past_each_body() -> None:
     ) - run.model.outputs(x)
     velocity = positions[:3] / 1e-6  # of the first UAV
     assert np.abs(moving[3:6] - 0.3 * (wind - velocity)).max() < 1e-5
-
-
-DRAG = (
-    "system.payload.drag_kgps=0.6",
-    *(f"system.uav.{i}.drag_kgps=[0.3,0.1]" for i in (1, 2, 3, 4)),
-)
 
 
 def test_drag_of_the_bodies_needs_no_wind() -> None:
@@ -144,6 +173,43 @@ def test_drag_without_coefficients() -> None:
     breeze = Environment(plant_run(setup("plant.wind.speed_mps=[1e-9,0,0]"))).forces(0, x)
     assert breeze is not None
     np.testing.assert_allclose(breeze[:3], -0.4 * velocities[0], atol=1e-8)
+    np.testing.assert_allclose(breeze.reshape(5, 3)[1:], -0.2 * velocities[1:], atol=1e-8)
+    # Controllers know coefficients, the plant has none of them.
+    without = Environment(plant_run(setup(*DRAG, MEAN, "plant.drag_factor=0.0"))).forces(0, x)
+    assert without is not None
+    assert not without.any()
+
+
+def test_gusts_push_at_the_actual_centre_of_mass() -> None:
+    """Wind of gusts alone, at its tick, past the centre of mass of a payload that turns."""
+    centre = "plant.payload_centre_m=[0.3,-0.2,0.1]"
+    run = setup(GUSTS, centre)
+    environment = Environment(plant_run(run))
+    x = state_in_motion(run)
+    forces = environment.forces(7, x)
+    assert forces is not None
+    view = StateView(x)
+    v_P = view.v0_P + np.cross(view.omega0_P, [0.3, -0.2, 0.1])
+    expected = 0.4 * (environment.wind(7) - rotation(view.Theta0) @ v_P)
+    np.testing.assert_allclose(forces[:3], expected, atol=ROUNDING)
+
+
+def test_random_numbers_are_those_of_seed_tick_and_agent() -> None:
+    """Whatever was asked before; each differs in all numbers, but the wind is the same for all agents."""
+    rows = {}
+    for seed in (1, 2):
+        run = setup(GUSTS, *NOISE, f"seed={seed}")
+        x = state_in_motion(run)
+        for tick, agent in ((5, 1), (3, 1), (5, 2)):
+            environment = Environment(plant_run(run))
+            error = environment.measured(tick, agent, x) - x
+            rows[seed, tick, agent] = np.array([environment.wind(tick), error[:3], error[3:6]])
+        again = environment.measured(3, 1, x) - x, environment.wind(3)
+        np.testing.assert_array_equal(rows[seed, 3, 1], [again[1], again[0][:3], again[0][3:6]])
+        np.testing.assert_array_equal(rows[seed, 5, 1][0], rows[seed, 5, 2][0])
+    for one, other in combinations(rows, 2):
+        same = rows[one] == rows[other]
+        assert not same[0 if one[:2] != other[:2] else 1 :].any(), (one, other)
 
 
 def test_gusts_are_a_gauss_markov_process() -> None:
@@ -157,6 +223,9 @@ def test_gusts_are_a_gauss_markov_process() -> None:
         correlation = (scaled[:-ticks] * scaled[ticks:]).mean(axis=0)
         assert np.abs(correlation - np.exp(-0.05 * ticks / 0.2)).max() < STATISTICS
     assert np.abs(np.corrcoef(scaled.T) - np.eye(3)).max() < STATISTICS
+    # A new one each 50 ms: none lies between its neighbours.
+    bends = (scaled[2:] - 2.0 * scaled[1:-1] + scaled[:-2]).std(axis=1)
+    assert abs(bends[::2].mean() / bends[1::2].mean() - 1.0) < STATISTICS
 
 
 @pytest.mark.parametrize("period_s", [0.1, 0.025, 0.02, 0.0125, 0.012, 0.01])
