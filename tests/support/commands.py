@@ -5,9 +5,13 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
+
+import psutil
+
+from transport.flight.fork_server import ForkServer, Start
 
 # A maneuver short enough for tests that start processes: 1.5 s, 30 ticks.
 SHORT = (
@@ -50,6 +54,34 @@ def start(*arguments: str | Path, cwd: Path) -> subprocess.Popen[str]:
         text=True,
         start_new_session=True,
     )
+
+
+@contextmanager
+def forks() -> Iterator[Callable[..., list[psutil.Process]]]:
+    """Yield a function that starts commands in the current folder by one fork server, and end all at last.
+
+    Each command is a list of words. The imports, most of the processor time of a process in a short test, are
+    done once. Outputs are dropped.
+    """
+    server = ForkServer()
+    started: list[psutil.Process] = []
+
+    def begin(*commands: Sequence[str]) -> list[psutil.Process]:
+        with Path(os.devnull).open("r+b") as null:
+            begun = server.start(
+                [Start(each, null.fileno(), null.fileno()) for each in commands], {}
+            )
+        started.extend(begun)
+        return begun
+
+    try:
+        yield begin
+    finally:
+        for process in started:
+            if process.is_running():
+                process.kill()
+            process.wait()
+        server.close()
 
 
 def settings(*changes: str) -> list[str]:
@@ -123,13 +155,15 @@ def _ancestors(pid: int) -> set[int]:
     return found
 
 
-def wait_for(condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -> bool:
+def wait_for(
+    condition: Callable[[], bool], timeout_s: float = PATIENCE_S, every_s: float = 0.05
+) -> bool:
     """Poll a condition; return whether it came true in time."""
     deadline = time.monotonic() + timeout_s
     while not condition():
         if time.monotonic() > deadline:
             return False
-        time.sleep(0.05)
+        time.sleep(every_s)
     return True
 
 

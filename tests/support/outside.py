@@ -89,7 +89,7 @@ def main(file: str, port: int, speed: float, *changes: str) -> None:
     outside.truth = (Path(os.environ["TRANSPORT_AUTOPILOTS"]) / "truth.csv").open("w")
     while not outside.is_behind:
         outside.poll(time.monotonic_ns())
-        time.sleep(0.002)
+        time.sleep(0.005)
     sys.exit(BEHIND)
 
 

@@ -19,6 +19,7 @@ from tests.plant.test_betaflight import installed
 from tests.support.bench import Bench
 from tests.support.commands import (
     PATIENCE_S,
+    forks,
     free_base,
     processes_of,
     settings,
@@ -57,10 +58,13 @@ LOW = (
 )
 FAILURES = (
     "faults.event=[{at_s=1.5,do='kill',target='vehicle2'},{at_s=2.0,do='restart',target='vehicle2'},"
-    "{at_s=3.0,do='kill',target='coordinator'},{at_s=7.0,do='restart',target='coordinator'}]"
+    "{at_s=3.0,do='kill',target='coordinator'},{at_s=6.0,do='restart',target='coordinator'}]"
 )
+ASKS_S = 0.5  # between two questions to the coordinator, each of which opens a session
 RETURNS_S = 240.0  # of wall time: ArduCopter's start, and 7 s at a quarter of real time
-LATE_M = 0.10  # payload error on a late network, rms
+# 200 ms and 30 % loss, and the payload error with them, rms.
+LATE = ("links.delay_s=0.2", "links.loss=0.3")
+LATE_M = 0.10
 # `transport` on a host whose clock is 50 ms ahead.
 AHEAD = """
 import runpy, time
@@ -70,15 +74,10 @@ runpy.run_module("transport", run_name="__main__")
 """
 TIMEOUT_S = 0.5  # `vehicles.setpoint_timeout_s`
 NO_ARDUCOPTER = "ARDUCOPTER does not name ArduCopter's simulator program"
+with_arducopter = pytest.mark.skipif("ARDUCOPTER" not in os.environ, reason=NO_ARDUCOPTER)
 PROGRAMS = [
     "stand_in",
-    pytest.param(
-        "ardupilot",
-        marks=[
-            pytest.mark.slow,
-            pytest.mark.skipif("ARDUCOPTER" not in os.environ, reason=NO_ARDUCOPTER),
-        ],
-    ),
+    pytest.param("ardupilot", marks=[pytest.mark.slow, with_arducopter]),
 ]
 
 
@@ -115,12 +114,13 @@ def test_a_team_flies_through_failures_and_lands(
     docs/flight.md: the team goes on, the vehicle from its own law to the plans, the target of the first
     coordinator stays in force without one, for longer than Zenoh's timeout of 10 s, and no setpoint is by
     knowledge older than a plan's 0.4 s, its tick before, and the offset of the clocks. Nothing ends the
-    run but the release.
+    run but the release. Above stand-ins all this is on a late network, and the payload keeps within 10 cm.
     """
+    links, most_m = (LATE, LATE_M) if program == "stand_in" else ((), 0.3)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("TRANSPORT_AUTOPILOTS", str(tmp_path / "autopilots"))
     # At a quarter of real time a busy machine starts the vehicle again while the team still bears it.
-    options = settings(f"plant.autopilot={program}", "clock.speed=0.25", LOW, FAILURES)
+    options = settings(f"plant.autopilot={program}", "clock.speed=0.25", LOW, FAILURES, *links)
     run = start("run", "flight", *options, "--out", "runs/low", "--no-figures", cwd=tmp_path)
     so_far = LiveLog(tmp_path / "runs" / "low" / "run.mcap")
     try:
@@ -133,7 +133,7 @@ def test_a_team_flies_through_failures_and_lands(
         assert "in flight" in invoke("release")[2]
         assert "landing from tick" in succeed("land")
         assert "expected a team at rest" in invoke("release")[2]
-        assert wait_for(lambda: run.poll() is not None or invoke("release")[0] == 0)
+        assert wait_for(lambda: run.poll() is not None or invoke("release")[0] == 0, every_s=ASKS_S)
         _, errors = run.communicate(timeout=60)
     finally:
         run.kill()
@@ -142,7 +142,7 @@ def test_a_team_flies_through_failures_and_lands(
     summary = json.loads((tmp_path / "runs/low/summary.json").read_text())
     assert summary["outcome"] == "completed"
     assert summary["attitude_max_deg"] < 10.0
-    assert summary["payload_tracking"]["rms_m"] < 0.3
+    assert summary["payload_tracking"]["rms_m"] < most_m
     log = read_log(tmp_path / "runs" / "low" / "run.mcap")
     assert [target.number for target in log.of(Target) if not target.lands] != []
     landing = [target for target in log.of(Target) if target.lands]
@@ -156,9 +156,9 @@ def test_a_team_flies_through_failures_and_lands(
     assert len({status.incarnation for status in of_two}) == 2
     back = [status for status in of_two if status.incarnation > 0 and status.phase == "flying"]
     assert back[-1].plan_tick >= 0
-    # Ticks go on while there is no coordinator, 3 to 7 s at a quarter of real time.
+    # Ticks go on while there is no coordinator, 3 to 6 s at a quarter of real time.
     ticks = {status.tick for status in statuses if status.uav == 3}
-    assert len(ticks & set(range(65, 135))) > 65
+    assert len(ticks & set(range(65, 115))) > 46
     if program != "stand_in":
         return  # tests.system.test_arducopter reads the setpoints on their way
     for uav in (1, 3, 4):
@@ -169,11 +169,11 @@ def test_a_team_flies_through_failures_and_lands(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("program", PROGRAMS)
-def test_a_late_network(program: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@with_arducopter
+def test_a_late_network_above_arducopter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By the autopilots' estimates the payload keeps within 10 cm, with 200 ms and 30 % loss."""
-    late = ("links.delay_s=0.2", "links.loss=0.3", CLIMB_AND_TRANSLATE)
-    summary, _ = flown(tmp_path, f"plant.autopilot={program}", *late, monkeypatch=monkeypatch)
+    options = ("plant.autopilot=ardupilot", *LATE, CLIMB_AND_TRANSLATE)
+    summary, _ = flown(tmp_path, *options, monkeypatch=monkeypatch)
     assert summary["payload_tracking"]["rms_m"] < LATE_M
 
 
@@ -203,12 +203,11 @@ def test_betaflight_over_its_links(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     Meanwhile the firmware's own fail-safe keeps its UAV level, at the throttle of a hover.
     """
-    late = ("links.delay_s=0.2", "links.loss=0.3")
     ends = (
         "faults.event=[{at_s=2.0,do='kill',target='vehicle2'},"
         "{at_s=2.5,do='restart',target='vehicle2'}]"
     )
-    options = ("plant.autopilot=betaflight", SHORT, *late, ends)
+    options = ("plant.autopilot=betaflight", SHORT, *LATE, ends)
     # The physics take a step of a millisecond for each exchange with the firmwares.
     summary, statuses = flown(tmp_path, *options, monkeypatch=monkeypatch, speeds=(0.25, 0.1))
     assert summary["payload_tracking"]["rms_m"] < 0.05
@@ -228,41 +227,39 @@ def by_hand(port: int) -> dict[str, list[str]]:
 
 
 @pytest.mark.slow
-def test_a_recorder_is_started_again(tmp_path: Path) -> None:
+def test_a_recorder_is_started_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of processes started by hand the recorder ends and returns: the others fly on, and the new log has the path."""
+    monkeypatch.chdir(tmp_path)
     port, base = free_udp_ports(4), free_base()
     given = ("clock.speed=0.25", LOW, f"network.base_port={base}", f"network.vehicle_port={port}")
     common = ["--run", "by-hand", "--scenario", "flight", "--join-timeout", "100"]
     options = [*common, *settings(*given)]
     record = ("record", "--no-figures", "--out")
     roles = [["coordinator", "--observer", "recorder"], *by_hand(port).values()]
-    first = start(*record, "first", *options, cwd=tmp_path)
-    started = [first, *(start(*role, *options, cwd=tmp_path) for role in roles)]
-    try:
+    with forks() as begin:
+        first, *_ = begin([*record, "first", *options], *([*role, *options] for role in roles))
         before = LiveLog(tmp_path / "first" / "run.mcap")
         assert wait_for((tmp_path / "first" / "run.mcap").exists)
         assert wait_for(lambda: any(target.number == 1 for target in before.of(Target)))
         first.kill()
-        again = start(*record, "again", *options, cwd=tmp_path)
-        started.append(again)
+        begin([*record, "again", *options])
         after = LiveLog(tmp_path / "again" / "run.mcap")
         assert wait_for((tmp_path / "again" / "run.mcap").exists)
-        assert wait_for(lambda: len(after.of(VehicleStatus)) > 40), again.communicate(timeout=10)
+        assert wait_for(lambda: len(after.of(VehicleStatus)) > 40)
         assert [target.number for target in after.of(Target)] == [1]
         assert any("recorder has returned" in roster.reason for roster in after.of(Roster))
         assert after.of(VehicleStatus)[-1].tick > before.of(VehicleStatus)[-1].tick
-    finally:
-        for process in started:
-            process.kill()
-            process.communicate()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("program", PROGRAMS)
-def test_a_clock_that_is_off_is_refused(program: str, tmp_path: Path) -> None:
+def test_a_clock_that_is_off_is_refused(
+    program: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The team does not start with a vehicle whose clock is 50 ms ahead: its offset is told, and all end."""
+    monkeypatch.chdir(tmp_path)
     port, base = free_udp_ports(4), free_base()
-    ready_s = 30.0 if program == "stand_in" else 120.0
+    ready_s = 12.0 if program == "stand_in" else 120.0
     given = (
         f"plant.autopilot={program}",
         f"vehicles.ready_s={ready_s}",
@@ -272,21 +269,24 @@ def test_a_clock_that_is_off_is_refused(program: str, tmp_path: Path) -> None:
     common = ["--run", "clocks", "--scenario", "flight", "--join-timeout", "100"]
     options = [*common, *settings(*given)]
     roles = by_hand(port)
-    ahead = [sys.executable, "-c", AHEAD, *roles.pop("vehicle3"), *options]
+    # Vehicles are judged in their order: of the others none has to be ready in time.
+    ahead = [sys.executable, "-c", AHEAD, *roles.pop("vehicle1"), *options]
     coordinator = start("coordinator", *options, cwd=tmp_path)
-    started = [coordinator, *(start(*role, *options, cwd=tmp_path) for role in roles.values())]
-    started.append(subprocess.Popen(ahead, cwd=tmp_path, stderr=subprocess.PIPE, text=True))
+    vehicle = subprocess.Popen(ahead, stderr=subprocess.DEVNULL)
     try:
-        _, errors = coordinator.communicate(timeout=ready_s + PATIENCE_S)
-        assert coordinator.returncode == 4
-        refusal = re.search(r"vehicle3: clock: expected .*, got (.*) ms \+- (.*) ms", errors)
-        assert refusal is not None, errors
-        assert float(refusal[1]) == pytest.approx(50.0, abs=float(refusal[2]) + 1.0)
-        assert all(process.wait(timeout=30.0) is not None for process in started)
+        with forks() as begin:
+            others = begin(*([*role, *options] for role in roles.values()))
+            _, errors = coordinator.communicate(timeout=ready_s + PATIENCE_S)
+            assert coordinator.returncode == 4
+            refusal = re.search(r"vehicle1: clock: expected .*, got (.*) ms \+- (.*) ms", errors)
+            assert refusal is not None, errors
+            assert float(refusal[1]) == pytest.approx(50.0, abs=float(refusal[2]) + 1.0)
+            for process in (vehicle, *others):
+                process.wait(timeout=30.0)
     finally:
-        for process in started:
+        for process in (coordinator, vehicle):
             process.kill()
-            process.communicate()
+            process.wait()
 
 
 class Flown:
@@ -386,7 +386,7 @@ def test_each_failure_is_handled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
             relay.set_parameter(1, "STAND_BATTERY", 10.0)
             assert wait_for(lambda: team.says("battery of UAV1 at 10%: the team lands"))
             run.terminate()
-            assert wait_for(lambda: invoke("release")[0] == 0)
+            assert wait_for(lambda: invoke("release")[0] == 0, every_s=ASKS_S)
             _, errors = run.communicate(timeout=60)
         finally:
             run.kill()
