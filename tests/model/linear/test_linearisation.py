@@ -5,6 +5,7 @@ Jacobians against finite differences, outputs by hand.
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from tests.support.random_systems import (
 )
 from transport.model import state
 from transport.model.arrays import Array
+from transport.model.kernels.compiled_step import CompiledStep, Feedback
 from transport.model.linear.linearisation import Model
 from transport.model.physics.hover import hover
 from transport.model.physics.parameters import Payload, System, table_1
@@ -258,3 +260,13 @@ def test_outputs_by_hand(N: int) -> None:
     payload = [view.r0_I, attitude(view.Theta0) @ view.v0_P]
     expected = np.concatenate([positions.reshape(-1), view.Theta0, view.omega_B[:, 2], *payload])
     assert deviation(model.outputs(x), expected) < OUTPUT_TOLERANCE
+
+
+def test_a_rollout_in_one_call_is_of_teams_with_all_motors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The compiled one knows no UAVs off: it is taken where all have motors, and the model's steps elsewhere."""
+    rolled = np.zeros((2, 60)), np.zeros((1, 16))
+    monkeypatch.setattr(CompiledStep, "load", lambda _: SimpleNamespace(rollout=lambda *_: rolled))
+    x, bounds = np.zeros(60), np.zeros(16)
+    feedback = Feedback(at_x=np.zeros((1, 16)), K=np.zeros((16, 60)), lower=bounds, upper=bounds)
+    assert Model(table_1()).rollout(x, feedback, 0.05, None) is rolled
+    assert Model(table_1(), {2}).rollout(x, feedback, 0.05, None) is None

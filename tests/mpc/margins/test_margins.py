@@ -1,5 +1,6 @@
 """The linear analysis of the sampled loop about hover (docs/equations.md (60))."""
 
+import math
 from dataclasses import fields, replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from tests.support.random_systems import with_drag
 from transport.model.arrays import Array
 from transport.model.linear.linearisation import Model
 from transport.model.physics.hover import hover
-from transport.model.physics.parameters import System, table_1
+from transport.model.physics.parameters import ParameterError, System, table_1
 from transport.model.state import PAYLOAD, input_slice, uav_slice
 from transport.mpc.alone.fail_safe import FailSafe
 from transport.mpc.controller import Controller
@@ -380,3 +381,48 @@ def test_beyond_the_longest_lag_tried_a_known_one_is_within_its_margin() -> None
     known_s, limit_s = 0.7, 0.9
     upper_s = margins(_ShortDelayLoop(limit_s=limit_s, known_lag_s=known_s))["lag_s"].upper
     assert upper_s == pytest.approx(limit_s, rel=0.01)
+
+
+class _RangeLoop(SampledLoop):
+    """A loop that counts as stable for one property within a range, and beyond it is not, or has no hover."""
+
+    period_s = 0.05
+
+    def __init__(self, name: str, least: float, most: float, *, has_hover: bool) -> None:
+        self._name = name
+        self._range = least, most
+        self._has_hover = has_hover
+
+    def matrix(self, plant: Mismatch) -> Array:
+        least, most = self._range
+        is_within = least <= getattr(plant, self._name) <= most
+        if not is_within and not self._has_hover:
+            raise ParameterError("no hover")
+        growth_per_s = 0.019 if is_within else 0.021
+        return np.array([[math.exp(growth_per_s * self.period_s)]])
+
+
+@pytest.mark.parametrize("has_hover", [True, False])
+@pytest.mark.parametrize(
+    ("name", "least", "most", "is_found"),
+    [
+        ("gain", 0.4, 3.0, True),
+        ("payload_mass", 0.11, 9.5, True),
+        ("payload_mass", 0.09, 10.5, False),
+        ("delay_s", 0.0, 0.55, True),
+        ("delay_s", 0.0, 0.65, False),
+    ],
+)
+def test_a_range_is_found_to_half_a_percent(
+    name: str, least: float, most: float, is_found: bool, *, has_hover: bool
+) -> None:
+    """From a tenth to ten times, and up to 0.6 s; a growth of 0.02 1/s counts as none, no hover as unstable."""
+    margin = margins(_RangeLoop(name, least, most, has_hover=has_hover), [name])[name]
+    if not is_found:
+        assert (margin.lower, margin.upper) == (None, None)
+        return
+    assert margin.upper is not None
+    assert most / 1.005 <= margin.upper <= most
+    if least > 0.0:
+        assert margin.lower is not None
+        assert least <= margin.lower <= least * 1.005
