@@ -122,7 +122,16 @@ def test_results_are_shared_by_what_they_follow_from() -> None:
     later = replace(samples.change, first=samples.change.first + 1)
     moved = replace(samples.track, first=samples.track.first + 1)
     turned = replace(samples.track, U=samples.track.U + 1.0)
+    heavier = replace(SYSTEM, payload=replace(SYSTEM.payload, mass=9.0))
+    at_rest = hover(SYSTEM)
+    paths = [
+        FlatReference(SYSTEM, at_rest, EIGHT),
+        FlatReference(SYSTEM, at_rest, EIGHT.with_target(TARGET)),
+        FlatReference(heavier, at_rest, EIGHT),
+        FlatReference(SYSTEM, hover(heavier), EIGHT),
+    ]
     keys = [
+        *(path.key for path in paths),
         samples.key,
         flat.sampled.key,
         replace(samples, X=samples.X + 1.0).key,

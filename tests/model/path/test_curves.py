@@ -70,6 +70,19 @@ def test_a_table_ends_where_its_rows_end() -> None:
     np.testing.assert_allclose(ends, expected, atol=ROUNDING)
 
 
+def test_a_table_of_a_second_has_the_shape_of_a_longer_one() -> None:
+    """Its spline has as many knots, however short it is: the places are those of the same way in three seconds."""
+    tau = np.linspace(0.0, 1.0, 41)
+    s = tau**3 * (10.0 - 15.0 * tau + 6.0 * tau**2)
+    ways = []
+    for duration_s in (0.5, 3.0):
+        table = np.column_stack([tau * duration_s, s, np.sin(np.pi * s) ** 2, -0.5 * s])
+        one = Curve(kind=None, duration_s=duration_s, ramp_s=0.0, table=table.tolist())
+        ways.append(one.path(tau * duration_s, 1)[0])
+    np.testing.assert_allclose(ways[0], ways[1], atol=ROUNDING)
+    assert np.abs(ways[0] - table[:, 1:]).max() < 0.05
+
+
 @pytest.mark.parametrize("points", [[[2.0, 0.0, 1.0]], [[1.0, 0.0, 0.0], [1.0, 1.0, -1.0]]])
 @pytest.mark.parametrize("times_s", [None, [3.0, 8.0]], ids=["by distance", "by time"])
 def test_through_few_way_points_the_shape_is_a_polynomial(

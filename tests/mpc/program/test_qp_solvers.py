@@ -1,6 +1,8 @@
 """The QP solvers against each other, against SciPy, and against answers made wrong on purpose."""
 
+import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -121,23 +123,51 @@ def test_daqp_is_behind_clarabel(said: str, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["at most", "at least"])
 @pytest.mark.parametrize("unit", [1e-9, 1e-6, 1e6, 1e9])
-def test_the_unit_of_a_row_does_not_matter(unit: float, name: SolverName) -> None:
+def test_the_unit_of_a_row_does_not_matter(unit: float, sign: float, name: SolverName) -> None:
     """A program has the same optimum, and multipliers in the rows' units, whatever these units are.
 
     Minimise 1/2 |z|^2 - 3 z1 - 3 z2 with z1 + z2 <= 4 in this unit: z = (2, 2), multiplier 1 / unit.
     A row without decisions, as of an expression at its extremum, has none.
     """
+    by = sign * unit
+    ends = np.sort([4.0 * by, by * -np.inf])
     qp = QP(
         H=np.eye(2), g=np.full(2, -3.0), lower=np.full(2, -10.0), upper=np.full(2, 10.0),
-        A=np.array([[unit, unit], [0.0, 0.0]]),
-        row_lower=np.full(2, -np.inf), row_upper=np.array([4.0 * unit, 1.0]),
+        A=np.array([[by, by], [0.0, 0.0]]),
+        row_lower=np.array([ends[0], -np.inf]), row_upper=np.array([ends[1], 1.0]),
     )  # fmt: skip
     answer = solve(qp, name, any_rows=True)
     assert answer.status == "solved"
     assert answer.z == pytest.approx([2.0, 2.0], abs=AGREEMENT)
-    assert unit * answer.row_multipliers[0] == pytest.approx(1.0, abs=AGREEMENT)
+    assert by * answer.row_multipliers[0] == pytest.approx(1.0, abs=AGREEMENT)
     assert answer.row_multipliers[1] == pytest.approx(0.0, abs=AGREEMENT)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("field", ["H", "g"])
+def test_a_cost_that_is_no_number_has_no_solution(field: str, name: SolverName) -> None:
+    """It is no program for a solver, whichever is chosen: the answer says so without an error."""
+    qp = random_qp(0)
+    broken = getattr(qp, field).copy()
+    broken[-1] = np.nan
+    answer = solve(replace(qp, **{field: broken}), name)
+    assert (answer.status, answer.solver, answer.fallback) == ("numerical", name, False)
+    assert not answer.z.any()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_row_out_of_range_has_no_solution(name: SolverName) -> None:
+    """Beside one that is scaled it stays infinite: the answer is no solution, without an error."""
+    qp = QP(
+        H=np.eye(2), g=np.full(2, -3.0), lower=np.full(2, -10.0), upper=np.full(2, 10.0),
+        A=np.array([[1e6, 1e6], [np.inf, 0.0]]),
+        row_lower=np.full(2, -np.inf), row_upper=np.array([4e6, 1.0]),
+    )  # fmt: skip
+    with warnings.catch_warnings(action="error"):
+        answer = solve(qp, name, any_rows=True)
+    assert answer.status != "solved"
 
 
 Lie = Callable[[Array, Array], tuple[Array, Array]]
