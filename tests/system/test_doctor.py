@@ -77,14 +77,17 @@ def test_findings_are_lines_with_their_advice(monkeypatch: pytest.MonkeyPatch) -
     poor = DoctorFinding("warn", "slow", "buy another")
     bad = DoctorFinding("fail", "broken", "mend it")
     monkeypatch.setattr(
-        doctor, "CHECKS", {"a": lambda _: bad, "b": lambda _: good, "c": lambda _: poor}
+        doctor,
+        "CHECKS",
+        {"a": lambda _: bad, "b": lambda _: good, "c": lambda _: poor, "d": lambda _: good},
     )
     result = CliRunner().invoke(app, ["doctor"])
     assert (result.exit_code, result.stdout.splitlines()) == (
         9,
         [
             f"{'fail a':17} broken", f"{'':17} -> mend it", f"{'ok   b':17} as it should be",
-            f"{'warn c':17} slow", f"{'':17} -> buy another", "3 checks: 1 fail, 1 warn",
+            f"{'warn c':17} slow", f"{'':17} -> buy another", f"{'ok   d':17} as it should be",
+            "4 checks: 1 fail, 1 warn",
         ],
     )  # fmt: skip
 

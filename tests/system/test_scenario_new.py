@@ -1,5 +1,6 @@
 """`transport scenario new`: files that run, and refusals with option, expected and got."""
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -10,15 +11,9 @@ from tests.support.runs import PAPER, SCENARIOS
 from transport.cli.commands.scenario import wide_load
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.scenario.teams.team_of_any_size import Team, resized
+from transport.protocol.scenario.teams.team_of_any_size import Team, given_values, resized
 
 USAGE, SCENARIO = 2, 3
-
-# UAVs at unequal distances from the centre of mass.
-UNEQUAL = (
-    "{id=%d,mass_kg=1.5,inertia_kgm2=[0.029,0.029,0.055],rho_m=[%g,%g,-0.125],rod_length_m=3.2}"
-)
-PLACES = ((1, 0.25, 0.25), (2, 0.25, -0.25), (3, -0.35, -0.25), (4, -0.35, 0.25))
 
 # A vehicle with a text among its limits.
 MINE = """
@@ -59,6 +54,11 @@ REFUSED = [
     ),
     (
         ("--uavs", "4", "--vehicle", "mine.toml", "--load", "1"),
+        SCENARIO,
+        "mine.toml: controller.limits.moments_Nm.3: expected a number in N m, got '0.2'",
+    ),
+    (
+        ("--uavs", "4", "--vehicle", "mine.toml", "--name", "good"),
         SCENARIO,
         "mine.toml: controller.limits.moments_Nm.3: expected a number in N m, got '0.2'",
     ),
@@ -148,6 +148,7 @@ def test_a_file_and_standard_output_are_the_same(tmp_path: Path) -> None:
     assert path.read_text(encoding="utf-8") == printed.stdout
     expected = resized(read_scenario(PAPER), Team(uavs=5, group=2, name="five"), "")
     assert read_scenario(path) == expected
+    assert tomllib.loads(printed.stdout) == given_values(expected)  # without defaults
     assert Setup.of(read_scenario(path), str(path)).owned == ((0, 1), (2, 3), (4,))
 
 
@@ -158,17 +159,6 @@ def test_resilient_is_the_default(tmp_path: Path) -> None:
     scenario = read_scenario(tmp_path / "six.toml")
     assert scenario.name == "resilient-6"
     assert scenario.controller == read_scenario(SCENARIOS / "resilient.toml").controller
-
-
-def test_validate_tells_all_hover_thrusts(tmp_path: Path) -> None:
-    """A UAV closer to the centre of mass carries more: the command prints the thrust of each."""
-    heavier = "system.uav=" + "[" + ",".join(UNEQUAL % place for place in PLACES) + "]"
-    result = here("validate", "paper", "--set", heavier)
-    setup = Setup.of(read_scenario(PAPER, [heavier]), "paper")
-    thrusts = ", ".join(f"{thrust_N:.2f}" for thrust_N in setup.hover.u[::4])
-    assert len(set(setup.hover.u[::4])) > 1
-    assert f"hover thrusts {thrusts} N" in result.stderr
-    assert "hover thrust 22.07 N," in here("validate", "paper").stderr
 
 
 def test_a_load_wider_than_the_ring_is_told(tmp_path: Path) -> None:
