@@ -50,7 +50,7 @@ class Run:
     def __init__(
         self, scenario: Scenario, setup: Setup, log: RunLog, folder: Path | None = None
     ) -> None:
-        self.scenario = scenario.copy()  # changes of either do not affect the other
+        self.scenario = scenario
         self.log = log
         self.folder = folder
         self._setup = setup

@@ -81,7 +81,7 @@ def animate_run(folder: Path, out: Path, *, speed: float | None = None) -> Path:
     period_s = builder.setup.settings.sampling_period_s
     speed = speed or max(1.0, len(series.ticks) * period_s / LENGTH_S)
     ticks = np.arange(series.ticks[0], series.ticks[-1] + 1, speed / FPS / period_s)
-    shown = list(dict.fromkeys(builder.history.nearest(round(tick)) for tick in ticks))
+    shown = [builder.history.nearest(round(tick)) for tick in ticks]
 
     out.parent.mkdir(parents=True, exist_ok=True)
     writer = _writer(out)

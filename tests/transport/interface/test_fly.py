@@ -67,6 +67,7 @@ def test_it_is_the_run_of_the_command_line(run: transport.Run) -> None:
     assert [str(reproducible(entry.message)) for entry in run.log.messages] == [
         str(reproducible(message)) for message in expected
     ]
+    assert run.summary["startup_s"] > 0.0  # from the call to the first tick
     states = [entry.message for entry in run.log.messages if isinstance(entry.message, PlantState)]
     assert [state.x.tobytes() for state in states] == [
         m.x.tobytes() for m in expected if isinstance(m, PlantState)
@@ -160,6 +161,36 @@ def test_a_run_is_shown_by_notebooks(run: transport.Run) -> None:
     assert str(run).splitlines()[0] == "resilient completed"
     assert "payload attitude" in str(run)
     assert repr(run).startswith("Run('resilient': completed, 1.50 s, mean cost ")
+
+
+@pytest.mark.parametrize(
+    ("cost", "attitude_deg", "parts"),
+    [
+        (None, None, ""),
+        (0.0, 0.0, ", mean cost 0, payload attitude max 0.00 deg"),
+        (0.01234, 3.456, ", mean cost 0.0123, payload attitude max 3.46 deg"),
+    ],
+)
+def test_a_run_is_represented_by_the_numbers_that_it_has(
+    run: transport.Run, cost: float | None, attitude_deg: float | None, parts: str
+) -> None:
+    """A run that ended before its first tick has neither cost nor attitude; at rest they are zero."""
+    found = transport.Run(run.scenario, run._setup, run.log)
+    changed = {"cost": {"mean": cost}, "attitude_max_deg": attitude_deg}
+    found.__dict__["summary"] = {**run.summary, **changed}
+    assert repr(found) == f"Run('resilient': completed, 1.50 s{parts})"
+
+
+def test_a_saved_run_is_copied_with_its_folder(run: transport.Run, tmp_path: Path) -> None:
+    """With files that the user has put there."""
+    found = transport.Run(run.scenario, run._setup, run.log)
+    first = found.save(tmp_path / "first", figures=False)
+    assert found.folder == first
+    (first / "notes.txt").touch()
+    second = found.save(tmp_path / "second", figures=False)
+    files = [sorted(path.name for path in folder.iterdir()) for folder in (first, second)]
+    assert files[0] == files[1]
+    assert {"notes.txt", "run.mcap", "summary.json"} <= {*files[0]}
 
 
 def test_a_run_that_diverges_is_a_run() -> None:

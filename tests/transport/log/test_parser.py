@@ -3,6 +3,7 @@
 import struct
 import tracemalloc
 from collections.abc import Callable, Iterator
+from io import BytesIO
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
-from transport.log.parser import MOST_BYTES, Parser
+from transport.log.parser import MOST_BYTES, Parser, records
 
 CHUNK_BYTES = 2000
 CHANNELS = 7
@@ -52,13 +53,14 @@ def written(path: Path, count: int, compression: CompressionType, *, finished: b
             )
         for entry in islice(entries(), count):
             writer.add_message(**entry)
+        writer.add_metadata("run", {"run_id": "later"})
         (writer.finish if finished else writer.flush)()  # type: ignore[no-untyped-call]
     return path
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
 def test_it_reads_what_the_library_reads(tmp_path: Path, compression: CompressionType) -> None:
-    """Channels, data, times and metadata are those that the reader of the mcap package finds."""
+    """Channels, data and times are those that the reader of the mcap package finds; metadata of a name the first."""
     path = written(tmp_path / "run.mcap", 400, compression)
     parser = Parser(path)
     found = [(channel.topic, entry.data, entry.publish_time) for channel, entry in parser.entries()]
@@ -71,6 +73,26 @@ def test_it_reads_what_the_library_reads(tmp_path: Path, compression: Compressio
     assert len(found) == 400
     assert (parser.damaged, parser.is_whole()) == (0, True)
     assert parser.metadata == {"run": {"run_id": "r1", "note": "Ω0"}}
+
+
+def test_channels_of_a_damaged_chunk_are_in_the_summary(tmp_path: Path) -> None:
+    """They are described in the first one alone; messages behind it are read."""
+    path = written(tmp_path / "run.mcap", 400, CompressionType.LZ4)
+    whole = [(channel.topic, entry.data) for channel, entry in Parser(path).entries()]
+    data = bytearray(path.read_bytes())
+    chunks = [
+        record
+        for record in records(BytesIO(data), len(MCAP0_MAGIC))
+        if record.opcode == Opcode.CHUNK
+    ]
+    data[chunks[0].end - 20] ^= 0xFF
+    path.write_bytes(data)
+
+    parser = Parser(path)
+    found = [(channel.topic, entry.data) for channel, entry in parser.entries()]
+    assert 0 < len(found) < len(whole)
+    assert found == whole[-len(found) :]
+    assert parser.damaged == 1
 
 
 # Content of a chunk that unpacks to far more than any chunk of a run.

@@ -16,10 +16,27 @@ from msgspec.structs import replace
 
 from tests.support import runs
 from tests.support.logs import log_of
-from transport.log.run_log import LogError, RunLog, read_log
+from transport.log.run_log import (
+    LogError,
+    LogTail,
+    RunLog,
+    channel_of,
+    read_log,
+    setup_in,
+    topic_of,
+)
 from transport.log.writer import CHUNK_BYTES, LogWriter
 from transport.protocol.wire.codec import VERSION, encode
-from transport.protocol.wire.messages import FaultNote, Message, Plan, Roster, Tick
+from transport.protocol.wire.messages import (
+    FaultNote,
+    LinkChange,
+    Message,
+    Plan,
+    PlantState,
+    Rejected,
+    Roster,
+    Tick,
+)
 
 HEADER = {"run_id": "r1", "scenario": "name = 'x'\n", "versions": "python 3.12", "note": "Ω0"}
 RECEIVED_NS = 1_700_000_000_000_000_000
@@ -244,6 +261,66 @@ def tick() -> Tick:
     return runs.tick(3)
 
 
+HEAD = {"incarnation": 0, "sequence": 0, "tick": 3}
+
+
+@pytest.mark.parametrize(
+    ("message", "channel", "topic"),
+    [
+        (
+            FaultNote(sender="recorder", target="agent1", what="killed", origin="person", **HEAD),
+            *("/recorder/fault", "/fault"),
+        ),
+        (
+            Rejected(sender="agent1", offender="agent2", reason="past", count=1, example="", **HEAD),
+            *("/rejected/agent1", "/rejected/agent1"),
+        ),
+        (
+            LinkChange(sender="coordinator", number=1, source="", target="", settings="{}", **HEAD),
+            *("/roster", "/link"),
+        ),
+        (runs.plan(runs.setup(), 3, 1), "/plan/3", "/plan/3"),
+        (runs.plan(runs.setup(), 3, 1, shared=False), "/unshared/3", "/plan/3"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)  # fmt: skip
+def test_messages_of_the_recorder_have_channels_of_their_own(
+    message: Message, channel: str, topic: str
+) -> None:
+    """None of these comes from the network; in exports each kind of message has its own."""
+    assert (channel_of(message), topic_of(message)) == (channel, topic)
+
+
+@pytest.mark.parametrize("scenario", ["", "a = ", f"a = {'[' * 5000}", "name = 'x'"])
+def test_a_header_that_is_no_scenario_tells_no_run(scenario: str, tmp_path: Path) -> None:
+    """Also one that is nested deeper than any reader goes: messages are read without it."""
+    assert setup_in({"scenario": scenario}, tmp_path) is None
+
+
+def test_a_log_whose_header_is_damaged_is_read(tmp_path: Path, whole: bytes) -> None:
+    """It may be that of a run: what can be read is, and the damage is told."""
+    data = bytearray(whole)
+    key = data.index(b"run_id") - 4  # its length
+    data[key : key + 4] = b"\xff" * 4
+    path = tmp_path / "run.mcap"
+    path.write_bytes(data)
+    log = read_log(path)
+    assert log.header == {}
+    assert "damaged parts left out: 1" in log.cut
+    assert log.messages
+
+
+def test_the_newest_entry_is_the_one_of_the_latest_time(tmp_path: Path) -> None:
+    """Clocks may be set back in a run."""
+    path = tmp_path / "run.mcap"
+    with closing(LogWriter(path, HEADER, period_ns=50_000_000)) as writer:
+        for number, received_ns in enumerate((5, 9, 7)):
+            writer.write(replace(tick(), sequence=number), received_ns)
+    tail = LogTail(path)
+    assert len(tail.read()) == 3
+    assert tail.newest_ns == 9
+
+
 def test_entries_of_another_version_and_a_missing_index_are_told(
     tmp_path: Path, flight: list[Message]
 ) -> None:
@@ -261,7 +338,9 @@ def test_entries_of_another_version_and_a_missing_index_are_told(
         for _, channel, entry in reader.iter_messages(log_time_order=False):
             if channel.topic not in numbers:
                 encoding = (
-                    other.decode() if channel.topic == "/roster" else channel.message_encoding
+                    other.decode()
+                    if channel.topic in ("/roster", "/plant_state")
+                    else channel.message_encoding
                 )
                 numbers[channel.topic] = writer.register_channel(channel.topic, encoding, 0)
             writer.add_message(
@@ -273,11 +352,11 @@ def test_entries_of_another_version_and_a_missing_index_are_told(
             )
         writer.finish()  # type: ignore[no-untyped-call]
     log = read_log(changed)
-    rosters = sum(isinstance(message, Roster) for message in flight[:40])
+    passed_over = sum(isinstance(message, Roster | PlantState) for message in flight[:40])
     last = max(message.tick for message in flight[:40])
     assert log.cut == (
-        f"the log is incomplete ({rosters} entries are not of this version, the first a channel '/roster' with "
-        f"encoding {other.decode()!r}): {40 - rosters} messages are readable, up to tick {last}"
+        f"the log is incomplete ({passed_over} entries are not of this version, the first a channel '/roster' "
+        f"with encoding {other.decode()!r}): {40 - passed_over} messages are readable, up to tick {last}"
     )
 
     path.write_bytes(whole[:-1])

@@ -2,9 +2,11 @@
 
 import shutil
 import struct
+from collections.abc import Iterable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -18,7 +20,8 @@ from transport.analysis.series import series_of
 from transport.cli.main import app
 from transport.log.run_folder import open_run
 from transport.model.state import R0
-from transport.report.animation import FPS, AnimationPage, animate_run
+from transport.report.animation import FPS, LENGTH_S, AnimationPage, animate_run
+from transport.scene.lines_meshes_and_labels import Part
 from transport.scene.scene_at_tick import Scene, SceneBuilder
 
 # Largest size of a frame with moving lines.
@@ -109,11 +112,20 @@ def test_unsupported_files_are_refused(
     assert not (recorded / "summary.json").exists()
 
 
-@pytest.mark.parametrize(("speed", "apart"), [(None, 2), (1.0, 2), (4.0, 8)])
+@pytest.mark.parametrize(
+    ("speed", "length_s", "apart"),
+    [(None, 6.0, 2), (1.0, 0.5, 2), (4.0, 6.0, 8), (None, 0.75, 4), (0.25, 6.0, 0.5)],
+)
 def test_frames_are_a_tenth_of_a_second_of_the_animation_apart(
-    recorded: Path, speed: float | None, apart: int, monkeypatch: pytest.MonkeyPatch
+    recorded: Path,
+    speed: float | None,
+    length_s: float,
+    apart: float,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A run shorter than the animation has its own speed, by default; the first frame is the first tick."""
+    """A run of 1.5 s, or at most the length of the animation, has its own speed; the first frame is the first tick."""
+    assert LENGTH_S == 6.0
+    monkeypatch.setattr("transport.report.animation.LENGTH_S", length_s)
     ticks: list[int] = []
 
     class Still(AnimationPage):
@@ -130,7 +142,43 @@ def test_frames_are_a_tenth_of_a_second_of_the_animation_apart(
     monkeypatch.setattr("transport.report.animation.AnimationPage", Still)
     monkeypatch.setattr("transport.report.animation._writer", lambda _: Unwritten())
     animate_run(recorded, recorded / "none.gif", speed=speed)
-    assert ticks == list(range(0, 30, apart))
+    # Slower than ten ticks a second, frames repeat.
+    assert ticks == [min(29, round(tick)) for tick in np.arange(0.0, 30.0, apart)]
+
+
+def test_each_view_has_its_parts(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Links from above alone, thrust and flown paths in space alone; the reference is part of the page in space."""
+    layers: dict[bool, set[str]] = {}
+
+    def keep(
+        _: object, parts: Iterable[Part], *_rest: object, above: bool, **__: object
+    ) -> list[Any]:
+        layers[above] = {part.layer for part in parts}
+        return []
+
+    monkeypatch.setattr("transport.report.animation.draw_parts", keep)
+    run = open_run(recorded)
+    builder = SceneBuilder.of(run.setup, run.log)
+    page = AnimationPage(builder, series_of(run.setup, run.log))
+    page.show(builder.at(9))
+    space: Any = page.figure.axes[0]
+    low, high = space.get_zlim()
+    assert low < -builder.at(9).payload_I[2] < -builder.at(9).uavs_I[0, 2] < high
+    assert layers[True] - layers[False] == {"links"}
+    assert layers[False] - layers[True] == {"actual paths", "thrust"}
+    assert "reference" not in layers[True] | layers[False]
+
+
+def test_a_run_of_one_tick_has_a_page(recorded: Path) -> None:
+    """Its axes over time have a length, too."""
+    run = open_run(recorded)
+    first = tuple(entry for entry in run.log.messages if entry.message.tick == 0)
+    log = replace(run.log, messages=first)
+    builder = SceneBuilder.of(run.setup, log)
+    page = AnimationPage(builder, series_of(run.setup, log))
+    page.show(builder.at(0))
+    low, high = page.figure.axes[-1].get_xlim()
+    assert low < high
 
 
 def test_a_frame_replaces_the_one_before(recorded: Path) -> None:

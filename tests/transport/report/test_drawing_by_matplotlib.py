@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from transport.model.arrays import Array
 from transport.model.physics.rotations import rotation
-from transport.report.drawing_by_matplotlib import UP, draw_parts, frame
+from transport.report.drawing_by_matplotlib import UP, draw_parts, frame, line
 from transport.scene.lines_meshes_and_labels import (
     Label,
     LineSegments,
@@ -97,10 +97,13 @@ def test_a_label_stands_beside_its_frame_and_does_not_turn_with_it() -> None:
     above: Any = figure.add_subplot(1, 2, 1)
     space: Any = figure.add_subplot(1, 2, 2, projection="3d")
     no_lines = LineSegments("none", "body", "", 1.0, np.zeros((0, 2, 3)), np.zeros((0, 3)))
+    artists = []
     for axes in (above, space):
         parts: list[Part] = [label, no_lines, cube("body", 0.0, RED)]
-        draw_parts(axes, parts, {"body": turned}, above=axes is above, width=1.0)
+        artists.append(draw_parts(axes, parts, {"body": turned}, above=axes is above, width=1.0))
     (text,) = above.texts
+    assert text in artists[0]  # so that it can be removed
+    assert text.zorder > max(found.zorder for found in above.collections)
     assert text.get_text() == "UAV7"
     assert text.get_position() == (1.5, 2.0)
     assert not space.texts
@@ -128,3 +131,15 @@ def test_the_box_has_a_margin_and_no_thin_side() -> None:
     assert axes.get_xlim() == pytest.approx((-0.3, 4.3))
     assert axes.get_ylim() == pytest.approx((2.3, -0.3))
     assert axes.get_zlim() == pytest.approx((1.0 - 0.69, 1.0 + 0.69))  # 0.3 of 4.6 m
+    assert len(axes.get_zticks()) < len(axes.get_yticks()) < len(axes.get_xticks())
+
+
+def test_in_space_bodies_are_as_opaque_as_they_say_and_paths_have_their_altitude() -> None:
+    """A path of z = -2 m, which points down, is 2 m high."""
+    axes: Any = Figure().add_subplot(projection="3d")
+    glass = cube("body", 0.0, RED)._replace(opacity=0.5)
+    _, faces = draw_parts(axes, [glass], {"body": STILL}, above=False, width=1.0)
+    assert set(faces.get_facecolor()[:, 3].tolist()) == {0.5}
+    line(axes, np.array([[0.0, 1.0, -2.0], [3.0, 4.0, -5.0]]))
+    x, y, z = axes.lines[0].get_data_3d()
+    assert (list(x), list(y), list(z)) == ([0.0, 3.0], [1.0, 4.0], [2.0, 5.0])

@@ -402,11 +402,14 @@ def test_every_row_of_the_table_has_its_numbers(flight: tuple[Path, list[Message
         "clearance_min_m": {"uav": 1.0, "rod": None, "payload": 2.0},
         "separation_min_m": 0.4567, "local_error_max": 2.5e-9, "own_constraints": [],
         "agent_step_ms": times, "rest_of_tick_ms": {"p50": None, "p99": None, "max": None},
-        "deadline": {"plans": 0}, "radio": None, "faults": FAULTS[:1], "log_cut": "it is cut", "rejections": [],
-        "limits_reached": [],
+        "deadline": {"plans": 0}, "radio": None, "log_cut": "it is cut", "rejections": [],
+        "limits_reached": [], "faults": [*FAULTS[:1], {**FAULTS[1], "what": "away"}],
         "solver": {"fallbacks": 1, "failures": 0, "failed_agents": [], "beyond_share": False},
     }  # fmt: skip
-    assert str(summary_table(summary).title) == "paper diverged: away"
+    assert str(summary_table(summary).title) == "paper diverged: away"  # which no fault tells again
+    for outcome, colour in (("diverged", "red"), ("unknown", "yellow"), ("completed", "green")):
+        title: Any = summary_table({**summary, "outcome": outcome}).title
+        assert title.spans[-1].style == f"bold {colour}"
     assert rows_of(summary) == [
         ("simulated", "1.50 s in 2.50 s of wall time (0.60 x real time)"),
         ("controller", "1 agent every 25 ms, 20 steps, open loop, relaxation 0.5"),

@@ -1,11 +1,13 @@
 """The bag of a run for ROS 2, read back by rosbags: values, frames, and what each topic is for."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 
 import transport
@@ -50,12 +52,17 @@ def named_frames(N: int) -> set[str]:
     return numbered | {name for name in names if not name.endswith("1")}
 
 
-def test_the_bag_holds_the_run(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def run() -> transport.Run:
+    """Return a run of ten ticks."""
+    return transport.fly("resilient", phases=PHASES, progress=False)
+
+
+def test_the_bag_holds_the_run(run: transport.Run, tmp_path: Path) -> None:
     """Every tick has poses, twists, plans, transforms and markers.
 
     Poses and twists are those of the plant.
     """
-    run = transport.fly("resilient", phases=PHASES, progress=False)
     setup = Setup.of(run.scenario.validated, "test")
     bag = tmp_path / "bag.mcap"
     assert write_bag(SceneBuilder.of(setup, run.log), run.log, bag) == 10
@@ -120,6 +127,30 @@ def test_the_bag_holds_the_run(tmp_path: Path) -> None:
     assert {marker.type for marker in first} == {5, 9, 11}
     assert {marker.header.frame_id for marker in [*first, *last]} <= {*tree}
     assert len(first) > len(last) > 0
+    assert all(len(marker.points) > 0 for marker in [*first, *last] if marker.type == 5)
+
+
+def test_the_bag_of_a_log_without_its_beginning_has_the_bodies_at_its_first_tick(
+    run: transport.Run, tmp_path: Path
+) -> None:
+    """Messages are stamped with scenario time in the file, too, whose metadata are those of the log."""
+    setup = Setup.of(run.scenario.validated, "test")
+    store: Any = get_typestore(Stores.ROS2_JAZZY)
+    bag = tmp_path / "bag.mcap"
+    part = replace(run.log, messages=tuple(e for e in run.log.messages if e.message.tick > 7))
+    assert write_bag(SceneBuilder.of(setup, part), part, bag) == 2
+    with bag.open("rb") as stream:
+        reader = make_reader(stream)
+        told = [entry for _, _, entry in reader.iter_messages(["/markers"])]
+        (header,) = [one.metadata for one in reader.iter_metadata() if one.name == "exported run"]
+    assert header == run.log.header
+    assert [(entry.log_time, entry.publish_time) for entry in told] == [
+        (tick * setup.period_ns, tick * setup.period_ns) for tick in (8, 9)
+    ]
+    marked = [
+        store.deserialize_cdr(entry.data, "visualization_msgs/msg/MarkerArray") for entry in told
+    ]
+    assert [11 in {marker.type for marker in one.markers} for one in marked] == [True, False]
 
 
 def test_a_paced_run_starts_when_its_earliest_tick_allows() -> None:
@@ -143,10 +174,10 @@ def test_a_paced_run_starts_when_its_earliest_tick_allows() -> None:
     assert unpaced.stamps_apart_ns == 50 * ms
 
 
-@pytest.mark.parametrize("speed", [1.0, 0.5])
-def test_plans_are_paths_in_the_time_of_their_stamps(speed: float) -> None:
-    """The points of a plan are those that the agent predicts, as far apart in time as ticks by the wall clock."""
-    run = transport.fly("resilient", phases=PHASES, progress=False)
+@pytest.mark.parametrize(("scenario", "speed"), [("resilient", 1.0), ("centralized", 0.5)])
+def test_plans_are_paths_in_the_time_of_their_stamps(scenario: str, speed: float) -> None:
+    """The points of a UAV's plan are those that its agent predicts, as far apart as ticks by the wall clock."""
+    run = transport.fly(scenario, phases=PHASES, progress=False)
     setup = Setup.of(run.scenario.validated, "test")
     builder = SceneBuilder.of(setup, run.log)
     start = PacedStart(period_ns=setup.period_ns, speed=speed)
@@ -157,11 +188,12 @@ def test_plans_are_paths_in_the_time_of_their_stamps(speed: float) -> None:
     )
 
     predictions = {prediction.agent: prediction for prediction in builder.at(tick).predictions}
-    for agent in (1, 2, 3, 4):
-        data = messages[f"/uav{agent}/plan"]
+    owners = [(agent, k) for agent in setup.agents for k in range(len(setup.owned[agent - 1]))]
+    for uav, (agent, k) in enumerate(owners, start=1):
+        data = messages[f"/uav{uav}/plan"]
         path: Any = types().deserialize_cdr(data, "nav_msgs/msg/Path")
         points = [[getattr(p.pose.position, axis) for axis in "xyz"] for p in path.poses]
-        np.testing.assert_allclose(points, predictions[agent].uavs_I[:, 0], atol=ROUNDING)
+        np.testing.assert_allclose(points, predictions[agent].uavs_I[:, k], atol=ROUNDING)
         stamps = [p.header.stamp.sec * 10**9 + p.header.stamp.nanosec for p in path.poses]
         assert stamps[:3] == [start.stamp_ns(tick + k) for k in range(3)]
 
@@ -207,6 +239,7 @@ def test_a_target_is_read(frame: str) -> None:
         (stamped("map", (0, 0, 0))[:12] + b"\xff" * 4, "expected a PoseStamped"),
         (stamped("map", (0, float("nan"), 0)), "finite"),
         (stamped("odom", (0, 0, 0)), "expected the frame inertial or map, got 'odom'"),
+        (stamped("x" * 99, (0, 0, 0)), f"got '{'x' * 40}'$"),  # as much of it as fits a line
     ],
 )
 def test_what_is_no_target_is_refused(data: bytes, problem: str) -> None:

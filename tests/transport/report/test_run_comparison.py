@@ -4,6 +4,7 @@ import csv
 import itertools
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -165,6 +166,67 @@ def test_settings_apart(folders: dict[str, Path], tmp_path: Path) -> None:
     assert weight == ("controller.weights.attitude", (5.0, 6.0))
     result = ask(f"a={folders['usual']}", f"b={folders['late']}", "--out", tmp_path, "--no-figures")
     assert "links.delay_s" in result.stdout
+
+
+def made(label: str, *settings: str, cut: str = "", **summary: Any) -> ComparedRun:
+    """Return a run of some settings whose summary has what is given."""
+    setup = runs.setup(*settings)
+    run: Any = SimpleNamespace(setup=setup, log=SimpleNamespace(cut=cut))
+    series: Any = None
+    return ComparedRun(label, run, {"machine": "", "ticks": setup.ticks, **summary}, series)
+
+
+def test_settings_apart_are_told_at_their_place() -> None:
+    """Entries of equal numbers one by one, from 1 on; of others the lists. Names and addresses change no run."""
+    lossy = "links.gilbert_elliott={enter=0.1,leave=0.2,loss=1.0}"
+    others = ("name=other", "network.base_port=9000", "maneuver.phase.2.duration_s=7.0", lossy)
+    found = settings_apart(
+        [made("a"), made("b", *others, "links.override=[{from='agent1',loss=0.1}]")]
+    )
+    told = {one.key: one.values for one in found}
+    assert told["links.override"][0] == []
+    assert told["links.override"][1][0]["from"] == "agent1"
+    assert {key: values for key, values in told.items() if key != "links.override"} == {
+        "maneuver.phase.2.duration_s": (5.0, 7.0),
+        "links.gilbert_elliott": (None, {"enter": 0.1, "leave": 0.2, "loss": 1.0}),
+    }
+
+
+def test_what_runs_should_share_is_noted() -> None:
+    """Another system and cost function make costs incomparable; a short log may be cut as well."""
+    another = ("system.payload.mass_kg=1.1", "controller.cost=[{expression='v0[0]',weight=1.0}]")
+    ended = {"ticks": 20, "reason": "", "outcome": "unknown"}
+    runs_compared = [made("first"), made("other", *another, cut="it is cut", **ended)]
+    assert list(doubts(runs_compared)) == [
+        "other has another system than first: costs are not comparable",
+        "other has another cost function than first: costs are not comparable",
+        "other: the log holds 1.00 of 25.00 s (unknown); means are over this time",
+        "other: it is cut",
+    ]
+
+
+def test_a_quantity_that_one_run_lacks_has_no_difference(folders: dict[str, Path]) -> None:
+    """One that no run has is left out; without plans none is lost. A difference has the sign of the change."""
+    whole = ComparedRun.of("usual", open_run(folders["usual"])).summary
+    messages = {**whole["messages"], "sent": 0}
+    radio = {"airtime_share": 0.05, "delivered_share": None}
+    table = {
+        row.name: row
+        for row in rows(
+            [
+                made("a", **{**whole, "messages": messages, "separation_min_m": -2.0}),
+                made(
+                    "b", **{**whole, "messages": messages, "separation_min_m": -1.0, "radio": radio}
+                ),
+            ]
+        )
+    }
+    assert (table["radio: airtime"].values, table["radio: airtime"].percent) == (
+        (None, 5.0),
+        (None, None),
+    )
+    assert table["separation, min"].percent == (0.0, 50.0)
+    assert not {"radio: delivered", "plans lost"} & table.keys()
 
 
 def test_json(folders: dict[str, Path], tmp_path: Path) -> None:
