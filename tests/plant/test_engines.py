@@ -265,6 +265,84 @@ def test_a_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
+def made(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, text: str
+) -> tuple[Engine, Array]:
+    """Return an engine of a text, and the inputs of hover."""
+    module(folder, monkeypatch, name, text)
+    run = plant_run(setup(SHORT, f"plant.engine={name}:Mine"))
+    return Engine(run, Environment(run).system), run.run.hover.u
+
+
+def test_the_first_failure_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An engine that has failed is not asked to go on; its last state stays, and its words."""
+    text = broken(
+        "self.x[:3] += 0.1; self.n = [*getattr(self, 'n', ()), 1]; 1 / (2 - len(self.n))",
+        reset="self.x = x; open('fails').close() if getattr(self, 'n', 0) else None",
+    )
+    engine, u = made(tmp_path, monkeypatch, "mine_fails_twice", text)
+    found = [engine.advance(u, None, 0.05) for _ in range(3)]
+    np.testing.assert_array_equal(found[1][0], found[0][0])
+    np.testing.assert_array_equal(found[2][0], found[0][0])
+    assert [error for _, error in found] == [-1.0] * 3
+    assert "ZeroDivisionError" in engine.failure
+    engine.restart(found[0][0], engine._system)
+    assert "ZeroDivisionError" in engine.failure
+    assert engine._physics.n == [1, 1]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("advance", "error", "failure"),
+    [
+        ("return 0.25", 0.25, ""),
+        ("return float('nan')", -1.0, ""),
+        ("self.x[12:15] *= 1.0009", -1.0, ""),
+        ("self.x[12:15] *= 1.0011", -1.0, "unit vector as rod direction of UAV1"),
+        # Of a state that is not finite nothing else is told.
+        ("self.x[24:27] *= 2.0; self.x[5] = float('inf')", -1.0, ""),
+        ("self.x[5] = float('inf'); self.tensions = [float('nan')] * 4", -1.0, ""),
+        ("self.tensions = [] if hasattr(self, 'tensions') else [1.0] * 4", -1.0, "shape (4,), got (0,)"),
+    ],
+)  # fmt: skip
+def test_what_an_engine_tells_is_checked(
+    advance: str, error: float, failure: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A local error that is no number is unknown; rods have a length of 1 to a thousandth; cables stay."""
+    name = f"mine_tells_{abs(hash(advance))}"
+    engine, u = made(tmp_path, monkeypatch, name, broken(advance))
+    found = [engine.advance(u, None, 0.05)[1] for _ in range(1 if "1.0009" in advance else 2)]
+    assert found == [error] * len(found)
+    assert failure in engine.failure
+    assert bool(failure) == bool(engine.failure)
+
+
+@pytest.mark.parametrize(("off", "is_taken"), [(9e-7, True), (1.1e-6, False)])
+def test_the_state_given_is_taken_to_a_millionth(
+    off: float, is_taken: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rounding of other coordinates is no difference."""
+    text = broken(reset=f"self.x = x + {off}")
+    module(tmp_path, monkeypatch, f"mine_off_{is_taken}", text)
+    run = setup(SHORT, f"plant.engine=mine_off_{is_taken}:Mine")
+    if is_taken:
+        checked_engine(plant_run(run))
+    else:
+        assert "expected the state given to reset" in refusal(run)
+
+
+@pytest.mark.parametrize("engine", ["rods", "mujoco"])
+def test_warming_up_changes_nothing(engine: str) -> None:
+    """The first period of a run is the same after it."""
+    run = plant_run(setup(SHORT, f"plant.engine={engine}"))
+    fresh, warm = (Engine(run, Environment(run).system) for _ in range(2))
+    warm.warm_up(run)
+    (x, error), (other, warm_error) = (
+        one.advance(1.1 * run.run.hover.u, None, 0.05) for one in (fresh, warm)
+    )
+    np.testing.assert_array_equal(x, other)
+    assert error == warm_error
+
+
 # An engine that does not move the team, and works on the arrays that it is given.
 IN_PLACE = """
 class Mine:

@@ -44,7 +44,7 @@ while True:
         if line == "save":
             pathlib.Path("eeprom.bin").write_text(" ".join(lines))
             sys.exit(0)
-        lines.append(line)
+        lines.append(f"{{count}} {{line}}")
 sys.exit(3)
 """
 FROZEN = f"#!{sys.executable} -IS\nimport time\ntime.sleep(60)\n"
@@ -104,8 +104,14 @@ def test_one_that_ends_or_freezes_is_told(
 
 
 def test_settings_are_those_after_lines_at_the_command_line() -> None:
-    """After the character that enters it; a line that is refused ends the start with the firmware's words."""
-    assert eeprom_after(["one=1", "two=2"], STEP_S) == b"# one=1 two=2"
+    """After 2 s the character that enters it, after half a second lines, of 50 ms each, by steps of 50 ms.
+
+    A line that is refused ends the start with the firmware's words.
+    """
+    said = eeprom_after(["one=1", "two=2"], STEP_S).decode().split()
+    assert said[1::2] == ["#", "one=1", "two=2"]
+    # Of those that are under way at that moment, one more or less.
+    assert [int(step) for step in said[::2]] == pytest.approx([41, 51, 52], abs=1)
     with pytest.raises(FirmwareError, match=r"refuses 'bad=1': ###ERROR IN bad=1: INVALID"):
         eeprom_after(["one=1", "bad=1", "two=2"], STEP_S)
 

@@ -16,8 +16,10 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import (
     Control,
+    LinkChange,
     Measurement,
     Message,
     Plan,
@@ -206,6 +208,19 @@ class Flight:
             way_s=0.0,
             way_ramp_s=0.0,
             lands=lands,
+        )
+
+    def link(self) -> LinkChange:
+        """A change of all links from tick 11 on."""
+        return LinkChange(
+            sender="coordinator",
+            incarnation=0,
+            sequence=4,
+            tick=11,
+            number=1,
+            source="",
+            target="",
+            settings='{"delay_s": 0.1}',
         )
 
     def end(self, outcome: Any) -> Control:
@@ -507,24 +522,30 @@ def test_off_its_rod_the_autopilot_takes_over(at_end: str) -> None:
 
 
 def test_vehicles_tell_each_other_what_one_missed() -> None:
-    """One that returns while there is no coordinator has the targets told before from the others."""
+    """One that returns while there is no coordinator has the targets and links told before from the others.
+
+    One after a gap waits for those before it.
+    """
     run = Flight()
     run.begin()
     run.until(0.5)
     run.tell(run.target())
+    run.tell(run.link())
     run.until(0.6)
-    assert (run.statuses()[-1].targets, run.statuses()[-1].changes) == (1, ())
+    told = run.statuses()[-1]
+    assert (told.targets, told.links, told.changes) == (1, 1, ())
 
     late = Flight()
     late.now_ns = run.now_ns
-    late.tell(run.statuses()[-1])
+    gaps = changed(run.target(), number=2), changed(run.link(), number=2)
+    late.tell(changed(told, changes=tuple(map(encode, gaps))))
     late.until(0.7)
-    assert late.statuses()[-1].targets == 0
+    assert (late.statuses()[-1].targets, late.statuses()[-1].links) == (0, 0)
     run.tell(late.statuses()[-1])
     run.until(0.75)
     late.tell(run.statuses()[-1])
     late.until(0.8)
-    assert late.statuses()[-1].targets == 1
+    assert (late.statuses()[-1].targets, late.statuses()[-1].links) == (1, 1)
     # Both follow the same path by their own laws.
     run.until(6.0)
     late.until(6.0)
@@ -620,20 +641,24 @@ def test_measurements_have_the_mean_of_the_setpoints_since_the_last_tick() -> No
     run = Flight()
     run.begin()
     run.until(0.02)
-    run.tell(run.plan(0))
+    plan = run.plan(0)
+    plan.inputs[:, 0] += 0.5 * np.arange(20) ** 2
+    run.tell(plan)
     run.until(0.12)
-    of_plan = np.array([20.0, 0.1, 0.0, 0.0])
-    np.testing.assert_allclose(run.measured()[2].inputs[0], of_plan)
+    given = [[thrust_N, *rates] for _, thrust_N, rates, _ in run.autopilot.commands]
     # Of the setpoints at 0, 16.7 and 33.3 ms none is by the plan.
-    given = [[thrust_N, *rates] for _, thrust_N, rates, _ in run.autopilot.commands[:3]]
-    np.testing.assert_allclose(run.measured()[1].inputs[0], np.mean(given, axis=0))
+    assert [each[1] for each in given[:6]] == pytest.approx([0.0] * 3 + [0.1] * 3, abs=1e-9)
+    for k in (1, 2):
+        mean = np.mean(given[3 * k - 3 : 3 * k], axis=0)
+        np.testing.assert_allclose(run.measured()[k].inputs[0], mean)
     run.now_ns = START_NS + 170 * MS  # busy from 120 ms on
     run.until(0.17)
     assert run.measured()[-1].tick == 3
     run.now_ns = START_NS + 240 * MS
     run.said += run.node.poll(run.now_ns)
     assert run.measured()[-1].tick == 4
-    np.testing.assert_allclose(run.measured()[-1].inputs[0], of_plan)
+    _, thrust_N, rates_rads, _ = run.autopilot.commands[-2]  # the newest one is from now on
+    np.testing.assert_allclose(run.measured()[-1].inputs[0], [thrust_N, *rates_rads])
     members = run.measured()[-1]
     assert members.answered == members.shared == (1, 2, 3, 4)
 
