@@ -241,7 +241,6 @@ def _vehicles(scenario: Scenario) -> Problems:
         ("plant.sensors", "vehicle"),
         ("controller.inputs", "rates"),
         ("controller.fail_safe", "follow"),
-        ("radio", None),
     ):
         got = attrgetter(key)(scenario)
         if got != needed:
