@@ -124,7 +124,7 @@ def _run_realtime_at_speed_1(tree: dict[str, Any], keys_set: Collection[str]) ->
     clock = tree.get("clock")
     if "clock.mode" not in keys_set or "clock.speed" in keys_set or not isinstance(clock, dict):
         return
-    if clock.get("mode") == "realtime" and clock.get("speed", 0.0) == 0.0:
+    if clock.get("mode") == "realtime" and clock.get("speed") == 0.0:
         clock["speed"] = 1.0
 
 

@@ -162,6 +162,33 @@ def test_hidden_nodes_collide_at_the_station_between_them() -> None:
     assert results(outcomes) == {FrameResult.DELIVERED: 4}
 
 
+def test_a_station_defers_to_frames_that_it_cannot_tell_apart() -> None:
+    """Of two with equal power at one instant it decodes none, and waits for their end."""
+    frames = [broadcast(3, 0, MS), broadcast(3, 1, MS), broadcast(3, 2, MS + AIRTIME_NS // 2)]
+    outcomes, counts = run(parameters(), equal_powers(3), frames, SECOND_NS)
+    assert counts.busy_ns == 2 * AIRTIME_NS
+    assert {one.result for one in outcomes if one.frame.sender == 2} == {FrameResult.DELIVERED}
+
+
+def test_an_acknowledgement_does_not_end_the_wait_for_another_frame() -> None:
+    """A station that acknowledges during a frame that it senses sends its own behind that one."""
+    sensed_mw = 2.0 * NOISE_MW
+    powers = equal_powers(4, SILENT_MW)
+    for one, other, power_mw in ((0, 1, NEAR_MW), (2, 3, NEAR_MW), (1, 2, sensed_mw)):
+        powers[one][other] = powers[other][one] = power_mw
+    frames = [
+        Frame(MS, 0, 0, 1500, (1,)),
+        Frame(MS + AIRTIME_NS // 2, 2, 0, 1500, (3,)),
+        Frame(MS + AIRTIME_NS // 4, 1, 0, 1500, (0,)),
+    ]
+    given = parameters(unicast=True, carrier_sense_mw=sensed_mw)
+    outcomes, counts = run(given, powers, frames, SECOND_NS)
+    assert results(outcomes) == {FrameResult.DELIVERED: 3}
+    ends_ns = {one.frame.sender: one.time_ns for one in outcomes}
+    assert ends_ns[1] - AIRTIME_NS >= ends_ns[2] + OFDM.difs_ns
+    assert counts.repetitions == 0
+
+
 def test_power_too_weak_to_decode_keeps_the_channel_busy() -> None:
     """A station defers to power above its threshold, although it detects no preamble."""
     sensed_mw = 2.0 * NOISE_MW
@@ -324,8 +351,10 @@ def test_a_near_team_has_the_channel_of_its_powers(unicast: bool, spread_ns: int
     """
     stations = 6
     frames = random_frames(stations, 6, spread_ns)
-    powers = equal_powers(stations)
-    channel = Channel(parameters(unicast=unicast))
+    # All near, but some stand out among those that collide, and are then not decoded.
+    above = np.random.default_rng(7).uniform(0.0, 10.0, (stations, stations))
+    powers = (NEAR_MW * np.maximum(above, above.T).clip(1.0)).tolist()
+    channel = Channel(parameters(unicast=unicast, rate_mbps=54.0))
     assert channel.is_near(NEAR_MW)
 
     found = channel.advance(ChannelState.idle(stations, OFDM), powers, frames, SECOND_NS, near=True)

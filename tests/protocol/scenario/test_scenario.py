@@ -20,7 +20,7 @@ from transport.protocol.scenario.scenario_file import (
 )
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.setup.model_objects import maneuver_of
-from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.run_setup import Setup, rules_of
 
 # A value of the same type that differs, for what cannot simply be counted up.
 OTHER_WORDS = {
@@ -78,6 +78,13 @@ LINKS = (
 FAULTS = (
     "faults.event=[{at_s=1.0,do='kill',target='agent1'},{at_s=2.0,do='restart',target='agent1'},"
     "{at_s=3.0,do='stop',target='plant'}]"
+)
+
+# Two that all know, and one that only sight tells.
+OBSTACLES = (
+    "obstacle=[{kind='cylinder',at_m=[90,0,0],radius_m=1,margin_m=1},"
+    "{kind='sphere',at_m=[0,90,0],radius_m=1,margin_m=1,seen_within_m=2},"
+    "{kind='box',at_m=[0,-90,0],size_m=[1,1,1],margin_m=1}]"
 )
 
 EVERYTHING = (
@@ -337,6 +344,34 @@ def test_data_sheet_of_the_sensors() -> None:
     assert sheet.ages == (3, 6, 0, 1, 2)
 
 
+@pytest.mark.parametrize(
+    ("name", "settings", "expected"),
+    [
+        ("paper", (), {"delay": 0, "relayed": True, "by_vehicles": False, "confirms": False}),
+        ("paper", ("clock.actuation=next_tick",), {"delay": 1, "relayed": True}),
+        ("paper", ("clock.mode=realtime",), {"delay": 1, "relayed": False}),
+        ("paper", ("controller.negotiation_iterations=3",), {"negotiation_iterations": 3}),
+        ("paper", ("agents.owned=[[1,2],[3,4]]",), {"uavs": 4, "owned": {1: (1, 2), 2: (3, 4)}}),
+        ("flight", (), {"by_vehicles": True, "vehicle_sensors": True}),
+        ("resilient", ("controller.targets=confirmed",), {"confirms": True, "sights": 0}),
+        ("resilient", (OBSTACLES,), {"sights": 1}),
+    ],
+)
+def test_rules_follow_from_the_keys(
+    name: str, settings: tuple[str, ...], expected: dict[str, Any]
+) -> None:
+    """The shape of a run, by which each process checks messages."""
+    shape = rules_of(read_scenario(find_scenario(name), settings)).shape
+    assert {field: getattr(shape, field) for field in expected} == expected
+
+
+def test_obstacles_that_only_sight_tells_are_not_known() -> None:
+    """Controllers know the others, in the order of the file; the plant knows all."""
+    run = Setup.of(read_scenario(find_scenario("resilient"), [OBSTACLES]), "resilient")
+    assert [known.name for known in run.known_obstacles] == ["cylinder", "box"]
+    assert [one.name for one in run.obstacles] == ["cylinder", "sphere", "box"]
+
+
 def test_automatic_relaxation() -> None:
     """Relaxation "auto" is 1/M for M agents: the descent guarantee of cooperative distributed MPC."""
     assert setup("controller.relaxation=auto").settings.relaxation == 0.25
@@ -350,7 +385,6 @@ def test_automatic_relaxation() -> None:
     [
         ["clock.mode=realtime"],
         ["clock={mode='realtime'}"],
-        ["clock={barrier_timeout_s=5.0}", "clock.mode=realtime"],  # no speed at all
         ["clock.mode=realtime", "clock.speed=1"],
     ],
 )
