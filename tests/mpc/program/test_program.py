@@ -136,6 +136,7 @@ CASES: list[tuple[int, tuple[int, ...], dict[str, Any]]] = [
     (4, (1, 3), {"horizon": 9, "motor_lag_s": 0.03, **ALL_ROWS, **LQ}),
     (3, (0,), {"horizon": 6, "prediction": "closed_loop", "motor_lag_s": 0.03}),
     (4, (1,), {"horizon": 8, "linearisation": "along", **LQ}),
+    (3, (1,), {"horizon": 20}),
 ]
 
 
@@ -181,6 +182,26 @@ def test_kernels_are_the_matrix_products(
     expected = problem(case)[1]
     for name in ("effect", "dX_free", "U_free", "U_all", "feedback", "dU_free"):
         assert close(getattr(prediction, name), getattr(expected, name), CANCELLED), name
+
+
+@needs_kernels
+def test_uavs_in_one_point_are_pushed_apart_by_the_kernels_too() -> None:
+    """Two UAVs in one point have no direction: rows are those of the matrix products, finite and not zero."""
+    one, _, _, _, _ = problem(CASES[1])
+    setup = ring_setup(2)
+    at = situation(setup, one.settings, 1, SMALL)
+    linear = one.linearise(at.x, at.u)
+    y = linear.model.y.copy()
+    y[3:6] = y[:3]
+    linear = msgspec.structs.replace(linear, model=replace(linear.model, y=y))
+    prediction = one.predict(linear, one.discretise(linear), at.U, None)
+    assert isinstance(prediction, Prediction)
+    qp = one.condense(linear, prediction, at.y_ref)
+    plain = one.condense(linear, replace(prediction), at.y_ref)
+    distances = slice(len(qp.A) - one.settings.horizon, None)
+    assert np.abs(qp.A[distances, :-1]).max(axis=1).all()
+    assert close(qp.A, plain.A, CANCELLED)
+    assert close(qp.row_lower[distances], plain.row_lower[distances], CANCELLED)
 
 
 @pytest.mark.parametrize(
