@@ -107,8 +107,10 @@ def test_setpoint_with_further_drag_is_that_of_bodies_that_have_it() -> None:
 def test_after_a_release_the_others_carry_its_load(*, is_flat: bool) -> None:
     """At rest their thrusts are those of the hover of the team left; a UAV off keeps one for its attitude, (51)."""
     X_ref, track = flown().X, flown() if is_flat else None
-    whole = FailSafe(TEAM, HOVERING.u, X_ref, track)
+    gains = AloneGains(position=3.0)
+    whole = FailSafe(TEAM, HOVERING.u, X_ref, track, gains=gains)
     left = whole.of_team({OFF}, {OFF})
+    assert left.gains == gains
     at_rest = hover_after_failures(TEAM, {OFF}, {OFF})
     for uav in range(TEAM.N):
         expected = HOVERING.u if uav == OFF else at_rest.u
@@ -117,6 +119,7 @@ def test_after_a_release_the_others_carry_its_load(*, is_flat: bool) -> None:
         if uav != OFF:
             np.testing.assert_allclose(left.setpoint(uav, 200).inputs, at_rest.u[own], atol=1e-6)
     assert whole.of_team((), ()) is whole
+    assert whole.of_team({0, 1}, {0, 1}) is whole, "two neighbours less have no hover"
     if is_flat:
         assert left.track is not None
         x, u = left.track.X[30], left.track.U[30]
@@ -126,7 +129,7 @@ def test_after_a_release_the_others_carry_its_load(*, is_flat: bool) -> None:
 
 
 def test_what_a_team_follows_from_tells_it_apart() -> None:
-    """Another track, other reference states or other gains give another key: results are shared by it."""
+    """Another team, other thrusts, another track, other reference states or gains give another key: results are shared by it."""
     track = flown()
     gains = AloneGains(position=3.0)
     keys = [
@@ -136,6 +139,8 @@ def test_what_a_team_follows_from_tells_it_apart() -> None:
         FailSafe(TEAM, HOVERING.u, track.X, track, gains=gains).key,
         FailSafe(TEAM, HOVERING.u, track.X).key,
         FailSafe(TEAM, HOVERING.u).key,
+        FailSafe(TEAM, 1.1 * HOVERING.u).key,
+        FailSafe(SYSTEM, HOVERING.u).key,
     ]
     assert len(set(keys)) == len(keys)
     assert FailSafe(TEAM, HOVERING.u, track.X.copy(), track).key == keys[0]
