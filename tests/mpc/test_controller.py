@@ -271,24 +271,3 @@ def test_a_plan_that_is_given_up_is_the_shifted_one_within_bounds(side: float) -
     np.testing.assert_array_equal(found.U, np.tile(limit, (9, 1)))
     np.testing.assert_array_equal(found.c, c[:, one.own])
     assert found.solution.status != "solved"
-
-
-def test_after_a_failure_expansions_are_those_of_the_team_left() -> None:
-    """Derivatives at hover, and their difference equation, are those of a controller that begins with this team."""
-    setup = paper_setup()
-    settings = ControllerSettings(horizon=5, prediction="closed_loop", linearisation="along")
-    used, new = controller(setup, settings, (1,)), controller(setup, settings, (1,))
-    at = situation(setup, settings, seed=4)
-    whole = used.discretise(used.linearise(at.x, at.u))
-    for one in (used, new):
-        one.fail({3}, {3})
-    left, expected = (one.discretise(one.linearise(at.x, at.u)) for one in (used, new))
-    for name in ("A", "B", "f_d"):
-        np.testing.assert_array_equal(getattr(left, name), getattr(expected, name))
-        assert (getattr(left, name) != getattr(whole, name)).any()
-
-    # The same derivatives again have the same matrices, without a further series.
-    again = used.discretise(used.linearise(at.x + 0.01, at.u))
-    assert again.A is left.A
-    assert again.B is left.B
-    assert (again.f_d != left.f_d).any()

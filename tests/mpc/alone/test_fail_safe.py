@@ -129,7 +129,7 @@ def test_after_a_release_the_others_carry_its_load(*, is_flat: bool) -> None:
 
 
 def test_what_a_team_follows_from_tells_it_apart() -> None:
-    """Another team, other thrusts, another track, other reference states or gains give another key: results are shared by it."""
+    """Results are shared by the key: another team, track or reference, other thrusts or gains have another one."""
     track = flown()
     gains = AloneGains(position=3.0)
     keys = [
