@@ -8,6 +8,7 @@ import json
 import runpy
 import subprocess
 import sys
+from contextlib import chdir
 from pathlib import Path
 from queue import SimpleQueue
 from types import SimpleNamespace
@@ -19,7 +20,7 @@ from msgspec import structs
 
 import transport
 from tests.support import runs
-from tests.support.commands import command, free_base, settings
+from tests.support.commands import forks, free_base, settings
 from tests.support.runs import ready
 from tests.test_architecture import LAYERS
 from transport.model.physics.parameters import table_1
@@ -46,20 +47,12 @@ def simulate(folder: Path, *changes: str) -> dict[str, Any]:
         ["plant"],
         *[["agent", "--id", str(agent)] for agent in (1, 2, 4)],
     ]
-    commands = [command(*role, *options) for role in roles]
-    commands.append([sys.executable, str(EXAMPLE), "mixed-team", digest, "3", str(base)])
-    started = [
-        subprocess.Popen(
-            words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
-        for words in commands
-    ]
-    try:
-        outputs = [process.communicate(timeout=150) for process in started]
-    finally:
-        for process in started:
-            process.kill()
-    assert [process.returncode for process in started] == [0] * len(started), outputs
+    foreign = [sys.executable, str(EXAMPLE), "mixed-team", digest, "3", str(base)]
+    with forks() as begin, chdir(folder):
+        others = begin(*([*role, *options] for role in roles))
+        own = subprocess.run(foreign, capture_output=True, text=True, timeout=150, check=False)
+        assert own.returncode == 0, own.stderr
+        assert [process.wait(timeout=150) for process in others] == [0] * len(others)
     summary: dict[str, Any] = json.loads((folder / "recorded" / "summary.json").read_text())
     assert summary["outcome"] == "completed"
     assert summary["rejections"] == []
