@@ -27,7 +27,7 @@ PATH, PATH_DEFINITION = (
     "nav_msgs/msg/Path",
     "std_msgs/Header header\ngeometry_msgs/PoseStamped[] poses\n",
 )
-DOMAIN, SEEN = 7, 80  # poses, at 20 Hz
+DOMAIN, SEEN = 7, 40  # poses, at 20 Hz
 # The tests end their runs.
 CLIMB = "maneuver.phase=[{name='climb',duration_s=120.0,displacement_m=[3.0,0.0,-5.0]}]"
 HOVER = "maneuver.phase=[{name='hover',duration_s=120.0,displacement_m=[0,0,0]}]"
