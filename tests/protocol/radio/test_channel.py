@@ -369,6 +369,37 @@ def test_a_near_team_has_the_channel_of_its_powers(unicast: bool, spread_ns: int
     assert (found[0].stations, found[1]) == (state.stations, outcomes)
 
 
+@pytest.mark.parametrize("above_noise_db", [9.0, 11.0, 15.0, 20.0, 50.0])
+@pytest.mark.parametrize("rate_mbps", [6.0, 54.0])
+def test_a_near_station_decodes_whatever_is_sent_alone(
+    above_noise_db: float, rate_mbps: float
+) -> None:
+    """Its power is above the sensitivity, and so far above the noise that the rate is decoded."""
+    power_mw = NOISE_MW * 10.0 ** (above_noise_db / 10.0)
+    given = parameters(rate_mbps=rate_mbps)
+    outcomes, _ = run(given, equal_powers(2, power_mw), [broadcast(2, 0, MS)], SECOND_NS)
+    is_near = Channel(given).is_near(power_mw)
+    assert not is_near or results(outcomes) == {FrameResult.DELIVERED: 1}
+    assert is_near or above_noise_db < 50.0
+
+
+def test_what_happens_at_the_end_of_a_window_belongs_to_the_next() -> None:
+    """A frame that ends at that instant is decided behind it."""
+    end_ns = MS + OFDM.difs_ns + AIRTIME_NS
+    for until_ns, decided in ((end_ns, 0), (end_ns + 1, 1)):
+        outcomes, _ = run(parameters(), equal_powers(2), [broadcast(2, 0, MS)], until_ns)
+        assert len(outcomes) == decided
+
+
+def test_a_frame_on_the_air_draws_no_backoff() -> None:
+    """What its sender senses meanwhile interrupts no wait: each of two that collide draws once, behind its own."""
+    frames = [broadcast(3, station, MS) for station in (0, 1)]
+    idle = ChannelState.idle(3, OFDM)
+    given = parameters(interrupted_wait_draws=True)
+    state, *_ = Channel(given).advance(idle, equal_powers(3), frames, SECOND_NS)
+    assert [station.backoffs for station in state.stations] == [1, 1, 0]
+
+
 def test_a_state_is_not_changed_by_its_use() -> None:
     """The same state twice gives the same channel: `advance` has no memory."""
     frames = random_frames(5, 2, MS)
