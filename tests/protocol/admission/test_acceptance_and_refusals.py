@@ -301,8 +301,9 @@ def test_notices_of_invented_keys_are_valid_messages() -> None:
     long_key = f"{KEYS.prefix}/plan/{'x' * 5_000}"
     for data in (b"", encode(plan(0))):
         assert list(receiver.gate.accept(long_key, data)) == []
-    notices = receiver.gate.notices(0)
+    notices = receiver.gate.notices(3)
     assert [decode(encode(notice)) for notice in notices] == notices
+    assert {notice.incarnation for notice in notices} == {3}
     assert [len(notice.offender) for notice in notices] == [80, len("agent2")]
 
 

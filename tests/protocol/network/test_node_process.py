@@ -1,6 +1,9 @@
 """Ends of a node's process, with a bus in place of the network: exit code and last messages."""
 
+import errno
 import gc
+import io
+import json
 import os
 import signal
 import time
@@ -14,7 +17,15 @@ import pytest
 
 from tests.support import runs
 from transport.protocol.admission.acceptance_and_refusals import Gate
-from transport.protocol.network.bus_events import Arrival, BusEvent, BusOptions, Interrupted, Place
+from transport.protocol.network.bus_events import (
+    Arrival,
+    BusEvent,
+    BusOptions,
+    Departed,
+    Interrupted,
+    Place,
+)
+from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.node_process import run_node
 from transport.protocol.network.parent_and_environment import PARENT_PIPE, ending_signals
 from transport.protocol.wire.bundles import Relay
@@ -24,7 +35,14 @@ from transport.protocol.wire.errors_and_exit_codes import (
     EXIT_INTERRUPTED,
     EXIT_UNREACHABLE,
 )
-from transport.protocol.wire.messages import Control, Event, Message, VehicleStatus
+from transport.protocol.wire.messages import (
+    Control,
+    Event,
+    Message,
+    PlantState,
+    Rejected,
+    VehicleStatus,
+)
 from transport.protocol.wire.names import COORDINATOR
 from transport.protocol.wire.node_interface import Outbox
 
@@ -73,13 +91,17 @@ class StubBus:
         self.inbox: SimpleQueue[BusEvent] = SimpleQueue()
         self.sent: list[Message] = []
         self.timeouts_s: list[float | None] = []
+        self.renewed: list[int] = []
         self.left_after: tuple[str, ...] | None = None
         self.has_not_joined = False
         self.is_closed = False
 
-    def open(self, _name: str, _place: Place, _digest: str, gate: Gate, _: BusOptions) -> "StubBus":
+    def open(
+        self, _name: str, _place: Place, _digest: str, gate: Gate, options: BusOptions
+    ) -> "StubBus":
         """Return this bus as the one of a process."""
         self.gate = gate
+        self.options = options
         return self
 
     def join(self, _expected: Collection[str], _on_wait: object) -> Interrupted | None:
@@ -106,6 +128,14 @@ class StubBus:
     def interrupt(self, reason: str) -> None:
         """Interrupt the node."""
         self.inbox.put(Interrupted(reason))
+
+    def renew(self, incarnation: int) -> None:
+        """Announce a new incarnation."""
+        self.renewed.append(incarnation)
+
+    def refuse(self) -> None:
+        """Refuse a message."""
+        assert list(self.gate.accept("no key", b"")) == []
 
     def leave(self, after: Collection[str]) -> None:
         """Leave after others."""
@@ -327,3 +357,144 @@ def test_a_scripted_fault_strikes_before_its_tick_is_sent(
     (relay,) = bus.sent
     assert isinstance(relay, Relay)
     assert [decode(part) for part in relay.parts] == [runs.tick(at_tick - 1)]
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "serves", "patience_s"),
+    [
+        (COORDINATOR, (), True, 1.0),
+        ("plant", (), False, 1.0),
+        ("plant", ("clock.mode=realtime",), False, 0.1),
+    ],
+)
+def test_options_of_the_bus_follow_from_role_and_clock(
+    bus: StubBus, name: str, settings: tuple[str, ...], serves: bool, patience_s: float
+) -> None:
+    """The coordinator answers requests; in real time a peer that does not read may delay the others less."""
+    bus.while_waiting = lambda: bus.inbox.put(end_of_run(0))
+    node = StubNode()
+    node.name = name
+    assert run_node(node, runs.place("here"), runs.setup(*settings).rules, OTHERS) == 0
+    assert (bus.options.serves, bus.options.patience_s) == (serves, patience_s)
+
+
+def test_refusals_are_told_and_logged(bus: StubBus, capsys: pytest.CaptureFixture[str]) -> None:
+    """The first of them at once, those of the last second before the process leaves; the log has all."""
+
+    def refuse_again() -> None:
+        bus.refuse()
+        bus.inbox.put(end_of_run(0))
+
+    def refuse() -> None:
+        bus.while_waiting = refuse_again
+        bus.refuse()
+        bus.inbox.put(runs.roster())
+
+    bus.while_waiting = refuse
+    assert run(StubNode()) == 0
+    told = [message for message in bus.sent if isinstance(message, Rejected)]
+    assert [(one.offender, one.count) for one in told] == [("no key", 1), ("no key", 1)]
+    logged = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
+    (rejected,) = [entry for entry in logged if entry["event"] == "rejected"]
+    assert (rejected["sender"], rejected["count"]) == ("no key", 2)
+    assert {(entry["run_id"], entry["role"]) for entry in logged} == {("here", COORDINATOR)}
+
+
+def test_a_new_incarnation_of_the_node_is_announced(bus: StubBus) -> None:
+    """As soon as the node has one, and not before."""
+
+    class Returning(StubNode):
+        def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
+            self.incarnation = 1
+            return super().receive(event, now_ns)
+
+    for node, renewed in ((StubNode(), []), (Returning(), [1])):
+        bus.while_waiting = lambda: bus.inbox.put(end_of_run(0))
+        assert run(node) == 0
+        assert bus.renewed == renewed
+
+
+def test_a_node_knows_how_long_its_messages_took(bus: StubBus) -> None:
+    """With the bundle that is sent before the next wait; what is for recorders alone it does not receive."""
+
+    class Telling(StubNode):
+        def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
+            super().receive(event, now_ns)
+            return [runs.roster()]
+
+    node = Telling()
+    published_ns: list[int] = []
+
+    def wait() -> None:
+        published_ns.append(node.publish_ns)
+        bus.before_wait()
+        published_ns.append(node.publish_ns)
+        first = len(published_ns) == 2
+        if first:
+            bus.inbox.put(Departed("agent1"))
+        bus.inbox.put(runs.plant_state(runs.setup(), 0) if first else end_of_run(0))
+
+    bus.while_waiting = wait
+    assert run(node) == 0
+    at_first, settled_ns, _, _, sent_ns, more_ns = published_ns
+    assert at_first == 0 < settled_ns
+    assert 0 < sent_ns < more_ns
+    assert [type(event) for event in node.received] == [PlantState, Control]
+
+
+def test_garbage_is_collected_between_steps_alone(
+    bus: StubBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Never by itself, and of young objects after each 256 events with an answer."""
+    generations: list[tuple[int, ...]] = []
+    monkeypatch.setattr(gc, "collect", lambda *generation: generations.append(generation))
+
+    class Telling(StubNode):
+        def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
+            super().receive(event, now_ns)
+            return [runs.roster()]
+
+    def wait() -> None:
+        assert not gc.isenabled()
+        for _ in range(512):
+            bus.inbox.put(runs.roster())
+        bus.while_waiting = lambda: None
+        bus.inbox.put(end_of_run(0))
+
+    bus.while_waiting = wait
+    assert run(Telling()) == 0
+    assert generations == [(), (1,), (1,)]
+
+
+@pytest.mark.parametrize(
+    ("listen", "who"),
+    [
+        ([], None),
+        (["tcp/127.0.0.1:7447"], "process on this host"),
+        (["tcp/0.0.0.0:1"], "host with access"),
+    ],
+)
+def test_a_process_says_who_can_read_its_messages(
+    bus: StubBus, listen: list[str], who: str | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without keys any process that reaches an address where it listens can; nobody where it does not."""
+    bus.while_waiting = lambda: bus.inbox.put(end_of_run(0))
+    place = Place(run="here", endpoints=Endpoints(listen=listen, connect=[]))
+    assert run_node(StubNode(), place, runs.setup().rules, OTHERS) == 0
+    logged = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
+    means = [entry["means"] for entry in logged if entry["event"] == "open"]
+    assert means == (
+        [] if who is None else [f"any {who} can read and send all messages (docs/access.md)"]
+    )
+
+
+def test_a_process_works_without_its_log(bus: StubBus, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A full disk costs log lines, not the flight."""
+
+    class Full(io.StringIO):
+        def write(self, _text: str) -> NoReturn:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("sys.stderr", Full())
+    bus.while_waiting = lambda: bus.inbox.put(end_of_run(0))
+    assert run(StubNode()) == 0
