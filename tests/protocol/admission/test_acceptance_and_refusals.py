@@ -230,6 +230,23 @@ def test_bundles_are_opened() -> None:
     ]
 
 
+def test_the_node_refuses_last() -> None:
+    """What it cannot use at the moment has its reason, and may come again: its place is not taken."""
+    asked: list[Message] = []
+
+    def check_moment(message: Message) -> None:
+        asked.append(message)
+        if len(asked) == 1:
+            raise MessageError("future", "of no use yet")
+
+    receiver = Receiver("plant", *DIRECT, check_moment=check_moment)
+    assert not receiver.hear(direct(0, uavs=(3,)))  # implausible: the node is not asked
+    assert not receiver.hear(direct(0))
+    assert receiver.hear(direct(0))
+    assert [reason for _, reason in receiver.reasons()] == ["wrong_uavs", "future"]
+    assert len(asked) == 2
+
+
 def test_the_tick_is_that_of_the_run() -> None:
     """It is the newest of accepted messages, but for link changes and targets."""
     receiver = Receiver("plant")

@@ -109,6 +109,45 @@ def test_another_address_counts_for_nothing(listening: tuple[MavlinkLink, int]) 
     assert link.refused == 1
 
 
+@pytest.mark.parametrize("key", [None], ids=["open"])
+@pytest.mark.parametrize(("silence_s", "counts"), [(4.9, False), (5.1, True)])
+def test_a_silent_system_may_come_back_from_another_address(
+    listening: tuple[MavlinkLink, int],
+    silence_s: float,
+    counts: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An autopilot that has restarted, 5 s after its last packet."""
+    link, port = listening
+    clock_s = [time.monotonic()]
+    monkeypatch.setattr(time, "monotonic", lambda: clock_s[0])
+    with socket.socket(type=socket.SOCK_DGRAM) as first:
+        for _ in range(2):  # the last packet counts, not the first one
+            first.sendto(packet(2), ("127.0.0.1", port))
+            assert len(link.receive(WAIT_S)) == 1
+            clock_s[0] += 4.0
+        clock_s[0] += silence_s - 4.0
+        assert len(sent(packet(2), port, link, WAIT_S)) == counts
+
+
+@pytest.mark.parametrize(("other", "heard"), [(2, [2]), (0, [2, 3])])
+def test_a_link_hears_one_system_or_any(other: int, heard: list[int]) -> None:
+    """All packets of a datagram are read, behind what is none; those of other systems are told."""
+    link = MavlinkLink(Endpoint(False, "127.0.0.1", 0), (255, 191), other)
+    port = link._socket.getsockname()[1]
+    unknown = bytearray(packet(2))
+    unknown[7:10] = (
+        b"\xfe\xff\xff"  # a kind of message that no dialect has, whose checksum none can check
+    )
+    data = b"\x01\x02" + packet(2) + bytes(unknown) + packet(3)
+    assert [one.get_srcSystem() for one in sent(data, port, link, WAIT_S)] == heard
+    assert link.refused == 1 + 2 - len(heard)
+    assert link.others == {2, 3} - set(heard)
+    with pytest.raises(LinkError, match=f"link: cannot use 127.0.0.1:{port} "):
+        MavlinkLink(Endpoint(False, "127.0.0.1", port), (255, 191), other)
+    link.close()
+
+
 @pytest.mark.parametrize("key", [KEY], ids=["signed"])
 def test_a_signature_is_needed(listening: tuple[MavlinkLink, int]) -> None:
     """Without a signature, with one of another key, or repeated, a packet changes nothing.
@@ -170,8 +209,11 @@ def test_the_first_packet_of_a_stream_is_a_minute_old_at_most(
 
 def test_addresses_and_keys_are_checked(tmp_path: Path) -> None:
     """A wrong address or key is told in one line, with what was expected."""
-    with pytest.raises(LinkError, match="--link: expected udp:HOST:PORT"):
-        Endpoint.of("tcp:127.0.0.1:5760")
+    for text in ("tcp:127.0.0.1:5760", "udp::5760", "udp:127.0.0.1:", "udpclient:5760"):
+        with pytest.raises(LinkError, match=rf"--link: expected udp:HOST:PORT .*, got '{text}'$"):
+            Endpoint.of(text)
+    with pytest.raises(LinkError, match="; mavlink-routerd joins a serial port to one"):
+        Endpoint.of("serial:/dev/ttyUSB0:57600")
     assert Endpoint.of("udpclient:10.0.0.2:14550") == Endpoint(True, "10.0.0.2", 14550)
     file = tmp_path / "key"
     file.write_text("12ab")
