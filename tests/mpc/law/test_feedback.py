@@ -1,5 +1,6 @@
 """The shared control law and the prediction with it."""
 
+from contextlib import nullcontext
 from functools import cache
 
 import numpy as np
@@ -12,7 +13,12 @@ from transport.model.arrays import Array
 from transport.model.linear.discretisation import zero_order_hold
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller, Horizon
-from transport.mpc.law.infinite_horizon_lqr import HoveringTeam, regulator
+from transport.mpc.law.infinite_horizon_lqr import (
+    HoveringTeam,
+    _check_gain,
+    _check_stable,
+    regulator,
+)
 from transport.mpc.program.feedback_law import FeedbackError, FeedbackLaw
 from transport.mpc.program.prediction import Prediction, convolve, predict
 from transport.mpc.program.stage_cost import Cost
@@ -255,3 +261,27 @@ def test_an_equation_that_overflows_is_refused_in_words() -> None:
     settings = changed(CLOSED, cost=(CostTerm(expression="1e150 * r0[0]", weight=1.0),))
     with pytest.raises(FeedbackError, match="weights or slopes are too large"):
         Controller(setup.model, setup.hover, settings, (0,))
+
+
+@pytest.mark.parametrize(
+    ("growth_per_s", "gain", "got"),
+    [
+        (0.019, 99.0, None),
+        (0.021, 1.0, "a closed loop whose largest eigenvalue is 1"),
+        (0.0, 101.0, "a gain 101 times that of an integrator"),
+    ],
+)
+def test_a_law_that_grows_or_rests_on_rounding_is_refused(
+    growth_per_s: float, gain: float, got: str | None
+) -> None:
+    """A mode of a team may be out of reach, or be reached by rounding alone, with a gain far above sqrt(Q / R)."""
+    system = paper_setup().system
+    cost = Cost(Weights(attitude=5.0, thrust=1e-3), system, paper_setup().hover)
+    period_s = 0.05
+    A_closed = np.diag([0.5, -np.exp(growth_per_s * period_s)])
+    K = np.zeros((system.m, system.n))
+    K[0, 3] = -gain * np.sqrt(5.0 / 1e-3)
+    refused = nullcontext() if got is None else pytest.raises(FeedbackError, match=got)
+    with refused:
+        _check_stable(A_closed, period_s)
+        _check_gain(K, cost)

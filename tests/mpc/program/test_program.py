@@ -388,6 +388,10 @@ def test_bounded_programs_have_their_solution(seed: int) -> None:
     program = random_qp(seed)
     none, n = np.zeros(0), len(program.g)
     program = replace(program, A=np.zeros((0, n)), row_lower=none, row_upper=none)
+    if seed % 2:  # one coordinate that has no choice, on either side of its optimum
+        lower, upper = program.lower.copy(), program.upper.copy()
+        lower[0] = upper[0] = solve_clarabel(program).z[0] + (seed % 4 - 2) / 2.0
+        program = replace(program, lower=lower, upper=upper)
     expected, found = solve_clarabel(program), within_bounds(program)
     assert found is not None, "these are well conditioned: no circles"
     assert np.abs(found.z - expected.z).max() <= 1e-6 * max(1.0, np.abs(found.z).max())
