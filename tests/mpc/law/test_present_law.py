@@ -125,3 +125,25 @@ def test_before_a_target_the_present_team_keeps_its_preview(team: Team) -> None:
     np.testing.assert_array_equal(after[:20], before[:20])
     assert np.abs(before[:20]).max() > 1e-3
     assert np.abs(after[20:] - before[20:]).max() > 1e-3
+
+
+def test_a_recursion_under_way_ends_with_a_return_or_a_target() -> None:
+    """A return holds at once, for good; a target completes it first: its gains hold before the target, (71), (75)."""
+    model = Model(SYSTEM)
+    one, fresh = (Regulation(model, AT_REST, SETTINGS, flat().sampled) for _ in range(2))
+    since, later = TARGET_TICK - 2, TARGET_TICK + 30
+    whole = one.gain(later)
+    one.form(*LOST, since=since)
+    one.form(*WHOLE)
+    assert not one.advance(later)
+    np.testing.assert_array_equal(one.gain(later), whole)
+
+    led = flat().with_target(TARGET).sampled
+    one.form(*LOST, since=since)
+    assert not one.advance(since)
+    assert one.follow(led)
+    assert not one.advance(later), "nothing is under way"
+    fresh.form(*LOST)
+    np.testing.assert_array_equal(one.gain(since), fresh.gain(since))
+    fresh.follow(led)
+    np.testing.assert_allclose(one.gain(later), fresh.gain(later), atol=SAME_GAIN)

@@ -245,6 +245,33 @@ def test_own_corrections_are_the_best_response_to_those_of_the_others() -> None:
         np.testing.assert_allclose(found[k, own], best, rtol=1e-6, atol=1e-12)
 
 
+def test_the_objective_is_the_added_cost_with_the_penalties() -> None:
+    """sum dc' M dc of the owned corrections, and penalty (s + s^2 / 2) of each slack s, (74)."""
+    settings = SETTINGS.model_copy(
+        update={
+            "tilt": TiltSection(limit_deg=12.0, penalty=30.0),
+            "tension": TensionSection(minimum_N=3.0, penalty=7.0),
+        }
+    )
+    model, track = flown()
+    one, rng, start = controller((0, 2), settings), np.random.default_rng(8), 60
+    x0 = track.X[start].copy()
+    x0[R0] += [0.6, -0.5, 0.3]
+    law = one.law(x0, track.X[start : start + 12], np.zeros((12, model.system.m)), None, start)
+    linear = one.linearise(x0, track.U[start - 1])
+    course = one.predict(linear, one.discretise(linear), track.U[start : start + 12], law)
+    assert isinstance(course, Course)
+    assert not course.within
+    qp = one.condense(linear, course, np.zeros((13, 25)), law)
+
+    decision = course.trajectory.decision
+    z, slacks = rng.standard_normal(decision.size), rng.uniform(0.0, 0.2, 2)
+    expected = 30.0 * (slacks[0] + slacks[0] ** 2 / 2.0) + 7.0 * (slacks[1] + slacks[1] ** 2 / 2.0)
+    for dc, at in zip(decision.inputs(z), course.trajectory.gains, strict=True):
+        expected += dc @ at.M[np.ix_(one.own, one.own)] @ dc
+    assert qp.objective(np.append(z, slacks)) == pytest.approx(expected, rel=1e-9)
+
+
 @pytest.mark.parametrize("off_limits", [False, True], ids=["within", "off limits"])
 @pytest.mark.parametrize("w", [0.0, 0.5, 1.0])
 def test_plan_mixes_the_optimum_with_what_was_announced(w: float, *, off_limits: bool) -> None:
@@ -325,6 +352,7 @@ def test_law_of_another_team_is_the_same_by_parts_and_at_once() -> None:
     assert recursion.computed == 0
     own = input_slice(3)
     meanwhile = by_parts.gain(since + 1)
+    provisional = by_parts.current.tracker
     np.testing.assert_array_equal(by_parts.gain(since - 1), at_once.gain(since - 1))
     np.testing.assert_array_equal(meanwhile[: own.start], before[: own.start])
 
@@ -339,6 +367,9 @@ def test_law_of_another_team_is_the_same_by_parts_and_at_once() -> None:
     assert ready > since + 2
     assert shares[0] == 0
     assert max(shares) == GAINS_PER_PERIOD
+    trackers = (tracker, provisional, by_parts.current.tracker)
+    keys = {each.key for each in trackers if each is not None}
+    assert len(keys) == 3, "laws that follow from another one are shared by its key"
 
     model, track = flown()
     other = Controller(
