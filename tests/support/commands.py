@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 import psutil
@@ -61,16 +61,21 @@ def forks() -> Iterator[Callable[..., list[psutil.Process]]]:
     """Yield a function that starts commands in the current folder by one fork server, and end all at last.
 
     Each command is a list of words. The imports, most of the processor time of a process in a short test, are
-    done once. Outputs are dropped.
+    done once. The outputs are in the current folder: `process0.txt`, `process1.txt`, ...
     """
     server = ForkServer()
     started: list[psutil.Process] = []
 
     def begin(*commands: Sequence[str]) -> list[psutil.Process]:
-        with Path(os.devnull).open("r+b") as null:
-            begun = server.start(
-                [Start(each, null.fileno(), null.fileno()) for each in commands], {}
+        with ExitStack() as files:
+            null = files.enter_context(Path(os.devnull).open("rb"))
+            outputs = (
+                files.enter_context(Path(f"process{len(started) + i}.txt").open("wb"))
+                for i in range(len(commands))
             )
+            pairs = zip(commands, outputs, strict=True)
+            starts = [Start(each, null.fileno(), output.fileno()) for each, output in pairs]
+            begun = server.start(starts, {})
         started.extend(begun)
         return begun
 

@@ -16,11 +16,11 @@ from tests.support.attacker import table
 from tests.support.commands import (
     PATIENCE_S,
     command,
+    forks,
     free_base,
     is_flying,
     settings,
     start,
-    transport,
     wait_for,
 )
 from tests.support.keyrings import keyring
@@ -152,8 +152,9 @@ def routers(folder: Path, *each: Sequence[str]) -> Iterator[None]:
 
 
 @pytest.mark.slow
-def test_routers_on_both_sides(tmp_path: Path) -> None:
+def test_routers_on_both_sides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With coordinator, plant and recorder at one router and the agents at another, the run is bitwise the same."""
+    monkeypatch.chdir(tmp_path)
     base = free_base()
     here, there = f"tls/127.0.0.1:{base}", f"tls/127.0.0.1:{base + 1}"
     keys = f"network.keys={keyring('one')}"
@@ -166,35 +167,21 @@ def test_routers_on_both_sides(tmp_path: Path) -> None:
         ["--listen", here, "--set", keys],
         ["--listen", there, "--connect", here, "--set", keys],
     ):
-        started = [
-            start(
-                "agent",
-                "--id",
-                str(i),
-                "--scenario",
-                "paper",
-                *own["agents"],
-                "--incarnation",
-                "0",
-                cwd=tmp_path,
-            )
-            for i in range(1, 5)
+        observed = ("--observer", "recorder")
+        roles = [
+            *(["agent", "--id", str(i), *own["agents"]] for i in range(1, 5)),
+            ["plant", *own[""]],
+            ["coordinator", *own[""], *observed],
         ]
-        started.append(
-            start("plant", "--scenario", "paper", *own[""], "--incarnation", "0", cwd=tmp_path)
-        )
-        observed = ["--observer", "recorder", "--incarnation", "0"]
-        started.append(
-            start("coordinator", "--scenario", "paper", *own[""], *observed, cwd=tmp_path)
-        )
-        record = transport(
-            "record", "--scenario", "paper", *own[""], "--out", "out", "--no-figures", cwd=tmp_path
-        )
-        errors = [process.communicate(timeout=PATIENCE_S)[1] for process in started]
-    assert record.returncode == 0, record.stderr
-    assert [process.returncode for process in started] == [0] * 6, errors
+        with forks() as begin:
+            each = ("--scenario", "paper", "--incarnation", "0")
+            record = ["record", "--scenario", "paper", *own[""], "--out", "out", "--no-figures"]
+            started = begin(*([*role, *each] for role in roles), record)
+            codes = [process.wait(timeout=PATIENCE_S) for process in started]
+            outputs = [Path(f"process{i}.txt").read_text() for i in range(len(started))]
+    assert codes == [0] * len(started), outputs
     assert table(tmp_path / "out") == calm(tmp_path / "calm", *BRIEF)
-    assert all('"joined"' in text for text in errors[:5])
+    assert all('"joined"' in text for text in outputs[:5])
 
 
 @pytest.mark.parametrize(
