@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from tests.support.commands import PATIENCE_S, start, wait_for
-from tests.support.commands import transport as command
+from tests.support.results import here
 from tests.support.runs import SHORT
 from tests.system.test_sweep import gone
 
@@ -23,8 +23,8 @@ SEARCH = ("worst", "resilient", *LEVEL, *OVER, "--set", SHORT, "--format", "json
 def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """Return folder and summary of a search that nothing interrupts, with one worker."""
     folder = tmp_path_factory.mktemp("whole") / "worst"
-    done = command(*SEARCH, "--jobs", "1", "--out", folder, cwd=folder.parent)
-    assert done.returncode == 0, done.stderr
+    done = here(*SEARCH, "--jobs", "1", "--out", folder)
+    assert done.exit_code == 0, done.stderr
     return folder, json.loads(done.stdout)
 
 
@@ -52,9 +52,8 @@ def test_the_minimal_case_is_flown_again_with_the_same_bits(
 def test_an_interrupted_search_is_resumed_with_the_same_result(
     found: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
-    """Ctrl-C ends the command and its workers, which stay from batch to batch; the rest is flown later."""
-    words = [*SEARCH, "--jobs", "2", "--out"]
-    process = start(*words, "one", cwd=tmp_path)
+    """Ctrl-C ends the command and its workers, which stay from batch to batch; the rest is flown later by one."""
+    process = start(*SEARCH, "--jobs", "2", "--out", "one", cwd=tmp_path)
     file = tmp_path / "one" / "evaluations.jsonl"
     assert wait_for(lambda: file.exists() and file.read_bytes().count(b"\n") > 2)
     os.killpg(process.pid, signal.SIGINT)
@@ -63,7 +62,7 @@ def test_an_interrupted_search_is_resumed_with_the_same_result(
     assert "Traceback" not in errors
     assert gone(process)
 
-    resumed = json.loads(command(*words, "one", cwd=tmp_path).stdout)
+    resumed = json.loads(here(*SEARCH, "--jobs", "1", "--out", tmp_path / "one").stdout)
     folder, whole = found
     assert {**resumed, "folder": ""} == {**whole, "folder": ""}
     assert (tmp_path / "one/minimal.toml").read_bytes() == (folder / "minimal.toml").read_bytes()
