@@ -24,7 +24,6 @@ from transport.protocol.wire.messages import Note, Plan, PlantState
 # Plans of an agent that takes four periods a step, of 25 ticks: most are late on any machine.
 MISSED_PLANS = 5
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 FAILS = """
 class Fails:
     version = "7"
@@ -41,44 +40,9 @@ class Fails:
 
 
 @pytest.mark.slow
-def test_processes_and_memory_have_the_same_bits(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Plant states and numbers for the log are equal, with delay, loss, and an agent killed and restarted."""
-    monkeypatch.chdir(EXAMPLES)
-    faults = [
-        {"at_s": 0.5, "do": "kill", "target": "agent2"},
-        {"at_s": 1.0, "do": "restart", "target": "agent2"},
-    ]
-    phases = [{"name": "climb", "duration_s": 2.0, "displacement_m": [0.0, 0.0, -0.5]}]
-    given: dict[str, Any] = {
-        "controller": "pid:PID",
-        "delay_s": 0.1,
-        "loss": 0.2,
-        "faults": faults,
-        "on_agent_loss": "continue",
-    }
-    runs = [
-        transport.fly(
-            "resilient", phases=phases, processes=processes, folder=folder, progress=False, **given
-        )
-        for processes, folder in ((False, None), (True, tmp_path / "run"))
-    ]
-    paths = [np.array([state.x for state in run.log.of(PlantState)]) for run in runs]
-    assert len(paths[0]) == 40
-    assert paths[0].tobytes() == paths[1].tobytes()
-    notes = [
-        {(note.agent, note.tick): note.values.tolist() for note in run.log.of(Note)} for run in runs
-    ]
-    assert len(notes[0]) == 4 * 40 - 10
-    assert notes[0] == notes[1]
-    assert {run.summary["controller"]["name"] for run in runs} == {"pid:PID 1"}
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("iterations", [1, 3])
 def test_data_of_processes_have_the_same_bits(tmp_path: Path, iterations: int) -> None:
-    """Own data and exchanges are those in memory, with an impaired network and, of one, a death.
+    """Own data, numbers for the log and exchanges are those in memory, with an impaired network and, of one, a death.
 
     The class keeps a chain over all that it hears, so that every loss, order and bit shows.
     """
@@ -109,7 +73,14 @@ def test_data_of_processes_have_the_same_bits(tmp_path: Path, iterations: int) -
     assert len(data[0]) >= 4 * 40 * iterations - 10
     assert data[0] == data[1]
     paths = [np.array([state.x for state in run.log.of(PlantState)]) for run in runs]
+    assert len(paths[0]) == 40
     assert paths[0].tobytes() == paths[1].tobytes()
+    notes = [
+        {(note.agent, note.tick): note.values.tolist() for note in run.log.of(Note)} for run in runs
+    ]
+    assert len(notes[0]) == 4 * 40 - (10 if iterations == 1 else 0)
+    assert notes[0] == notes[1]
+    assert {run.summary["controller"]["name"] for run in runs} == {f"{Chain.__module__}:Chain 1"}
 
 
 @pytest.mark.slow
