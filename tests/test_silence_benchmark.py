@@ -1,7 +1,11 @@
 """The benchmark of silent networks: its measure of errors, and rows of its table."""
 
 import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +14,11 @@ from benchmarks import silence, silence_cases
 from benchmarks.silence import Flown
 from benchmarks.silence_cases import Case
 from docs.tables import table
+from tests.support.messages import sample
+from tests.support.runs import plant_state
 from transport.model.arrays import Array
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.wire.messages import Note
 
 PERIOD_S = 0.05
 CASE = Case(name="a case", scenario="precise", silent_s=3.0)
@@ -81,6 +88,87 @@ def test_cells_of_two_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
         "1 of 2, 3 resets of filters", "7.0 deg", "0.450 m", "0.040 m",
         "0.020 m (x2.00)", "0.010 m (x4.00)", "0.030 m", "0.020 m (x1.50)",
     ]  # fmt: skip
+
+
+def test_errors_of_an_interval() -> None:
+    """From its first tick to that before its end, or to the end of the run."""
+    flown = _flown(np.arange(8.0))
+    assert flown.squares(0.1, 0.3).tolist() == [4.0, 9.0, 16.0, 25.0]
+    assert flown.squares(0.3, math.inf).tolist() == [36.0, 49.0]
+
+
+@pytest.mark.parametrize(
+    ("given", "runs", "beside"),
+    [
+        ({}, 3, 5),
+        ({"silent_s": math.inf}, 3, 3),  # nothing comes after it
+        ({"from_start": True}, 3, 3),
+        ({"silent_s": math.inf, "from_start": True, "compared": False}, 1, 1),
+        ({"compared": False}, 1, 2),
+    ],
+)
+def test_what_a_case_is_compared_with(
+    given: dict[str, Any], runs: int, beside: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The UAVs alone, and the network without silence that is as late; after a silence that ends as well."""
+    asked: list[tuple[str, ...]] = []
+
+    def fly(scenario: str, settings: tuple[str, ...]) -> Flown:
+        assert scenario == "precise"
+        asked.append(settings)
+        return _flown(np.ones(500))
+
+    monkeypatch.setattr(silence, "fly", fly)
+    case = replace(CASE, settings=("name=x",), **given)
+    _, _, _, *errors = silence._cells(silence.run(case, [3]))
+    assert sum(error != "-" for error in errors) == beside
+    same = ("name=x", "seed=3")
+    late = (*same, *silence_cases.LATE)
+    assert asked[1:] == [(*same, *silence.ALONE), late][: runs - 1]
+    assert asked[0][: len(late)] == late
+
+
+def test_resets_of_filters_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Notes about anything else are none."""
+
+    def simulate(setup: Any, record: Callable[[Any], None]) -> Any:
+        for problem in ("filter: reset", "planner: late", "filter: again"):
+            record(sample(Note, problem=problem))
+        for tick in (1, 0):
+            record(plant_state(setup, tick))
+        return SimpleNamespace(outcome="aborted", reason="no")
+
+    monkeypatch.setattr(silence, "simulate", simulate)
+    flown = silence.fly("paper", ("name=counted",))
+    assert (flown.resets, flown.outcome, flown.reason) == (2, "aborted", "no")
+
+
+@pytest.mark.parametrize(
+    ("words", "flown", "written"),
+    [
+        ([], [("a still", range(10)), ("b", range(10))], 0),
+        (["--case", "still", "--write"], [("a still", range(10))], 1),
+        (["--seeds", "2", "--first", "5", "--case", "b"], [("b", range(5, 7))], 0),
+    ],
+)
+def test_cases_and_seeds_are_those_that_are_asked_for(
+    words: list[str], flown: list[Any], written: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page is renewed only if that is asked for."""
+    done: list[Any] = []
+    pages: list[Any] = []
+
+    def run(case: Case, seeds: Sequence[int], *, each: bool) -> silence.Result:
+        done.append((case.name, seeds))
+        return silence.Result()
+
+    chosen = [Case(name=name, scenario="precise") for name in ("a still", "b")]
+    monkeypatch.setattr(silence, "cases", lambda: chosen)
+    monkeypatch.setattr(silence, "run", run)
+    monkeypatch.setattr(silence, "write", lambda results, only: pages.append((len(results), only)))
+    silence.main(words)
+    assert done == flown
+    assert pages == [(1, "still")] * written
 
 
 def test_a_hover_as_flown() -> None:
