@@ -212,17 +212,18 @@ def test_a_step_with_the_filter_over_one_without(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize(
-    ("place", "speed_mps", "outcome", "ends"),
+    ("off_m", "speed_mps", "outcome", "ends"),
     [
-        ("goal", 0.0, "completed", (True, False)),
-        ("before", 0.04, "completed", (False, True)),
-        ("before", 0.06, "completed", (False, False)),
-        ("before", 0.0, "diverged", (False, False)),
-        ("goal", 0.0, "diverged", (False, False)),
+        (0.0, 0.0, "completed", (True, False)),
+        (0.29, 0.0, "completed", (True, False)),
+        (0.31, 0.04, "completed", (False, True)),
+        (0.31, 0.06, "completed", (False, False)),
+        (0.5, 0.0, "diverged", (False, False)),
+        (0.0, 0.0, "diverged", (False, False)),
     ],
 )
 def test_a_run_goes_round_a_wall_or_rests_before_it(
-    place: str,
+    off_m: float,
     speed_mps: float,
     outcome: str,
     ends: tuple[bool, bool],
@@ -232,7 +233,7 @@ def test_a_run_goes_round_a_wall_or_rests_before_it(
     run = runs.setup("obstacle=[{kind='sphere',at_m=[0,0,50],radius_m=1.0,margin_m=0.4}]")
     goal_I = run.maneuver.path(np.array([run.maneuver.duration_s]))[0][0]
     x = run.hover.x.copy()
-    x[state.R0] = goal_I if place == "goal" else goal_I - 0.5
+    x[state.R0] = goal_I - [off_m, 0.0, 0.0]
     x[state.V0] = [speed_mps, 0.0, 0.0]
     x[state.THETA0] = [0.0, -0.1, 0.05]
 
