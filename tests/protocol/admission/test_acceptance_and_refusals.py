@@ -13,7 +13,14 @@ from transport.protocol.wire.bundles import Answer, Bundle, Relay
 from transport.protocol.wire.codec import MAX_BYTES, decode, encode
 from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.key_expressions import Keys
-from transport.protocol.wire.messages import LinkChange, Message, Plan, Target
+from transport.protocol.wire.messages import (
+    LinkChange,
+    Message,
+    Note,
+    Plan,
+    Target,
+    VehicleStatus,
+)
 from transport.protocol.wire.node_interface import Outbox
 
 RUN = setup("controller.horizon=5", ticks(60))
@@ -298,6 +305,26 @@ def test_measurements_come_from_the_plant_or_from_vehicles(by_vehicles: bool) ->
     assert [(entry.sender, entry.reason) for entry in gate.rejections] == [
         (wrong, "wrong_sender" if wrong == "plant" else "unknown_agent")
     ]
+
+
+@pytest.mark.parametrize(
+    ("known", "stranger"),
+    [
+        (sample(Note, agent=4, sender="agent4"), {"agent": 5, "sender": "agent5"}),
+        (
+            sample(VehicleStatus, uav=4, sender="vehicle4", changes=()),
+            {"uav": 5, "sender": "vehicle5"},
+        ),
+    ],
+)
+def test_only_processes_of_the_run_are_heard(known: Message, stranger: dict[str, Any]) -> None:
+    """Agents and UAVs that it has; of a run that is not known any number."""
+    shape = dataclasses.replace(RUN.rules.shape, by_vehicles=True)
+    other = changed(known, **stranger)
+    for given, message, accepted in ((shape, known, 1), (shape, other, 0), (None, other, 1)):
+        gate = Gate("recorder", KEYS, given)
+        assert len(list(gate.accept(KEYS.of(message), encode(message)))) == accepted
+        assert [entry.reason for entry in gate.rejections] == ["unknown_agent"] * (1 - accepted)
 
 
 def test_kinds_that_are_not_read_are_handed_over_as_they_came() -> None:

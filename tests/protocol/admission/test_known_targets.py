@@ -1,12 +1,18 @@
 """Targets told to some agents spread over random networks, through deaths and new starts."""
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import permutations
 from typing import Any
 
 import msgspec
 import numpy as np
+import pytest
 
 from tests.support import runs
+from transport.model.path.target_and_stop import Slowing
+from transport.protocol.admission import known_targets
 from transport.protocol.admission.known_targets import KnownTargets
 from transport.protocol.admission.targets_in_plans import place_of
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
@@ -14,6 +20,7 @@ from transport.protocol.scenario.sections.scenario_errors import requested
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.targets.target_checks import target_fields
 from transport.protocol.wire.codec import decode
+from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import Target
 from transport.protocol.wire.node_interface import Outbox
 
@@ -108,3 +115,103 @@ def test_all_end_at_the_newest_target_that_one_of_them_knows() -> None:
     # The third target, mostly; others where all that knew it are gone.
     assert max(newest) == place_of(targets[2])
     assert len(newest) > 1
+
+
+def path_of(*known_in_order: Target | Slowing) -> np.ndarray:
+    """Return the path of an agent that has heard of targets, and lost time, in an order."""
+    known = KnownTargets(RUN.run)
+    for one in known_in_order:
+        if isinstance(one, Slowing):
+            known.slow(one)
+        else:
+            known.add(one)
+    return known.setup.X_ref
+
+
+SLOWING = Slowing(since_s=3.0, ramp_s=1.0, lost_s=0.5)
+
+
+def test_the_order_in_which_targets_are_heard_of_does_not_matter() -> None:
+    """The path is that of the coordinator, which tells them one by one; time is lost along all of it."""
+    told = three()
+    np.testing.assert_array_equal(path_of(*told), RUN.run.after(told).X_ref)
+    slowed = path_of(*told, SLOWING)
+    assert (slowed != path_of(*told)).any()
+    for order in permutations(told):
+        np.testing.assert_array_equal(path_of(*order), path_of(*told))
+        np.testing.assert_array_equal(path_of(order[0], SLOWING, *order[1:]), slowed)
+
+
+def test_a_loss_of_time_that_began_at_the_same_time_is_replaced() -> None:
+    """It is the same stop, whose length is known better."""
+    longer = replace(SLOWING, lost_s=1.0)
+    later = replace(SLOWING, since_s=4.0)
+    told = three()
+    np.testing.assert_array_equal(path_of(*told, SLOWING, longer), path_of(*told, longer))
+    assert (path_of(*told, SLOWING, later) != path_of(*told, later)).any()
+
+
+def test_a_target_is_known_from_its_first_tick_on() -> None:
+    """Of two first ticks the earlier one counts; before all targets is their place where none is known."""
+    known = KnownTargets(RUN.run)
+    assert known.newest == (-1, 0)
+    one = three()[0]
+    waiting = msgspec.structs.replace(one, begins=FIRST + 9)
+    assert known.add(waiting)
+    assert (known.knows(waiting), known.knows(one)) == (True, False)
+    assert known.add(one)
+    assert known.knows(waiting)
+    assert not known.add(waiting)
+    assert known.newest == place_of(one)
+
+
+def test_the_number_of_known_targets_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sender may invent any; known ones may still begin earlier."""
+    monkeypatch.setattr(known_targets, "MAX_TARGETS", 2)
+    first, second, third = three()
+    known = KnownTargets(RUN.run)
+    assert known.add(first)
+    assert known.add(msgspec.structs.replace(second, begins=SECOND + 9))
+    assert not known.add(third)
+    assert known.add(second)
+
+
+@pytest.mark.parametrize(("distance_m", "is_refused"), [(199.0, False), (201.0, True)])
+def test_a_target_is_within_reach(distance_m: float, is_refused: bool) -> None:
+    """At 100 m/s at most in the time of its approach, less one ramp."""
+    target = msgspec.structs.replace(
+        three()[0],
+        points=np.array([[0.0, 0.0, -10.0 - distance_m]]),
+        approach_s=5.0,
+        approach_ramp_s=3.0,
+    )
+    if not is_refused:
+        KnownTargets(RUN.run).check(target)
+        return
+    with pytest.raises(MessageError, match="within reach, got one 201 m away in 2 s"):
+        KnownTargets(RUN.run).check(target)
+
+
+def test_a_plan_carries_what_its_path_depends_on() -> None:
+    """Those before a target until it is reached; told to some, and followed; at most the newest eight."""
+    first, second, third = three()
+    known = KnownTargets(RUN.run)
+    told = msgspec.structs.replace(first, incarnation=2, sequence=9)
+    for target in (told, second):
+        known.add(target)
+
+    def numbers(tick: int, *unconfirmed: Target) -> list[int]:
+        carried: list[Any] = [decode(data) for data in known.carried(tick, unconfirmed)]
+        assert {(one.incarnation, one.sequence) for one in carried} <= {(0, 0)}
+        return [one.number for one in carried]
+
+    period_s = RUN.settings.sampling_period_s
+    reached = SECOND + math.ceil(second.approach_s / period_s - 1e-9)
+    assert numbers(SECOND) == numbers(reached - 1) == [1, 2]
+    assert numbers(reached) == [2]
+    waiting = [msgspec.structs.replace(third, number=number) for number in range(3, 13)]
+    assert numbers(reached, *waiting) == [*range(5, 13)]
+
+    for_all = KnownTargets(RUN.run)
+    for_all.add(msgspec.structs.replace(first, to=()))
+    assert for_all.carried(SECOND) == ()

@@ -192,6 +192,7 @@ def test_timestamps_of_signatures_grow(monkeypatch: pytest.MonkeyPatch) -> None:
     stamps = [int.from_bytes(one[-12:-6], "little") for one in signed]
     assert stamps == [int(SINCE_2015_S * 1e5) + number for number in range(3)]
     assert all(map(receiver.accept, signed))
+    assert not any(map(receiver.accept, signed))  # each counts once
 
 
 @pytest.mark.parametrize(("age_s", "counts"), [(59.0, True), (61.0, False)])

@@ -222,6 +222,17 @@ def test_data_of_a_plan() -> None:
     without = decode(bare)
     assert isinstance(without, Plan)
     assert without.data.shape == (0,)
+    for count in (29, 30, 31):  # an extension of 256 bytes has a longer header than a shorter one
+        plan = sample(Plan, data=np.zeros(count))
+        assert encoded_length(plan) == len(encode(plan))
+
+
+def test_the_largest_message_is_read() -> None:
+    """One byte more is refused for its size alone, whatever it is."""
+    for length, reason in ((MAX_BYTES, "malformed"), (MAX_BYTES + 1, "oversized")):
+        with pytest.raises(MessageError) as refused:
+            decode(bytes([VERSION]).ljust(length, b"\0"))
+        assert refused.value.reason == reason
 
 
 def test_age_of_a_plan() -> None:
