@@ -21,10 +21,11 @@ from tests.support.logs import log_of
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.communication_metrics import (
     deadline,
+    links_of_plant,
     plans_between_agents,
     rest_of_tick_ms,
 )
-from transport.analysis.cost_and_tracking_metrics import cost_and_tracking, targets
+from transport.analysis.cost_and_tracking_metrics import cost_and_tracking, swing_of, targets
 from transport.analysis.events import events
 from transport.analysis.series import series_of
 from transport.analysis.steps import steps_columns, steps_rows
@@ -33,10 +34,13 @@ from transport.cli.commands.top import Watch
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.physics.hover import released_state
+from transport.protocol.admission.targets_in_plans import number_of_sight
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import requested
+from transport.protocol.scenario.setup.collisions import Contact
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.targets.target_checks import target_fields
+from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import (
     ActualInputs,
     Control,
@@ -241,6 +245,73 @@ def test_a_target_is_judged_before_the_next_one_and_the_end_of_the_run() -> None
     assert errors_m([first, second], end + 31) == [pytest.approx(0.01 * (end + 20)), None]
 
 
+def test_the_time_until_all_know_a_target_is_that_of_the_last_roster() -> None:
+    """From its tick to the first plans of all agents with it; at once if it is told to all, never if one lacks it.
+
+    A stop by an agent, between two of them, has no number and no such time.
+    """
+    run = runs.setup(runs.ticks(400))
+
+    def told(number: int, tick: int, *to: int) -> Target:
+        given = {"points_m": [[0.5 * number, 0.0, -10.0]]}
+        fields = {**target_fields(run, requested(TargetSection, given), tick), "to": to}
+        return Outbox("coordinator", 0).stamp(Target, number=number, **fields)
+
+    first, second, third = told(1, 20, 1), told(2, 200), told(3, 300, 1)
+    stop = replace(first, sender="agent2", number=number_of_sight(2), tick=80, to=(2,), brakes=True)
+    had = (
+        *((1, first, 20), (2, first, 22), (3, first, 24), (2, first, 30), (4, first, 40)),
+        *((2, stop, 80), (1, third, 300), (2, third, 302)),
+    )
+    plans = [
+        replace(runs.plan(run, agent, k), targets=(encode(target),)) for agent, target, k in had
+    ]
+    three = dict.fromkeys((1, 2, 3), runs.INCARNATION)
+    rosters = [runs.roster(three, k=50, version=2), runs.roster()]
+    log = log_of([*rosters, first, second, third, *plans, on_reference(run, 0)])
+    found = summarise(AnalysedRun.of(run, log))["targets"]
+    assert [one["t_s"] for one in found] == [1.0, 4.0, 10.0, 15.0]
+    assert [one["known_s"] for one in found] == [0.2, None, 0.0, None]
+
+
+def test_the_swing_is_that_of_the_last_four_seconds() -> None:
+    """Of 80 periods up to the last tick; larger errors before do not count."""
+    run = runs.setup(runs.ticks(400))
+
+    def away(distance_m: float) -> Callable[[Array, Array], None]:
+        def change(x: Array, u: Array) -> None:
+            x[state.R0][1] += distance_m
+
+        return change
+
+    ticks = ((119, 0.5), (120, 0.3), (139, 0.2), (140, 0.1), (199, 0.05))
+    log = log_of([on_reference(run, k, away(distance_m)) for k, distance_m in ticks])
+    assert swing_of(run, series_of(run, log)) == pytest.approx(0.3)
+
+
+def test_states_count_once_for_each_tick_in_their_order() -> None:
+    """Those of another team are left out; a UAV on its reference has no error, not none."""
+    run = runs.setup(HOVER)
+    single = runs.setup(HOVER, *runs.SINGLE_UAV)
+    log = log_of([on_reference(run, 3), on_reference(single, 2), on_reference(run, 1)])
+    series = series_of(run, log)
+    assert series.ticks.tolist() == [1, 3]
+    exact = dataclasses.replace(series, uavs_I=series.uav_references_I)
+    assert exact.uav_error_max_m(run.owned).tolist() == [[0.0] * 4] * 2
+
+
+def test_a_contact_and_the_ages_of_plans_are_those_of_the_run() -> None:
+    """UAVs by their ids; a plan of the same tick has the age 0 and counts, an agent never heard does not."""
+    run = runs.setup(HOVER)
+    ages = [report(run, 1, 0, plan_ages=(0, 2, -1)), report(run, 2, 0, plan_ages=(-1, -1, 4))]
+    analysed = AnalysedRun.of(run, log_of([on_reference(run, 0), *ages]))
+    contact = Contact(at_s=1.23456789012, uavs=(1, 3), distance_m=0.4)
+    series = dataclasses.replace(analysed.series, contact=contact)
+    summary = summarise(dataclasses.replace(analysed, series=series))
+    assert summary["collision"] == {"at_s": 1.23456789, "uavs": [1, 3], "distance_m": 0.4}
+    assert summary["plan_age_ticks"] == {"mean": 2.0, "max": 4}
+
+
 def test_the_velocity_of_the_payload_is_turned_into_the_inertial_frame() -> None:
     """Forwards of a payload that is turned by 90 deg about z is along y."""
     run = runs.setup(HOVER)
@@ -424,6 +495,8 @@ def test_deadlines_of_plans_by_hand() -> None:
     never_came = [replace(tick, overrun_ns=0) for tick in ticks]
     assert deadline(run, log_of(never_came))["worst_ms"] is None
     assert deadline(run, log_of(ticks[:1]))["share"] is None  # none was due
+    found = deadline(run, log_of([runs.tick(0), runs.tick(1)]))
+    assert (found["missed"], found["worst_ms"]) == (0, 0.0)
     with_gap = [tick for tick in ticks if tick.tick != 1]
     assert deadline(run, log_of(with_gap))["plans"] == 2  # those of tick 2
 
@@ -447,6 +520,7 @@ def test_plans_count_from_the_start_of_an_agent_in_real_time() -> None:
     found = plans_between_agents(run, log_of(messages), steps, replaced=0)
     # Agent 2 receives 2, agent 1 receives 4.
     assert [found[name] for name in ("planned", "sent", "delivered", "in_transit")] == [8, 6, 2, 4]
+    assert links_of_plant(log_of(messages), [])["commands"]["sent"] == 8
     assert plans_between_agents(run, log_of(messages), steps, replaced=3)["in_transit"] == 1
 
     twice = [report(run, 2, k, delivered=9) for k in (2, 3)]
@@ -489,6 +563,7 @@ def test_times_by_hand() -> None:
         [10, 11, 14, 15, 16, 18, 60, 61, 62],
     )
     assert rest_of_tick_ms(run, log) == pytest.approx({0: 4.0 - 1.5, 1: 0.0})
+    assert rest_of_tick_ms(run, log_of([runs.tick(0), runs.tick(1)])) == {}  # without a step
     summary = summarise(AnalysedRun.of(run, log))
     assert summary["rest_of_tick_ms"] == pytest.approx({"p50": 1.25, "p99": 2.475, "max": 2.5})
     assert summary["wall_time_s"] == pytest.approx(0.050)
@@ -568,7 +643,10 @@ def test_failed_steps_are_counted_by_agent() -> None:
 
 def test_rejections_are_added_up_and_the_most_come_first() -> None:
     """By receiver, sender and reason."""
-    told = (("agent1", "agent2", 2), ("plant", "agent3", 4), ("agent1", "agent2", 3))
+    told = (
+        *(("agent1", "agent2", 2), ("plant", "agent3", 4)),
+        *(("agent1", "agent4", 4), ("agent1", "agent2", 3)),
+    )
     notices = [
         Rejected(
             sender=receiver,
@@ -585,6 +663,8 @@ def test_rejections_are_added_up_and_the_most_come_first() -> None:
     found = summarise(AnalysedRun.of(runs.setup(HOVER), log_of(notices)))["rejections"]
     assert found == [
         {"by": "agent1", "sender": "agent2", "reason": "malformed", "count": 5},
+        # Of equal counts by receiver and sender.
+        {"by": "agent1", "sender": "agent4", "reason": "malformed", "count": 4},
         {"by": "plant", "sender": "agent3", "reason": "malformed", "count": 4},
     ]
 

@@ -6,6 +6,7 @@ from msgspec.structs import replace
 
 from tests.support import runs
 from tests.support.logs import log_of
+from transport.analysis.series import series_of
 from transport.analysis.targets_in_log import led_as_logged
 from transport.protocol.admission.targets_in_plans import number_of_sight
 from transport.protocol.scenario.setup.run_setup import Setup
@@ -75,6 +76,13 @@ def test_a_target_that_was_never_confirmed_is_followed_from_its_own_tick() -> No
     way = round(WAY_S / PERIOD_S)
     places_m = [payload_x_m(led, rest + after) for after in (0, way // 2, way)]
     assert places_m == pytest.approx([REST_I[0], 0.5, END_I[0]], abs=ROUNDING_M)
+
+
+def test_series_of_a_log_have_the_path_with_its_targets() -> None:
+    """The reference of the payload is at the end of the way once it is over."""
+    at_end = BEGINS + round(WAY_S / PERIOD_S)
+    log = log_of([carrying(BEGINS, CONFIRMED), runs.plant_state(RUN, at_end)])
+    assert series_of(RUN, log).payload_reference_I == pytest.approx(END_I[None], abs=ROUNDING_M)
 
 
 def test_a_log_without_targets_leaves_the_path() -> None:

@@ -25,6 +25,7 @@ from transport.experiments.paper.controllers_and_periods import (
     PAPER,
     SECONDS,
     STEPS,
+    STILL,
     Cell,
 )
 from transport.experiments.run_numbers import NUMBERS, resource_use
@@ -43,7 +44,9 @@ def test_the_runs_of_the_comparison() -> None:
 
     A horizon keeps the reference's 20 steps, or its second.
     """
-    options = comparison_report.ComparisonOptions(settings=(), seeds=2, gust_mps=0.5, quick=True)
+    options = comparison_report.ComparisonOptions(
+        settings=(ticks(9),), seeds=3, gust_mps=0.5, quick=True
+    )
     planned = comparison_report.plan(options, simulated_before=True)
     assert planned.reference == REFERENCE
     long, short = (0.05, 20), (0.025, 20)
@@ -58,12 +61,14 @@ def test_the_runs_of_the_comparison() -> None:
     }
     distinct = 3 + 3 + 2
     assert len(planned.timed) == distinct
-    assert len(planned.cases) == distinct * (1 + 2)
-    for case in planned.timed:
-        assert [phase.duration_s for phase in case.scenario.maneuver.phase] == [0.4]
+    assert len(planned.cases) == distinct * (1 + 3)
+    for cases, duration_s in ((planned.timed, 0.4), (planned.cases, 9 * 0.05)):
+        for case in cases:
+            (phase,) = case.scenario.maneuver.phase
+            assert phase.duration_s == pytest.approx(duration_s)
     assert not any(case.scenario.plant.wind.gust_mps[0] for case in planned.timed)
     gusts = [case.scenario.plant.wind.gust_mps for case in planned.cases]
-    assert gusts == [(0.0,) * 3] * distinct + [(0.5,) * 3] * 2 * distinct
+    assert gusts == [(0.0,) * 3] * distinct + [(0.5,) * 3] * 3 * distinct
     assert all(case.more is resource_use for case in planned.timed)
 
 
@@ -107,17 +112,18 @@ COSTS = {
 }
 
 
-def paper_curve(
+def both_curves(
     outcome: Callable[[Case], str] = lambda _: "completed",
     seeds: int = 3,
     costs: Mapping[tuple[str, float], Sequence[float]] = COSTS,
-) -> ComparisonCurve:
-    """The cost curve of the paper's algorithm in gusts, with made-up costs."""
+    weathers: Sequence[str] = (GUSTS,),
+) -> list[ComparisonCurve]:
+    """The cost curves of the centralized controller and the paper's algorithm, with made-up costs."""
     cells = [
         Cell(controller=controller, period_s=period_s, horizon=20) for controller, period_s in COSTS
     ]
     experiment = controllers_and_periods.experiment(cells, 0.5)
-    points = [point for point in experiment.points if point.labels["weather"] == GUSTS]
+    points = [point for point in experiment.points if point.labels["weather"] in weathers]
     cases = cases_of(points, [MANEUVER], seeds)
     results = []
     for case in cases:
@@ -133,14 +139,40 @@ def paper_curve(
         experiment=replace(experiment, points=tuple(points)), cases=cases, results=results
     )
     measurement = replace(experiment, points=experiment.points[: len(cells)])
+    first = len(points) - len(cells)  # of the points in gusts, which are repeated
+    repeated = [replace(case, point=case.point - first) for case in cases if case.point >= first]
     # Of three repetitions the median is 1 ms; neither their mean nor their largest is.
     times = [
-        replace(result, numbers={"cpu_step_p50_ms": (0.5, 9.0, 1.0)[case.scenario.seed]})
-        for case, result in zip(cases, results, strict=True)
+        Result(
+            key=case.key,
+            outcome="completed",
+            reason="",
+            numbers={"cpu_step_p50_ms": (0.5, 9.0, 1.0)[case.scenario.seed]},
+        )
+        for case in repeated
     ]
-    timed = Swept(experiment=measurement, cases=cases, results=times)
-    _, curve = curves_of(curves, timed, swept, REFERENCE)
+    timed = Swept(experiment=measurement, cases=repeated, results=times)
+    return curves_of(curves, timed, swept, REFERENCE)
+
+
+def paper_curve(
+    outcome: Callable[[Case], str] = lambda _: "completed",
+    costs: Mapping[tuple[str, float], Sequence[float]] = COSTS,
+) -> ComparisonCurve:
+    """The curve of the paper's algorithm in gusts."""
+    _, curve = both_curves(outcome, costs=costs)
     return curve
+
+
+def test_each_weather_has_the_curves_of_all_controllers() -> None:
+    """That of the reference is the first; its team is one agent."""
+    curves = both_curves(weathers=(STILL, GUSTS))
+    assert [(curve.weather, curve.controller) for curve in curves] == [
+        (weather, controller) for weather in (STILL, GUSTS) for controller in (CENTRALIZED, PAPER)
+    ]
+    (row,) = curves[-2].rows()
+    assert (row["kept"], row["weather"], row["cost_ratio"]) == (STEPS, GUSTS, 1.0)
+    assert row["cpu_team_s_per_s"] == row["cpu_agent_s_per_s"] == pytest.approx(0.02)
 
 
 def at(case: Case, controller: str, period_s: float) -> bool:

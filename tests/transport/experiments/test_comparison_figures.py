@@ -21,6 +21,7 @@ from transport.experiments.paper.controllers_and_periods import (
     GUSTS,
     MANEUVER,
     PAPER,
+    SECONDS,
     STEPS,
     STILL,
     TEAM,
@@ -258,10 +259,26 @@ def test_maneuvers_at_the_same_rate_and_computation_are_drawn(
         assert not any(setup.scenario.plant.wind.gust_mps)
 
 
+def test_the_legend_tells_the_horizon_of_each_curve(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twenty steps of 50 ms, or a second, each with its marker and line."""
+    panels = panels_of(compared({STILL: COSTS}), monkeypatch)
+    (legend,) = panels[0].figure.legends
+    texts = [text.get_text() for text in legend.get_texts()]
+    horizons = {STEPS: "20 steps", SECONDS: "1 s"}
+    assert texts == [f"{name}, {horizons[kept]}" for name, kept in controllers_and_periods.CURVES]
+    shapes = {
+        (text.rpartition(", ")[2], line.get_marker(), line.get_linestyle())
+        for text, line in zip(texts, legend.get_lines(), strict=True)
+    }
+    assert shapes == {("20 steps", "o", "-"), ("1 s", "D", "--")}
+
+
 def test_ratios_about_one_have_most_of_the_axis(monkeypatch: pytest.MonkeyPatch) -> None:
     """A cost of 0.95 and one of 1.05 are further apart than one of 1.5 and one of 2; the reference is named."""
     panels = panels_of(compared({STILL: COSTS}), monkeypatch)
     assert "line: centralized at 50 ms;" in panels[-1].get_xlabel()
+    names = [text.get_text() for text in panels[-1].get_yticklabels()]
+    assert names == ["0.95", "1", "1.05", "1.1", "1.2", "1.5", "2", "3", "diverged"]
     for panel in panels:
         (_, at_095), (_, at_105), (_, at_15), (_, at_2) = panel.transData.transform(
             [[1.0, ratio] for ratio in (0.95, 1.05, 1.5, 2.0)]

@@ -103,6 +103,13 @@ def test_a_panel_of_flat_curves_is_low_and_growth_is_logarithmic() -> None:
     """Attitudes that do not change take half an inch; processor times have decades, however close they are."""
     cost, attitude = drawn([of(0.002, 0.0), of(0.003, 0.0)])
     assert cost.get_position().height / attitude.get_position().height == pytest.approx(0.95 / 0.5)
+    # Within a hundredth of the largest, or beyond.
+    for lower, height_in in ((99.005, 0.5), (98.9, 0.95)):
+        figure = Figure()
+        own = [point(0.0, 100.0), point(STEP, lower)]
+        draw_curves(figure, Experiment(name="test", x=LABEL), {"paper": own})
+        heights = [panel.get_position().height for panel in figure.axes]
+        assert heights[0] / heights[1] == pytest.approx(height_in / 0.5)
 
     names = ("cpu_step_p50_ms", "cpu_team_tick_ms", "plan_bytes_per_s", "cost_mean")
     team = point(2.0, 1.0)

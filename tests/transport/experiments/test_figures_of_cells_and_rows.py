@@ -144,15 +144,34 @@ def test_the_legend_of_the_arena_has_networks_first_and_fills_last(
 def test_the_title_of_a_measure_tells_the_order_of_the_networks() -> None:
     """A line for the rows of a cell; a single network needs none."""
     titles = []
-    for networks in (["perfect"], ["late", "perfect", "radio"]):
+    for networks in (["perfect"], ["late", "perfect"], ["late", "perfect", "radio"]):
         figure = Figure()
         measured = [flown(network, "paper", RUNS, 0.01) for network in networks]
         draw_measure(figure, measured, "payload_rms_m", "payload error, cm", 100.0)
         titles.append(figure.axes[0].texts[0].get_text())
     assert titles == [
         "payload error, cm",
+        "payload error, cm\nin a cell: perfect / late",
         "payload error, cm\nin a cell: perfect, late / radio",
     ]
+
+
+@pytest.mark.parametrize(
+    ("ratio", "completed", "tiles", "numbers"),
+    [(1.5, RUNS, 1, ["1.5"]), (None, 0, 1, ["1"])],
+    ids=["one number", "none"],
+)
+def test_a_scale_of_one_number_has_it_alone(
+    ratio: float | None, completed: int, tiles: int, numbers: list[str]
+) -> None:
+    """A ratio of costs is one of the points themselves; without any number the scale is one of 1."""
+    figure = Figure()
+    one = replace(flown("perfect", "paper", completed, 0.1), cost_ratio=ratio)
+    draw_measure(figure, [one], "cost_ratio", "cost over centralized", 1.0)
+    panel, bar = figure.axes
+    assert len([patch for patch in panel.patches if isinstance(patch, Rectangle)]) == tiles
+    assert bool(panel.patches[0].get_hatch()) is (ratio is None)
+    assert [label.get_text() for label in bar.get_yticklabels()] == numbers
 
 
 def test_a_mean_of_zero_has_no_tile() -> None:
@@ -207,6 +226,7 @@ def test_a_map_writes_each_number_in_its_cell() -> None:
     assert texts[0, 0] == "2.00"
     assert texts[1, 1] == "12.1\n3 of 4"
     assert texts[1, 0] == "ends at\n4.2 s"
+    assert panel.get_ylabel() == "loss (%)"
     assert [label.get_text() for label in panel.get_xticklabels()] == ["0", "200"]
     assert [label.get_text() for label in panel.get_yticklabels()] == ["0", "30"]
     colours = panel.get_images()[0].get_array()
@@ -232,6 +252,7 @@ def test_named_rows_of_a_map_have_their_order_from_the_top() -> None:
         assert [label.get_text() for label in panel.get_yticklabels()] == ["radio", "late"]
         low, high = panel.get_ylim()
         assert low > high  # row 0 is at the top
+        assert panel.get_ylabel() == ""  # names say by themselves what they are
         numbers = [one for one in panel.texts if one.get_text() == text]
         assert [one.get_color() for one in numbers] == [colour] * 2
     assert bar.get_ylim() == pytest.approx((2.0, 200.0))
@@ -266,6 +287,8 @@ def test_networks_of_a_variant_stand_about_its_row() -> None:
         (*np.ravel(line.get_xdata()), *np.ravel(line.get_ydata())) for line in panel.get_lines()
     ]
     assert marks[:3] == [(1.2, -0.25), (1.5, 0.25), (1.0, 0.25)]
+    assert marks[3:] == [(1.0, 1.0, 0.0, 1.0)]  # the baseline, over the whole height
+    assert panel.get_ylim() == (0.5, -0.5)  # the first variant is at the top
     assert [label.get_text() for label in panel.get_yticklabels()] == ["preview: false"]
     assert panel.get_xlim() == pytest.approx((1.0 / 1.15, 1.5 * 1.15))
 
@@ -376,6 +399,19 @@ def test_a_cell_of_a_map_tells_its_number_or_why_it_has_none(
     one = point(labels, {"cost_mean": cost}, completed=completed, diverged_s=diverged_s)
     draw_maps(figure, DELAY, LOSS, COST, {"paper": [one]})
     assert [shown.get_text() for shown in figure.axes[0].texts] == [text, "paper"]
+
+
+def test_a_cost_of_zero_has_the_lowest_colour_and_of_two_points_the_last_counts() -> None:
+    """Zero has no logarithm; a point that is given twice has one number in its cell."""
+    figure = Figure()
+    labels = [{"delay_s": 0.0, "loss": loss} for loss in (0.0, 0.3, 0.3)]
+    costs = (0.0, 0.01, 0.02)
+    measured = [point(own, {"cost_mean": cost}) for own, cost in zip(labels, costs, strict=True)]
+    draw_maps(figure, DELAY, LOSS, COST, {"paper": measured})
+    texts = [(one.get_text(), one.get_color()) for one in figure.axes[0].texts]
+    assert texts[:2] == [("0.00", "#ffffff"), ("20.0", "#000000")]
+    coloured = figure.axes[0].get_images()[0].get_array()
+    assert np.ma.filled(np.ma.asarray(coloured), 0.0).ravel() == pytest.approx([10.0, 20.0])
 
 
 def test_a_variant_is_named_by_its_numbers_and_texts() -> None:

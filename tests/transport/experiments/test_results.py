@@ -76,6 +76,18 @@ def test_lines_of_other_types_are_ignored(tmp_path: Path) -> None:
         assert results["a"] == result("a")
 
 
+def test_a_result_without_all_numbers_is_ignored(tmp_path: Path) -> None:
+    """It is one of an earlier version, and simulated again; an error has none, and is told until then."""
+    whole = result("a")
+    numbers = {name: whole.numbers[name] for name in NUMBERS[1:]}
+    with opened(tmp_path) as results:
+        results.add(Result(key="a", outcome="completed", reason="", numbers=numbers))
+        results.add(Result(key="b", outcome=ERROR, reason="why", numbers={}))
+    with opened(tmp_path) as results:
+        assert ("a" in results, "b" in results) == (False, True)
+        assert results.earlier == frozenset()
+
+
 def test_a_sweep_simulates_what_is_missing_seed_by_seed(tmp_path: Path) -> None:
     """Once each, in the order of the seeds; results have the order of the cases, and errors are simulated again."""
     points = [
@@ -101,6 +113,8 @@ def test_a_sweep_simulates_what_is_missing_seed_by_seed(tmp_path: Path) -> None:
     costs = [one.numbers["cost_mean"] for one in swept.results]
     assert costs == pytest.approx([0.0, 0.3, 0.2, 1.0, 1.1, 1.2, 0.0])
     assert [row["loss"] for row in swept.rows("runs")] == [0.1] * 3 + [0.2] * 3 + [0.1]
+    assert "lost_s" in swept.rows("runs")[0]
+    assert "lost_s" not in swept.rows("points")[0]  # which has the first of them
 
 
 def test_a_folder_whose_beginning_a_kill_has_cut_is_used(tmp_path: Path) -> None:
@@ -150,7 +164,8 @@ def test_a_sweep_with_errors_is_refused_by_the_first(reasons: list[str], text: s
     assert (str(refusal.value), refusal.value.exit_code) == (text, EXIT_FAILED)
 
 
-def test_an_interrupted_sweep_tells_how_to_resume(tmp_path: Path) -> None:
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), ExperimentError("a worker process died")])
+def test_an_interrupted_sweep_tells_how_to_resume(tmp_path: Path, error: BaseException) -> None:
     """With a folder: how many runs are saved there, without counting errors; without one there is nothing to tell."""
     point = Point({"loss": 0.1}, "", ("links.loss=0.1",), scenario="paper")
     cases = cases_of([point], (), 3)
@@ -158,12 +173,12 @@ def test_an_interrupted_sweep_tells_how_to_resume(tmp_path: Path) -> None:
     def interrupted(missing: Sequence[Case]) -> Iterator[Result]:
         yield result(missing[0].key)
         yield result(missing[1].key, ERROR)
-        raise KeyboardInterrupt
+        raise error
 
     for folder in (tmp_path, None):
         output = io.StringIO()
         experiment = Experiment(name="test", points=(point,))
-        with Results("test", folder) as results, pytest.raises(KeyboardInterrupt):
+        with Results("test", folder) as results, pytest.raises(type(error)):
             sweep(experiment, cases, interrupted, results, Console(file=output, width=200))
         hint = f"1 of 3 runs are saved; resume with: --out {folder}"
         assert (hint in output.getvalue()) == (folder is not None)

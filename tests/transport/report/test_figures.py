@@ -13,6 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from tests.support import runs
 from tests.support.figure_texts import problems
@@ -27,7 +28,13 @@ from transport.model import state
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import FaultNote, LinkChange
 from transport.report.figures.captions import captions
-from transport.report.figures.column import label_ends, limits
+from transport.report.figures.column import (
+    head,
+    label_ends,
+    legend_height_in,
+    limits,
+    text_width_in,
+)
 from transport.report.figures.event_marks import caption_of, marks_of
 from transport.report.figures.run_figures import FIGURES, draw, fill
 from transport.report.figures.style import (
@@ -38,6 +45,7 @@ from transport.report.figures.style import (
     label_decades,
     line_width,
     looks_of,
+    save,
     scale_cost,
     shade_phases,
 )
@@ -228,6 +236,9 @@ def test_a_sentence_stands_for_flat_curves() -> None:
             assert problems(figure, SMALL) == []
         assert sum(panel.axison for panel in figure.axes) == panels
         texts = [text.get_text() for panel in figure.axes for text in panel.texts]
+        (last,) = (panel for panel in figure.axes if panel.get_xlabel() == "time (s)")
+        assert last.axison  # sentences stand above it
+        assert last.get_position().y0 == min(panel.get_position().y0 for panel in figure.axes)
         assert "pitch moment: 0 N m throughout" in texts
         assert "smallest distance between UAVs: 0.5 m throughout" in texts
 
@@ -250,12 +261,56 @@ def test_panels_of_inputs_name_their_limits() -> None:
     curves = {str(line.get_label()): np.unique(line.get_ydata()) for line in plans.lines}
     assert curves["agent 1"] == pytest.approx([0.1])
     assert curves["4"] == pytest.approx([0.2])
+    assert [line.get_color() for line in plans.lines if line.get_label() == "4"] == [
+        uav_style(3)["color"]
+    ]
     assert "2" not in curves
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "told", "untold"),
+    [
+        ("paper", (runs.SHORT,), "oldest plan used: 0.05 s throughout", "rate"),
+        ("eight", (), "pitch rate command: 0 rad/s throughout", "moment"),
+        ("paper", (runs.SHORT, *runs.SINGLE_UAV), "pitch moment: 0 N m throughout", "distance"),
+    ],
+)
+def test_inputs_are_those_that_the_team_has(
+    name: str, settings: Sequence[str], told: str, untold: str
+) -> None:
+    """Body rates in rad/s in place of moments; a single UAV has no distance; an age that is kept is told."""
+    run = runs.ready(name, *settings)
+    reports = [report(run, agent, k) for agent in run.agents for k in range(3)]
+    figure = Figure()
+    with mpl.rc_context(RC):
+        log = log_of([*(on_reference(run, k) for k in range(3)), *reports])
+        assert fill(figure, "inputs", AnalysedRun.of(run, log))
+    texts = [text.get_text() for panel in figure.axes for text in panel.texts]
+    assert told in texts
+    assert not any(untold in text for text in texts)
+
+
+def test_the_distance_of_uavs_is_shown_with_its_limit() -> None:
+    """From the limit on, at which a line is drawn."""
+    run = runs.setup(runs.SHORT)
+    analysed = AnalysedRun.of(run, log_of([on_reference(run, k) for k in range(3)]))
+    figure = Figure()
+    with mpl.rc_context(RC):
+        series = replace(analysed.series, separation_m=np.array([0.5, 0.6, 0.7]))
+        assert fill(figure, "inputs", replace(analysed, series=series))
+    (panel,) = (
+        panel
+        for panel in figure.axes
+        for text in panel.texts
+        if text.get_text() == "smallest distance between UAVs (m), limit 0.4"
+    )
+    assert 0.3 < panel.get_ylim()[0] < 0.4
+    assert [0.4, 0.4] in [np.ravel(line.get_ydata()).tolist() for line in panel.lines]
 
 
 def test_the_panel_of_obstacles_shows_what_is_near_or_within_one() -> None:
     """From the deepest distance to six times the margin, 0.3 m, at which a line is drawn."""
-    obstacle = "obstacle=[{kind='sphere',at_m=[9.0,0.0,-10.0],radius_m=0.5,margin_m=0.3}]"
+    obstacle = "obstacle=[{kind='sphere',at_m=[9.0,0.0,-10.0],radius_m=0.5,margin_m=0.3,load_margin_m=0.2}]"
     run = runs.setup(runs.SHORT, obstacle)
     analysed = AnalysedRun.of(run, log_of([on_reference(run, k) for k in range(3)]))
     clearance_m = np.array([[9.0, 8.0, 7.0], [0.5, 0.4, -0.2], [0.4, 0.3, 0.1]])
@@ -270,7 +325,8 @@ def test_the_panel_of_obstacles_shows_what_is_near_or_within_one() -> None:
         if text.get_text() == "distance from obstacles (m)"
     )
     assert panel.get_ylim() == pytest.approx((-0.2, 1.8))
-    assert [0.3, 0.3] in [np.ravel(line.get_ydata()).tolist() for line in panel.lines]
+    levels = [np.ravel(line.get_ydata()).tolist() for line in panel.lines]
+    assert [level for level in levels if len(level) == 2] == [[0.2, 0.2], [0.3, 0.3]]
 
 
 @pytest.mark.parametrize(
@@ -383,6 +439,81 @@ def test_every_other_phase_is_shaded() -> None:
             assert panel.get_xlim() == (0.0, 4.5)
     finally:
         plt.close(figure)
+
+
+def test_phases_with_room_have_their_names_above_the_first_panel() -> None:
+    """In the middle of what is shown of them; a name that has one letter too many would touch the next one."""
+    panels = list(Figure(dpi=100.0).subplots(2))
+    width_pt = 72.0 * panels[0].get_window_extent().width / 100.0
+    letters = int(width_pt / 4.0 / (0.62 * SMALL))  # that fit one of four seconds
+    phases = ",".join(
+        f"{{name='{name}',duration_s=1.0,displacement_m=[0,0,0]}}"
+        for name in ("a" * letters, "b" * (letters + 1), "c", "d" * letters, "e")
+    )
+    run = runs.setup(f"maneuver.phase=[{phases}]")
+    shade_phases(run, panels, 4.0)
+    told = [(text.get_text(), text.get_position()[0]) for text in panels[0].texts]
+    assert told == [("a" * letters, 0.5), ("c", 2.5), ("d" * letters, 3.5)]
+    assert not panels[1].texts
+
+    others = list(Figure(dpi=100.0).subplots(2))
+    shade_phases(run, others, 4.0, named=False)
+    assert not others[0].texts
+
+
+def test_files_of_figures_name_neither_program_nor_date(tmp_path: Path) -> None:
+    """Equal figures give equal files."""
+    with mpl.rc_context(RC):
+        files = save(Figure(), tmp_path / "a.png", ("svg", "pdf"))
+    assert [file.suffix for file in files] == [".png", ".svg", ".pdf"]
+    for file in files:
+        content = file.read_bytes()
+        for name in (
+            b"Software",
+            b"dc:date",
+            b"dc:creator",
+            b"CreationDate",
+            b"/Creator",
+            b"/Producer",
+        ):
+            assert name not in content, (file.name, name)
+
+
+@pytest.mark.parametrize(
+    ("names", "colours", "shapes"),
+    [
+        ([f"m{i}, x" for i in range(2)], 2, 2),  # few names: each has its own colour
+        ([f"m{i}, x" for i in range(6)], 5, 6),  # more first parts than colours
+        ([f"{a}, {b}, {c}" for a in "pq" for b in "rs" for c in "tu"], 2, 4),
+    ],
+)
+def test_names_of_parts_share_colours_only_where_they_are_many(
+    names: Sequence[str], colours: int, shapes: int
+) -> None:
+    """The part before the first comma has the colour, the rest together the marker."""
+    looks = looks_of(names)
+    assert len(set(looks.values())) == len(names)
+    assert len({look.colour for look in looks.values()}) == colours
+    assert len({look.marker for look in looks.values()}) == shapes
+
+
+@pytest.mark.parametrize(("count", "beside"), [(1, False), (2, True), (5, True), (6, False)])
+def test_a_legend_beside_a_title_has_two_to_five_curves(count: int, *, beside: bool) -> None:
+    """A single curve is named by the title, more than five by the legend above all panels."""
+    panel = Figure().add_subplot()
+    for number in range(count):
+        panel.plot([0.0], [0.0], label=f"{number}")
+    head(panel, "title")
+    assert (panel.get_legend() is not None) is beside
+
+
+def test_a_legend_has_the_height_of_its_rows() -> None:
+    """0.115 in each and a rim of 0.06 in; a formula is as wide as it is drawn."""
+    handles = [Line2D([], [], label="UAV1") for _ in range(30)]
+    heights_in = [legend_height_in(handles[:count]) for count in (0, 1, 2)]
+    assert heights_in == pytest.approx([0.0, 0.175, 0.175])
+    assert legend_height_in(handles) > 0.4
+    assert text_width_in("$x$") < 1.5 * text_width_in("x")
 
 
 def test_nine_names_beside_known_ones_differ() -> None:
