@@ -107,7 +107,6 @@ class CopterControl:
         timeout_s = self.parameters["GUID_TIMEOUT"]
         if self.mode == GUIDED and given is not None:
             if time_s - given.at_s <= timeout_s:
-                self._place = None
                 return self._turn(step_s, estimate, given.thrust, given.rates)
             return self._level(step_s, estimate)
         return self._hold(step_s, estimate)

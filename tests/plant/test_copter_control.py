@@ -1,7 +1,9 @@
 """The control of the stand-in autopilot does what ArduCopter was measured to do."""
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -171,3 +173,112 @@ def test_the_integral_of_a_rate_is_limited() -> None:
         for _ in range(2):
             moment = control._moment(1.0, 1, rate, 0.0, 0.0)
         assert moment == pytest.approx(p * rate + math.copysign(0.3, rate))
+
+
+def in_guided(**changes: float) -> CopterControl:
+    """Return a control without integrals that is armed in GUIDED."""
+    without = {f"ATC_RAT_{axis}_I": 0.0 for axis in ("RLL", "PIT", "YAW")}
+    control = CopterControl({**_DEFAULTS, "MOT_THST_HOVER": HOVER, **without, **changes})
+    assert control.change_mode(GUIDED)
+    assert not control.arm("")
+    return control
+
+
+def at_place(attitude: Rotation, gyro: Vector = (0.0, 0.0, 0.0), x: float = 0.0) -> CopterEstimate:
+    """Return an estimate at rest at a place to the north."""
+    w, *turned = attitude.as_quat(scalar_first=True).tolist()
+    return CopterEstimate((x, 0.0, 0.0), (0.0, 0.0, 0.0), (w, *turned), gyro)
+
+
+LEVEL = Rotation.identity()
+NO_RATES: Vector = (0.0, 0.0, 0.0)
+
+
+def test_moments_are_the_gains_times_errors_of_rates() -> None:
+    """Half of each moment at the rotors front right, rear left, front left, rear right; within 0 and 1.
+
+    The desired rate is the setpoint's and a gain times the error of the attitude.
+    """
+    control = in_guided()
+    p = [_DEFAULTS[f"ATC_RAT_{axis}_P"] for axis in ("RLL", "PIT", "YAW")]
+    control.take(CopterSetpoint(0.5, NO_RATES, 0.0))
+    first = control.outputs(0.0, STEP_S, at_place(LEVEL, (0.1, 0.2, 0.3)))
+    x, y, z = (-gain * rate / 2 for gain, rate in zip(p, (0.1, 0.2, 0.3), strict=True))
+    expected = 0.5 - x + y + z, 0.5 + x - y + z, 0.5 + x + y - z, 0.5 - x - y - z
+    assert first == pytest.approx(expected, abs=1e-12)
+
+    # Turned by 0.02 rad about each axis in turn, by either of its two quaternions.
+    for i in range(3):
+        turned = at_place(Rotation.from_rotvec(0.02 * np.eye(3)[i]))
+        w, x, y, z = (-part for part in turned.attitude)
+        for estimate in (turned, replace(turned, attitude=(w, x, y, z))):
+            shares = control.outputs(0.0, STEP_S, estimate)
+            moment = 2.0 * np.abs(np.array(shares) - 0.5)
+            assert moment == pytest.approx([4.5 * 0.02 * p[i]] * 4, abs=1e-9)
+    for thrust, share in ((2.0, 1.0), (-1.0, 0.0)):
+        control.take(CopterSetpoint(thrust, NO_RATES, 0.0))
+        assert control.outputs(0.0, STEP_S, at_place(LEVEL)) == (share,) * 4
+
+
+def test_desired_rates_change_by_the_parameters_at_most() -> None:
+    """1,100 deg/s^2 about roll and pitch, 270 about yaw, either way, and not beyond the setpoint."""
+    control = in_guided()
+    for rates, expected in (((9.0, -9.0, 9.0), (11.0, -11.0, 2.7)), ((9.0, -0.1, -9.0), None)):
+        found = np.degrees(control._shaped(0.01, rates))
+        limit = expected or (22.0, math.degrees(-0.1), 0.0)
+        np.testing.assert_allclose(found, limit, atol=1e-9)
+
+
+def test_a_setpoint_counts_until_its_time_out_or_another_mode() -> None:
+    """The same mode again changes nothing; another one, or to be armed again, forgets setpoint and place."""
+    rising = CopterSetpoint(0.7, NO_RATES, 1.0)
+
+    def obeyed(control: CopterControl, time_s: float = 1.0) -> bool:
+        return control.outputs(time_s, STEP_S, at_place(LEVEL)) == pytest.approx((0.7,) * 4)
+
+    control = in_guided(GUID_TIMEOUT=0.5)
+    assert control.take(rising)
+    assert (obeyed(control, 1.5), obeyed(control, 1.5 + 1e-9)) == (True, False)
+    assert control.change_mode(GUIDED)
+    assert obeyed(control)
+    assert control.change_mode(BRAKE)
+    assert control.change_mode(GUIDED)
+    assert not obeyed(control)
+
+    assert control.take(rising)
+    assert obeyed(control)
+    control.is_armed = False
+    assert not control.arm("")
+    assert not obeyed(control)
+    # The place that is held is where it is now, not where it was: level, without a tilt to return.
+    for again in (BRAKE, GUIDED):
+        assert control.change_mode(again)
+        there = control.outputs(1.0, STEP_S, at_place(LEVEL, x=100.0 * again))
+        assert there == pytest.approx((HOVER,) * 4)
+
+
+def test_an_integral_is_forgotten_when_it_is_armed() -> None:
+    """And the rates on their way to a setpoint."""
+    control = in_guided(ATC_RAT_PIT_I=10.0)
+    assert control.take(CopterSetpoint(0.5, (0.0, 0.5, 0.0), 0.0))
+    for _ in range(20):
+        control.outputs(0.0, STEP_S, at_place(LEVEL))
+    control.is_armed = False
+    assert not control.arm("")
+    assert control.take(CopterSetpoint(0.5, NO_RATES, 0.0))
+    assert control.outputs(0.0, STEP_S, at_place(LEVEL)) == pytest.approx((0.5,) * 4)
+
+
+def test_it_levels_at_its_heading_and_lifts_at_any_tilt() -> None:
+    """Without setpoints it keeps its heading; thrust makes up for the tilt, twice that of hover at most."""
+    control = in_guided(GUID_TIMEOUT=0.5)
+    assert control.take(CopterSetpoint(HOVER, NO_RATES, -9.0))
+    heading = at_place(Rotation.from_euler("ZYX", [1.0, 0.0, 0.0]))
+    assert control.outputs(0.0, STEP_S, heading) == pytest.approx((HOVER,) * 4)
+    for tilt, factor in ((0.5, 1 / math.cos(0.5)), (1.3, 2.0)):
+        tilted = at_place(Rotation.from_euler("ZYX", [0.0, tilt, 0.0]))
+        assert control._lift(tilted, 0.0) == pytest.approx(HOVER * factor)
+    # 1 m/s downwards asks for 4 m/s^2 upwards.
+    sinking = replace(heading, velocity=(0.0, 0.0, 1.0))
+    lift = HOVER * (1.0 + 4.0 / 9.80665)
+    assert control.outputs(0.0, STEP_S, sinking) == pytest.approx((lift,) * 4)

@@ -4,6 +4,7 @@ Found by name, checked in all it returns; an error of it ends the run in one lin
 """
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from tests.support.runs import SHORT, integrated, plant_states, recorded, reprod
 from transport.flight.memory import simulate
 from transport.flight.roles import plant_run
 from transport.model.arrays import Array
+from transport.model.state import StateView
 from transport.plant.engines import Engine, checked_engine, engine_version
 from transport.plant.wind_and_noise import Environment
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
@@ -328,6 +330,30 @@ def test_the_state_given_is_taken_to_a_millionth(
         checked_engine(plant_run(run))
     else:
         assert "expected the state given to reset" in refusal(run)
+
+
+def test_rods_halve_steps_until_they_are_exact_enough() -> None:
+    """The local error of a team that swings fast is within `plant.tolerance`, and beyond it with a larger one."""
+    errors = []
+    for tolerance in (1e-9, 1.0):
+        run = plant_run(setup(SHORT, f"plant.tolerance={tolerance}"))
+        engine = Engine(run, Environment(run).system)
+        x = run.run.initial_state()
+        StateView(x).Omega_P[:, 0] = 20.0
+        engine.restart(x, engine._system)
+        errors.append(engine.advance(run.run.hover.u, None, 0.05)[1])
+    assert errors[0] < 1e-9 < errors[1]
+
+
+def test_other_bodies_move_as_those_of_a_new_engine() -> None:
+    """From the state at which they change."""
+    run = plant_run(setup(SHORT))
+    x, u = run.run.initial_state(), run.run.hover.u
+    system = Environment(run).system
+    heavier = replace(system, payload=replace(system.payload, mass=5.0))
+    changed, made = Engine(run, system), Engine(run, heavier)
+    changed.restart(x, heavier)
+    np.testing.assert_array_equal(changed.advance(u, None, 0.05)[0], made.advance(u, None, 0.05)[0])
 
 
 @pytest.mark.parametrize("engine", ["rods", "mujoco"])

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from tests.support.runs import plant_states, ready, recorded
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.linear.linearisation import Model
+from transport.model.physics.hover import with_released
 from transport.model.physics.parameters import System, payload_half_size, resting_height, table_1
 from transport.model.state import StateView
 from transport.plant.engines import Rods
@@ -30,12 +32,13 @@ from transport.protocol.scenario.sections.plant_sections import MujocoSection, P
 ROUNDING = 1e-9
 # Rods of a hundredth of a gram, as they may not weigh nothing: an error in proportion to that.
 LIGHTEST = PlantSection(engine="mujoco", mujoco=MujocoSection(step_s=0.001, rod_mass_kg=1e-4))
-GROUND = PlantSection(engine="mujoco", ground_m=0.0)
+GROUND_M = -2.0
+GROUND = PlantSection(engine="mujoco", ground_m=GROUND_M)
 LIGHT_CABLES = PlantSection(
     engine="mujoco", mujoco=MujocoSection(step_s=0.001, suspension="cables")
 )
 CABLES = PlantSection(engine="mujoco", mujoco=MujocoSection(suspension="cables"))
-GROUND_CABLES = CABLES.model_copy(update={"ground_m": 0.0})
+GROUND_CABLES = CABLES.model_copy(update={"ground_m": GROUND_M})
 
 MUJOCO = "plant.engine=mujoco"
 IMPAIRED = ("links.delay_s=0.2", "links.loss=0.3")
@@ -189,22 +192,25 @@ def test_the_ground_carries_the_load(section: PlantSection) -> None:
     Without it the same team falls on.
     """
     system = table_1()
-    height = resting_height(system, 0.0)
-    assert height == -payload_half_size(system)[2] == -0.125
+    height = resting_height(system, GROUND_M)
+    assert height == GROUND_M - payload_half_size(system)[2] == GROUND_M - 0.125
     u = hover_inputs(system, 0.5)
     end = StateView(advanced(MujocoEngine(system, section), at_rest(system, height - 0.02), u, 2.0))
     assert end.r0_I == pytest.approx([0.0, 0.0, height], abs=2e-3)
     assert np.abs(end.v0_P).max() < 1e-3
     assert np.abs(end.Theta0).max() < 1e-3
     free = section.model_copy(update={"ground_m": None})
-    assert advanced(MujocoEngine(system, free), at_rest(system, height - 0.02), u, 1.0)[2] > 0.5
+    assert (
+        advanced(MujocoEngine(system, free), at_rest(system, height - 0.02), u, 1.0)[2]
+        > GROUND_M + 0.5
+    )
 
 
 def test_uavs_lie_on_the_ground_too() -> None:
     """Without thrust the rods fall over; no UAV ends below the ground."""
     system = table_1()
     model = Model(system)
-    x = at_rest(system, resting_height(system, 0.0))
+    x = at_rest(system, resting_height(system, GROUND_M))
     StateView(x).e_P[:, 1] = [0.05, -0.05, -0.05, 0.05]
     StateView(x).e_P[:] /= np.linalg.norm(StateView(x).e_P, axis=1, keepdims=True)
     engine = MujocoEngine(system, GROUND)
@@ -212,8 +218,25 @@ def test_uavs_lie_on_the_ground_too() -> None:
     for _ in range(100):
         engine.advance(np.zeros(system.m), None, 0.05)
         heights = model.outputs(engine.state())[: 3 * system.N].reshape(-1, 3)[:, 2]
-        assert heights.max() < 0.02
-    assert heights.min() > -0.3
+        assert heights.max() < GROUND_M
+    # Spheres of 10 cm.
+    assert heights.max() == pytest.approx(GROUND_M - 0.1, abs=0.01)
+    assert heights.min() > GROUND_M - 0.3
+
+
+def test_a_load_lies_on_its_box_and_not_on_what_is_gone() -> None:
+    """Its centre of mass may be elsewhere than in the middle; the bob of a released UAV hangs into the ground."""
+    team = table_1()
+    centre = np.array([0.0, 0.0, 0.05])
+    payload = replace(team.payload, centre=centre)
+    uavs = tuple(replace(uav, rho=uav.rho - centre) for uav in team.uavs)
+    system = with_released(replace(team, payload=payload, uavs=uavs), [3])
+    x = at_rest(system, GROUND_M - 0.125 + 0.05)
+    StateView(x).e_P[3] = [0.0, 0.0, -1.0]
+    u = hover_inputs(system, 0.5)
+    u[12:] = 0.0
+    end = StateView(advanced(MujocoEngine(system, GROUND), x, u, 1.0))
+    assert end.r0_I == pytest.approx([0.0, 0.0, GROUND_M - 0.075], abs=2e-3)
 
 
 def test_cables_pull_and_do_not_push() -> None:
@@ -225,7 +248,7 @@ def test_cables_pull_and_do_not_push() -> None:
     x = at_rest(system, -10.0)
     engine = MujocoEngine(system, CABLES)
     hanging = StateView(advanced(engine, x, hover_inputs(system), 1.0))
-    assert hanging.r0_I == pytest.approx([0.0, 0.0, -10.0], abs=0.01)
+    assert hanging.r0_I == pytest.approx([0.0, 0.0, -10.0], abs=1e-5)
     tensions = Model(system).tensions(x, hover_inputs(system))
     assert engine.tensions == pytest.approx(tensions, rel=1e-3)
     push = np.zeros(system.m)
@@ -246,6 +269,56 @@ def test_two_engines_are_equal_bit_for_bit() -> None:
     first, used = MujocoEngine(system, GROUND), MujocoEngine(system, GROUND)
     advanced(used, at_rest(system, -0.2), 1.2 * u, 0.5)
     assert advanced(first, x, u, 0.5).tobytes() == advanced(used, x, u, 0.5).tobytes()
+
+
+def test_an_interval_is_as_good_as_its_steps() -> None:
+    """Ten steps of 5 ms at once or one by one: the same motion; the tension told is the least of them."""
+    system = table_1()
+    x, u = at_rest(system, -10.0), hover_inputs(system)
+    at_once, one_by_one = (MujocoEngine(system, CABLES) for _ in range(2))
+    for engine in (at_once, one_by_one):
+        engine.reset(x)
+    spans_N = []
+    for share in (1.5, 0.5, 1.0):
+        at_once.advance(share * u, None, 0.05)
+        steps = []
+        for _ in range(10):
+            one_by_one.advance(share * u, None, 0.005)
+            steps.append(one_by_one.tensions)
+        np.testing.assert_allclose(at_once.state(), one_by_one.state(), rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(at_once.tensions, np.min(steps, axis=0), rtol=1e-9)
+        spans_N.append(np.ptp(steps, axis=0).min())
+    assert max(spans_N) > 0.1
+
+
+def test_a_rod_is_homogeneous_and_thin() -> None:
+    """A force F on the UAV turns a rod, with a mass at either end, by F d / I about the common centre of mass."""
+    team, rod_kg, force_N, t_s = table_1(), 3.0, 10.0, 0.001
+    uav = replace(team.uavs[0], rho=np.zeros(3))
+    system = replace(team, uavs=(uav,))
+    section = PlantSection(engine="mujoco", mujoco=MujocoSection(step_s=t_s, rod_mass_kg=rod_kg))
+    engine, length = MujocoEngine(system, section), uav.rod_length
+    engine.reset(at_rest(system, -10.0))
+    engine.advance(np.zeros(4), np.array([0.0, 0.0, 0.0, force_N, 0.0, 0.0]), t_s)
+    masses = np.array([system.payload.mass, rod_kg, uav.mass])
+    places = np.array([0.0, length / 2.0, length])
+    centre = masses @ places / masses.sum()
+    inertia = masses @ (places - centre) ** 2 + rod_kg * length**2 / 12.0
+    turned = force_N * (length - centre) / inertia * t_s
+    found = StateView(engine.state()).Omega_P[0]
+    np.testing.assert_allclose(found, [0.0, -turned, 0.0], rtol=1e-5, atol=1e-9)
+
+
+def test_a_run_that_becomes_unstable_does_not_begin_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its state is no longer finite or far away, and nothing is written into the current folder."""
+    monkeypatch.chdir(tmp_path)
+    system = table_1()
+    engine = MujocoEngine(system, LIGHTEST)
+    end = advanced(engine, at_rest(system, -10.0), np.full(16, 1e9), 0.5)
+    assert not np.isfinite(end).all()
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow

@@ -324,7 +324,7 @@ def test_after_a_plan_its_own_law_has_no_integral() -> None:
     run.autopilot.told.sensed[state.POSITION] += [0.0, 0.0, 0.05]
     run.begin()
     run.until(2.02)  # 41 ticks by its own law
-    plan = run.plan(40, thrust_N=float(run.setup.hover.u[4]))
+    plan = run.plan(40, thrust_N=0.95 * float(run.setup.hover.u[4]))
     plan.inputs[:, 1:] = 0.0
     run.tell(plan)
     run.until(2.44)
@@ -369,6 +369,7 @@ def test_a_silent_autopilot_gets_no_setpoint() -> None:
     [
         ({"takes_setpoints": False, "mode": "STABILIZE"}, "no effect: mode STABILIZE"),
         ({"armed": False}, "no effect: disarmed"),
+        ({"armed": False, "takes_setpoints": False, "mode": "LAND"}, "no effect: disarmed"),
     ],
 )
 def test_a_pilot_who_takes_over_is_told(change: dict[str, Any], problem: str) -> None:
@@ -457,7 +458,8 @@ def test_on_a_stand_it_arms_and_lifts() -> None:
     # ArduCopter takes two seconds from arming to thrust.
     run.autopilot.told = replace(run.autopilot.told, thrust_N=0.0)
     run.until(-1.0)
-    assert {c[1] for c in run.autopilot.commands} == {run.setup.hover.u[4]}
+    given = {(thrust_N, *rates, since_s) for _, thrust_N, rates, since_s in run.autopilot.commands}
+    assert given == {(run.setup.hover.u[4], 0.0, 0.0, 0.0, 0.0)}
     assert run.statuses()[-1].phase == "checking"
     assert "0.0 N of 27.0 N" in run.statuses()[-1].problem
     run.autopilot.told = replace(run.autopilot.told, thrust_N=27.0)
@@ -552,6 +554,24 @@ def test_vehicles_tell_each_other_what_one_missed() -> None:
     np.testing.assert_allclose(
         late.autopilot.commands[-1][2], run.autopilot.commands[-1][2], atol=1e-9
     )
+
+
+def test_a_target_leads_on_from_the_one_before() -> None:
+    """Its own law follows the path of all targets told, not that of the newest alone."""
+    second = {"tick": 61, "sequence": 5, "points": np.array([[0.0, 3.0, -10.0]])}
+    rates = []
+    for is_told in (False, True):
+        run = Flight()
+        run.begin()
+        run.until(0.5)
+        if is_told:
+            run.tell(run.target())
+        run.until(3.0)
+        run.tell(changed(run.target(), number=1 + is_told, **second))
+        run.until(4.5)
+        assert run.statuses()[-1].targets == 1 + is_told
+        rates.append(run.autopilot.commands[-1][2])
+    assert abs(rates[1][1] - rates[0][1]) > 1e-3
 
 
 def test_a_motion_during_a_silence_is_no_jump() -> None:
