@@ -68,6 +68,7 @@ def test_medians_over_the_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
     found: dict[str, list[Any]] = {
         "easy": [(4, 10, 1), (6, 20, 3), (20, 40, 2)],
         "rare": [(30, INFINITE, 1), (40, INFINITE, 1), (50, 8, 1)],
+        "unlucky": [(INFINITE, 10, 0)] * 3,
         "never": [(INFINITE, INFINITE, 0)] * 3,
     }
     monkeypatch.setattr(worst, "PLANTED", {name: name for name in found})
@@ -81,6 +82,7 @@ def test_medians_over_the_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
     assert worst.planted([], 3, 8, workers).splitlines()[2:] == [
         "| easy | 6 | 20 | 0.30 | 3 |",
         "| rare | 40 | inf | 0.00 | 1 |",
+        "| unlucky | inf | 10 | inf | 0 |",
         "| never | inf | inf | - | 0 |",
     ]
     assert len(worst.planted(["rare"], 3, 8, workers).splitlines()) == 3
@@ -115,12 +117,36 @@ def test_a_ready_scenario_is_searched_with_its_own_events(
         asked.append((options.limit, options.jobs, folder))
         candidate = SimpleNamespace(in_words=lambda: "gusts")
         case = SimpleNamespace(candidate=candidate, evaluation=SimpleNamespace(value=12.34))
-        return SimpleNamespace(cases=[case] * 30, failures=2, worst=case, minimal=None)
+        return SimpleNamespace(cases=[case] * 30, failures=2, worst=case, minimal=minimal)
 
     monkeypatch.setattr(worst, "search", search)
+    minimal: Any = None
     (row,) = worst.ready(["paper"], 30, 2, tmp_path).splitlines()[2:]
     assert row == "| paper | gusts, mass | 30 | 2 | 12.3 deg | gusts |"
     assert asked == [("paper", "paper", ("gusts", "mass"), 30), (20.0, 2, tmp_path / "paper")]
+
+    # A minimal case takes the place of the worst one; a folder has no comma in its name.
+    minimal = "a case"
+    monkeypatch.setattr(worst, "in_words", lambda found: ["in", found])
+    (row,) = worst.ready(["precise, sensors of the vehicles"], 30, 2, tmp_path).splitlines()[2:]
+    assert row.endswith(" | in a case |")
+    assert asked[-1][2] == tmp_path / "precise"
+
+
+def test_defaults_of_the_searches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """300 runs, and ten seeds of planted faults, as docs/record/measured.md tells."""
+    asked: list[Any] = []
+
+    def note(*given: Any) -> str:
+        asked.append(given)
+        return ""
+
+    monkeypatch.setattr(worst, "ready", note)
+    monkeypatch.setattr(worst, "planted", note)
+    monkeypatch.setattr(worst, "Workers", lambda jobs: nullcontext(jobs))
+    worst.main([])
+    worst.main(["--planted"])
+    assert asked == [([], 300, None, Path("runs/worst")), ([], 10, 300, None)]
 
 
 @pytest.mark.parametrize(
