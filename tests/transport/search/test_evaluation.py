@@ -5,6 +5,7 @@ import pytest
 from tests.support.runs import SCENARIOS, SHORT
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.search.candidate import Base, Candidate
+from transport.search.drawn_events import Gusts
 from transport.search.evaluation import REFUSED, Evaluation, SearchProblem
 from transport.search.objective import SearchObjective
 
@@ -60,6 +61,31 @@ def test_a_run_has_survived_until_its_first_collision() -> None:
     assert evaluation.outcome == "collided"
     assert evaluation.end_s > 0.95  # flown on
     assert 0.95 / 1.5 < evaluation.robustness + 1.0 < 1.0 / 1.5
+
+
+@pytest.mark.parametrize(
+    ("robustness", "outcome", "failed"),
+    [(-0.1, "completed", True), (0.0, "completed", False), (-0.1, REFUSED, False)],
+)
+def test_a_case_at_its_limit_holds(robustness: float, outcome: str, *, failed: bool) -> None:
+    """One that the scenario refuses has not been flown, and has not failed."""
+    one = Evaluation(key="", robustness=robustness, value=0.0, outcome=outcome, end_s=1.5)
+    assert one.failed is failed
+
+
+def test_an_evaluation_is_that_of_events_objective_and_scenario() -> None:
+    """Each of them makes another key; the same ones have the same."""
+    base = problem().base
+    problems = [
+        problem(),
+        problem("links.loss=0.1"),
+        SearchProblem(base=base, objective=SearchObjective.of("separation", 0.2, base.scenario)),
+        SearchProblem(base=base, objective=SearchObjective.of("payload", 0.3, base.scenario)),
+    ]
+    candidates = [Candidate(()), Candidate((Gusts(speed_mps=0.5, seed=1),))]
+    keys = [one.key(candidate) for one in problems for candidate in candidates]
+    assert len(set(keys)) == len(keys)
+    assert problem().key(candidates[1]) == keys[1]
 
 
 def test_no_verdict_without_a_centralized_form() -> None:

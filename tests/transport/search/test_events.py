@@ -174,6 +174,11 @@ BOUNDS = Bounds.model_validate({
             *("silence", [1.0, 1.0, 0.0, 1.0, 0.5, 0.25, 0.0]),
             DrawnSilence(start_s=20.0, duration_s=0.5, who="deaf 2", loss=1.0),
         ),
+        # The last of the other three agents.
+        (
+            *("silence", [0.5, 0.5, 0.1, 0.5, 0.99, 0.5, 1.0]),
+            DrawnSilence(start_s=10.5, duration_s=1.45, who="cut 3 2", loss=0.6),
+        ),
         ("silence", [0.49, 0.5, 0.1, 0.5, 0.99, 0.5, 0.4], None),
         ("deaths", [0.5, 0.25, 0.99, 0.5, 0.2], Death(agent=4, at_s=5.75)),
         ("deaths", [0.5, 0.25, 0.0, 0.51, 0.2], Death(agent=1, at_s=5.75, back_after_s=2.0)),
@@ -426,6 +431,10 @@ def test_bounds_of_a_file_are_read(tmp_path: Path) -> None:
         (
             "[silence]\nstart_s = [20.0, 30.0]\n",
             "silence.start_s: expected times in the run of 8 s, got [20.0, 30.0]",
+        ),
+        (
+            "[deaths]\nat_s = [8.0, 9.0]\n",
+            "deaths.at_s: expected times in the run of 8 s, got [8.0, 9.0]",
         ),
     ],
 )

@@ -26,8 +26,10 @@ class Evolution:
 
     begun: list["Evolution"]
 
-    def __init__(self, start: Array, _sigma: float, options: dict[str, Any]) -> None:
+    def __init__(self, start: Array, sigma: float, options: dict[str, Any]) -> None:
         self.start = start
+        self.sigma = sigma
+        self.options = options
         self.seed = options["seed"]
         self.has_stopped = False
         self.begun.append(self)
@@ -105,6 +107,9 @@ def test_generations_alternate_and_that_of_cma_es_is_the_first(begun: list[Evolu
         optimiser.tell(asked, [100.0] * BATCH)
     assert is_of_descent == [True, False, True, False]
     assert [one.start.tolist() for one in begun] == [known(0).tolist()]
+    (one,) = begun
+    assert one.sigma == 0.25  # of the sides of the cube, in which it stays
+    assert (one.options["bounds"], one.options["popsize"]) == ([0.0, 1.0], BATCH)
 
 
 @pytest.mark.usefixtures("begun")
@@ -191,3 +196,7 @@ def test_random_points_at_once_are_those_of_batches() -> None:
     assert len(at_once.ask(BATCH + 1)) == RANDOM
     assert np.array_equal(Optimiser(LAYOUT, seed=SEED).ask(100), expected)
     assert np.array_equal(Optimiser(LAYOUT, seed=SEED).ask(1), expected[:BATCH])
+
+    # One for each dimension, in whole batches.
+    many = SearchLayout(events=(slice(0, 20),), severe=np.zeros(20, dtype=bool))
+    assert len(Optimiser(many, seed=SEED).ask(100)) == 3 * BATCH

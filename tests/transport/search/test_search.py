@@ -179,6 +179,8 @@ def test_a_minimal_case_fails_by_its_events() -> None:
     held = whole.run(Evaluations(None, {}), fly, Quiet()).minimal
     assert held is not None
     assert len(held.problem.base.scenario.owned) < 4
+    assert held.whole_team == 4
+    assert held.evaluation.key == held.problem.key(held.candidate)
 
 
 def test_a_minimal_case_keeps_the_verdict_of_the_whole_team() -> None:
@@ -218,6 +220,12 @@ def test_refused_cases_are_counted_and_a_space_without_others_is_refused() -> No
     result = replace(whole, problem=some).run(Evaluations(None, {}), fly, Quiet())
     assert 0 < len(result.refused) < len(result.cases)
     assert summary(result)["refused"] == len(result.refused)
+
+    refused = replace(some.evaluate(Candidate(())), outcome=REFUSED, reason="links: none")
+    with pytest.raises(
+        ScenarioError, match="expected a scenario that can be flown, got links: non"
+    ):
+        whole.run(Evaluations(None, {}), lambda *_: [refused], Quiet())
 
     every = Refusing(base=base, objective=objective, earliest_s=30.0)
     silences = Space(("silence",), read_bounds(None, 25.0), base.scenario)
@@ -318,6 +326,8 @@ def test_the_worst_case_and_the_first_failure() -> None:
     assert [row["case"] for row in summary(result)["worst"]] == [3, 4, 2, 5, 1]
     assert (result.first_failure, result.failures) == (2, 3)
     assert cases_of(0.5, 0.2).first_failure is None
+    many = summary(cases_of(*np.linspace(1.0, -1.0, 12)))["worst"]
+    assert [row["case"] for row in many] == list(range(12, 2, -1))  # ten of them
 
 
 def test_a_search_until_a_failure_ends_with_its_batch() -> None:
@@ -334,6 +344,8 @@ def test_random_search_counts_its_cases() -> None:
     """Cases are numbered across batches, as in a search, whose number of runs they are compared with."""
     cases = list(random_search(search(3 * BATCH), Evaluations(None, {}), fly))
     assert [case.number for case in cases] == list(range(1, 3 * BATCH + 1))
+    other = list(random_search(search(BATCH, seed=1), Evaluations(None, {}), fly))
+    assert other[0].candidate != cases[0].candidate  # draws of its seed
 
 
 def test_a_search_without_cases_is_refused() -> None:

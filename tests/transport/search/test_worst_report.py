@@ -26,6 +26,7 @@ from transport.search.search_report import (
     scenario_text,
     summary,
     window_s,
+    write,
 )
 
 FILE = SCENARIOS / "resilient.toml"
@@ -227,6 +228,24 @@ def test_the_legend_names_only_the_marks_there_are() -> None:
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["silence"]
     assert [level(panel) for panel in figure.axes] == [[], [], []]
+
+
+def test_a_search_leaves_the_minimal_case_if_there_is_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its scenario and its figure, beside the summary."""
+    monkeypatch.setattr("transport.search.search_report.draw", lambda figure, _: figure)
+    case = minimal(SILENCE)
+    found = SearchCase(number=1, candidate=case.candidate, evaluation=case.evaluation)
+    result = SearchResult(
+        problem=case.problem, without_events=case.evaluation, cases=[found], minimal=case
+    )
+    figures = {"minimal.png", "minimal.svg"}
+    for one, names in ((None, set()), (case, {"minimal.toml", *figures})):
+        write(tmp_path, replace(result, minimal=one))
+        assert {path.name for path in tmp_path.iterdir()} == {"summary.json", *names}
+    assert (tmp_path / "minimal.toml").read_text(encoding="utf-8") == scenario_text(case)
+    assert (tmp_path / "summary.json").read_text(encoding="utf-8").endswith("}\n")
 
 
 def test_the_summary_has_counts_the_worst_cases_and_the_minimal_one() -> None:
