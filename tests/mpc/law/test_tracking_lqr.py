@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import msgspec
@@ -15,6 +16,7 @@ from transport.model.arrays import Array
 from transport.model.linear.linearisation import Model
 from transport.model.path.curves import Curve
 from transport.model.path.flat_reference import FlatReference, Track
+from transport.model.path.flatness import flight
 from transport.model.path.maneuver import Maneuver
 from transport.model.path.phase import Phase
 from transport.model.physics.hover import hover
@@ -245,6 +247,51 @@ def test_own_corrections_are_the_best_response_to_those_of_the_others() -> None:
         np.testing.assert_allclose(found[k, own], best, rtol=1e-6, atol=1e-12)
 
 
+@pytest.mark.parametrize("further_kg", [None, 3e-4], ids=["forces", "and mass"])
+def test_the_law_is_about_the_motion_under_forces(further_kg: float | None) -> None:
+    """State and inputs that it keeps are those of the flat motion under these forces, to first order, (73)."""
+    model, track = flown()
+    system, start, steps = model.system, 60, 12
+    forces = 1e-4 * np.random.default_rng(9).uniform(1.0, 3.0, 3 + 3 * system.N)
+    if further_kg is not None:
+        forces = np.append(forces, further_kg)
+    paths = np.ascontiguousarray(np.moveaxis(track.paths[start : start + steps], 0, 2))
+    whole = np.append(forces[: 3 + 3 * system.N], further_kg or 0.0)
+    X = flight(system, hover(system), paths[0], whole).x
+    U = flight(system, hover(system), paths[1], whole).u
+
+    x0, c = track.X[start], np.zeros((steps, system.m))
+    law, without = (
+        controller().law(x0, track.X[start : start + steps], c, given, start)
+        for given in (forces, None)
+    )
+    assert law is not None
+    assert without is not None
+    for found, expected, unforced in (
+        (law.error, x0 - X, without.error),
+        (law.u_rest, U, without.u_rest),
+    ):
+        assert np.abs(expected - unforced).max() > 1e-5
+        np.testing.assert_allclose(found, expected, atol=1e-7)
+
+
+def test_along_a_later_track_the_law_is_the_same() -> None:
+    """A track that begins in flight, as after a target, counts its rows from its first instant on."""
+    model, track = flown_straight()
+    first, start, steps = 5, 12, 6
+    parts = {name: getattr(track, name)[first:] for name in ("X", "U", "X_middle", "paths")}
+    later = replace(track, first=first, **parts)
+    forces, c = np.full(3 + 3 * model.system.N, 0.1), np.zeros((steps, model.system.m))
+    laws = []
+    for each in (track, later):
+        reference = Sampled(X=track.X, track=each)
+        one = Controller(model, hover(model.system), SETTINGS, (0,), reference)
+        laws.append(one.law(track.X[start], track.X[start : start + steps], c, forces, start))
+    for name in ("K", "u_rest", "error", "feedforward"):
+        found, expected = (getattr(law, name) for law in reversed(laws))
+        np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
 def test_the_objective_is_the_added_cost_with_the_penalties() -> None:
     """sum dc' M dc of the owned corrections, and penalty (s + s^2 / 2) of each slack s, (74)."""
     settings = SETTINGS.model_copy(
@@ -328,6 +375,8 @@ def test_plan_mixes_the_optimum_with_what_was_announced(w: float, *, off_limits:
 def test_no_corrections_on_and_near_the_reference() -> None:
     """Without others' corrections and within limits an agent has none, and follows the reference to its next state."""
     model, track = flown()
+    riccati = SETTINGS.model_copy(update={"terminal": "riccati"})
+    assert controller(settings=riccati).end(track.X[60], track.X[72]) is None, "that of hover"
     course, result = step(controller(), track.X[60], np.zeros((12, model.system.m)))
     assert course.within
     assert not result.c.any()
