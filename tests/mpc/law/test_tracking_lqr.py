@@ -375,14 +375,18 @@ def test_plan_mixes_the_optimum_with_what_was_announced(w: float, *, off_limits:
 def test_no_corrections_on_and_near_the_reference() -> None:
     """Without others' corrections and within limits an agent has none, and follows the reference to its next state."""
     model, track = flown()
-    riccati = SETTINGS.model_copy(update={"terminal": "riccati"})
-    assert controller(settings=riccati).end(track.X[60], track.X[72]) is None, "that of hover"
+    assert controller().end(track.X[60], track.X[72]) is None, "the cost-to-go of hover"
     course, result = step(controller(), track.X[60], np.zeros((12, model.system.m)))
     assert course.within
     assert not result.c.any()
     np.testing.assert_allclose(course.Z[:, R0], track.X[60:73, R0], atol=1e-3)
     near = track.X[60].copy()
     near[R0] += 0.05
+    one = controller()
+    law = one.law(near, track.X[60:61], np.zeros((1, model.system.m)), None, 60)
+    assert law is not None
+    now = one.regulation.inputs(near, track.X[60], None, 60)
+    np.testing.assert_array_equal(now, law.uncorrected[0])
     course, result = step(controller(), near, np.zeros((12, model.system.m)))
     assert course.within
     assert not result.c.any()
