@@ -202,7 +202,7 @@ def test_it_accelerates_towards_the_reference(seed: int) -> None:
 
 
 def test_its_tilt_is_bounded() -> None:
-    """However far the UAV is, roll and pitch are asked to differ from those of the reference by a bound at most."""
+    """However far the UAV is, roll and pitch are asked to differ from those of the reference by 0.5 rad at most."""
     law, setpoint = (
         AloneLaw(SYSTEM, UAV, float(AT_REST.u[4 * UAV])),
         setpoint_of(SYSTEM, UAV, AT_REST.x, AT_REST.u),
@@ -210,12 +210,12 @@ def test_its_tilt_is_bounded() -> None:
     x = AT_REST.x.copy()
     x[state.R0] += [100.0, -100.0, 0.0]
     moments = law.inputs(motion_of(SYSTEM, UAV, x), setpoint)[1:]
-    largest = 36.0 * np.diag(SYSTEM.uavs[UAV].inertia)[:2] * GAINS.steepest_rad
+    largest = 36.0 * np.diag(SYSTEM.uavs[UAV].inertia)[:2] * 0.5
     np.testing.assert_allclose(np.abs(moments[:2]), largest)
 
 
 def test_the_integral_finds_a_force_and_has_a_bound() -> None:
-    """Under a constant deviation the force of the integral grows towards it, to its bound."""
+    """Under a constant deviation the force of the integral grows towards it, to 0.4 of the hover thrust."""
     law, setpoint = (
         AloneLaw(SYSTEM, UAV, float(AT_REST.u[4 * UAV])),
         setpoint_of(SYSTEM, UAV, AT_REST.x, AT_REST.u),
@@ -225,20 +225,18 @@ def test_the_integral_finds_a_force_and_has_a_bound() -> None:
     held = np.zeros(3)
     for _ in range(2000):
         held = law.integral_after(held, motion_of(SYSTEM, UAV, x), setpoint, PERIOD_S)
-    np.testing.assert_allclose(
-        held, [-GAINS.largest_integral * AT_REST.u[4 * UAV], 0.0, 0.0], atol=ROUNDING
-    )
+    np.testing.assert_allclose(held, [-0.4 * AT_REST.u[4 * UAV], 0.0, 0.0], atol=ROUNDING)
 
 
 def test_without_a_deviation_the_integral_forgets() -> None:
-    """UAVs on a rigid body that hold forces against each other, without any error, let them go, (31a)."""
+    """UAVs on a rigid body that hold forces against each other, without any error, let them go in 20 s, (31a)."""
     law = AloneLaw(SYSTEM, UAV, float(AT_REST.u[4 * UAV]))
     setpoint = setpoint_of(SYSTEM, UAV, AT_REST.x, AT_REST.u)
     first = np.array([1.0, -2.0, 0.5])
     held = first
-    for _ in range(round(GAINS.forgets_s / PERIOD_S)):
+    for _ in range(round(20.0 / PERIOD_S)):
         held = law.integral_after(held, setpoint.motion, setpoint, PERIOD_S)
-    np.testing.assert_allclose(held, np.exp(-1.0) * first, rtol=PERIOD_S / GAINS.forgets_s)
+    np.testing.assert_allclose(held, np.exp(-1.0) * first, rtol=PERIOD_S / 20.0)
 
 
 @pytest.mark.parametrize("name", READY)
@@ -342,6 +340,9 @@ def test_a_uav_stays_upright_on_whole_plans(system: System, period_s: float) -> 
     assert np.abs(np.linalg.eigvals(np.array(columns).T / STEP)).max() < 1.0
 
 
-def test_a_plan_outlasts_three_lost_ones() -> None:
-    """At 20 Hz a UAV alone has inputs of a plan until the fourth after it: short bursts of loss change nothing."""
-    assert steps_alone(PERIOD_S) > LOST
+@pytest.mark.parametrize(
+    ("period_s", "steps"), [(0.02, 10), (0.03, 7), (0.05, LOST + 1), (0.09, 2), (0.5, 1)]
+)
+def test_a_plan_outlasts_lost_ones(period_s: float, steps: int) -> None:
+    """It covers 0.2 s to the nearest period, and one at least: three lost plans in a row change nothing at 20 Hz."""
+    assert steps_alone(period_s) == steps

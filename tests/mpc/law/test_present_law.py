@@ -1,5 +1,6 @@
 """The present law of a team whose reference gets a target, and whose agents come and go."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -10,6 +11,7 @@ from tests.model.path.test_targets import EIGHT, target
 from tests.mpc.law.test_regulation import LQ
 from tests.mpc.law.test_tracking_lqr import SETTINGS
 from tests.support.systems import changed
+from transport.model.arrays import Array
 from transport.model.linear.linearisation import Model
 from transport.model.path.flat_reference import FlatReference
 from transport.model.path.hover_reference import HoverReference
@@ -17,7 +19,7 @@ from transport.model.path.maneuver import Maneuver
 from transport.model.path.phase import Phase
 from transport.model.physics.hover import hover
 from transport.mpc.law.present_law import Regulation
-from transport.mpc.reference import Reference
+from transport.mpc.reference import KEPT, Reference
 
 PERIOD_S = 0.05
 SYSTEM = unequal()
@@ -40,8 +42,8 @@ def flat() -> Reference:
 
 
 def corners() -> Reference:
-    """Return a leg between two rests."""
-    legs = [("rest", 1.0, 0.0), ("go", 3.0, 1.0), ("stay", 5.0, 0.0)]
+    """Return a leg between two rests, longer after its begin than rows before a target are kept."""
+    legs = [("rest", 5.5, 0.0), ("go", 3.0, 1.0), ("stay", 0.5, 0.0)]
     phases = [
         Phase(name=name, duration_s=duration_s, displacement_I=[x_m, 0.0, 0.0])
         for name, duration_s, x_m in legs
@@ -115,14 +117,26 @@ def test_before_a_target_the_present_team_keeps_its_preview(team: Team) -> None:
     """Feedforward of instants before it is as it was; from it on that of the new reference, (36c)."""
     settings = changed(LQ, fail_safe="follow")
     reference = corners()
-    led = reference.with_target(TARGET).sampled
+    tick = KEPT + 22
+    led = reference.with_target(replace(TARGET, since_s=tick * PERIOD_S)).sampled
     one = Regulation(Model(SYSTEM), AT_REST, settings, reference.sampled)
     one.form(*team)
-    first = TARGET_TICK - 20
-    before = one.current.feedforward(first, 60)
+    first = tick - 20
+
+    def ahead() -> tuple[Array, Array]:
+        """Return the feedforward from the first instant on, and the slope of the cost-to-go then."""
+        x_ref = reference.sampled.X[first]
+        end = one.current.cost_to_go(x_ref, x_ref, None, first)
+        assert end is not None
+        return one.current.feedforward(first, 60), end.slope
+
+    before, slope_before = ahead()
     one.follow(led)
-    after = one.current.feedforward(first, 60)
+    after, slope = ahead()
+    assert one.current.preview is not None
+    assert one.current.preview.first > 0, "all rows are kept"
     np.testing.assert_array_equal(after[:20], before[:20])
+    np.testing.assert_array_equal(slope, slope_before)
     assert np.abs(before[:20]).max() > 1e-3
     assert np.abs(after[20:] - before[20:]).max() > 1e-3
 

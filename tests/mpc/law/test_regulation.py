@@ -224,6 +224,7 @@ def test_centralized_open_loop_program_is_the_law(forced: bool) -> None:
     assert np.abs(plan.U - law.U).max() < NO_CORRECTION * np.abs(law.U - at.u).max()
     first = shared.regulation.inputs(x, X_ref[15], forces, 15)
     assert first is not None
+    np.testing.assert_array_equal(free.regulation.gain(15), shared.regulation.gain(15))
     assert np.abs(plan.U[0] - first).max() < NO_CORRECTION * np.abs(law.U - at.u).max()
 
 
