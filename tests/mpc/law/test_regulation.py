@@ -285,6 +285,16 @@ def test_equal_uavs_without_agents(gone: list[int]) -> None:
         np.testing.assert_array_equal(found.K[input_slice(uav)], fail_safe)
         assert np.count_nonzero(found.K[input_slice(uav)]) == np.count_nonzero(fail_safe)
 
+    # K = -(R + g^2 B'PB)^-1 g^2 B'P A, with the root g of the discount.
+    discount = 1.0 - 1e-4
+    controlled = found.controlled
+    B = found.T.T @ difference(system, at).B[:, controlled]
+    A = found.A + found.B_uncontrolled @ found.K[found.uncontrolled] @ found.T
+    R = regulation.current.cost.R[controlled]
+    M = np.diag(R) + discount**2 * B.T @ found.P @ B
+    expected = -np.linalg.solve(M, discount**2 * B.T @ found.P @ A) @ found.T.T
+    np.testing.assert_allclose(found.K[controlled], expected, atol=1e-5)
+
 
 # UAVs without agents, without motors, cut loose.
 TEAMS = (
