@@ -4,6 +4,7 @@ import json
 import stat
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zenoh
@@ -87,3 +88,12 @@ def test_a_bad_secret_is_refused(tmp_path: Path) -> None:
         with pytest.raises(SecurityError, match=rf"{folder / SHARED}: expected a line USER:SECRET"):
             Security(folder, ()).check("agent1")
     assert not (tmp_path / "keys").exists()
+
+
+def test_a_secret_may_have_any_letters(tmp_path: Path) -> None:
+    """The user ends at the first colon."""
+    (tmp_path / SHARED).write_text("team:a:b\n", encoding="utf-8")
+    configuration: dict[str, Any] = {"transport": {"link": {}}}
+    Security(tmp_path, ()).configure(configuration, "agent1", "transport/run")
+    secret = configuration["transport"]["auth"]["usrpwd"]
+    assert (secret["user"], secret["password"]) == ("team", "a:b")

@@ -9,7 +9,7 @@ import tomli_w
 
 from tests.support.runs import PAPER, completed, plant_states
 from transport.model import state
-from transport.protocol.scenario.files.named_files import delays_of, points_of
+from transport.protocol.scenario.files.named_files import TableError, delays_of, points_of, way_of
 from transport.protocol.scenario.scenario_file import ScenarioError, read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 
@@ -253,3 +253,13 @@ def test_measured_delays_are_in_ascending_order(tmp_path: Path) -> None:
     file = tmp_path / "delays.csv"
     file.write_text("0.5, 0.02\n0.01 0.3,\n", encoding="utf-8")
     assert delays_of(file) == [0.01, 0.02, 0.3, 0.5]
+
+
+def test_a_path_is_relative_to_its_first_row(tmp_path: Path) -> None:
+    """Times and positions of a recorded path begin at zero; without rows there is none."""
+    file = tmp_path / "path.csv"
+    file.write_text("t_s,x_m,y_m,z_m\n2,1,2,-3\n5,2,4,-6\n", encoding="utf-8")
+    assert way_of(file) == [[0.0, 0.0, 0.0, 0.0], [3.0, 1.0, 2.0, -3.0]]
+    file.write_text("t_s,x_m,y_m,z_m\n", encoding="utf-8")
+    with pytest.raises(TableError, match="expected rows of numbers t_s,x_m,y_m,z_m, got none"):
+        way_of(file)

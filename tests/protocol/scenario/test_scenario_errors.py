@@ -15,7 +15,12 @@ from tests.support.drawn_settings import KEYS, choices, setting_of
 from tests.support.runs import PAPER
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.sections.scenario_errors import PythonSetting, hint
-from transport.protocol.scenario.sections.scenario_keys import ending_of, key_of, section_in
+from transport.protocol.scenario.sections.scenario_keys import (
+    ending_of,
+    key_of,
+    out_of_range,
+    section_in,
+)
 from transport.protocol.scenario.setup.run_setup import Setup
 
 ONE_UAV_ASIDE = (
@@ -920,6 +925,36 @@ KINDS: Mapping[
     "bounds": (_out_of_bounds, 189),
     "milliseconds": (_milliseconds, 20),
 }
+
+
+@pytest.mark.parametrize(
+    ("value", "within", "place", "problem"),
+    [
+        (0.0, (1.0, 2.0), "", ""),
+        (1.0, (1.0, 2.0), "", ""),
+        (-2.0, (1.0, 2.0), "", ""),
+        (2.1, (1.0, 2.0), "", "expected seconds, at most 2, got 2.1: did you mean 0.0021?"),
+        (-2.1, (1.0, 2.0), "", "expected a magnitude of at most 2, got -2.1"),
+        (-0.9, (1.0, 2.0), "", "expected a magnitude of at least 1, got -0.9"),
+        ([1.0, [1.5, 0.5]], (1.0, 2.0), ".2.2", "expected a magnitude of at least 1, got 0.5"),
+        (10_000.0, (0.0, 10.0), "", "expected seconds, at most 10, got 10000: did you mean 10?"),
+        (10_001.0, (0.0, 10.0), "", "expected a magnitude of at most 10, got 10001"),
+        (61.0, (0.0, 60.0), "", "expected seconds, at most 60, got 61: did you mean 0.061?"),
+        (62.0, (0.0, 61.0), "", "expected a magnitude of at most 61, got 62"),
+        (
+            [1.0, 20.0],
+            (0.0, 10.0),
+            ".2",
+            "expected seconds, at most 10, got 20: did you mean 0.02?",
+        ),
+    ],
+)
+def test_a_number_has_a_magnitude_within_a_range(
+    value: object, within: tuple[float, float], place: str, problem: str
+) -> None:
+    """Zero, and the ends, are within; times up to a minute that milliseconds explain have those words."""
+    found = [(f"x_s{place}", problem)] if problem else []
+    assert list(out_of_range(value, "x_s", within)) == found
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -169,6 +169,14 @@ def test_well_formed_garbage() -> None:
             "malformed",
             "array of 4 axes",
         ),
+        (
+            packed(
+                *content(sample(Plan))[:-7], array(1, 1, 0, 0, values=bytes(8), code=2), "solved"
+            ),
+            "agent2",
+            "malformed",
+            "unknown extension type 2 of 24 bytes",
+        ),
         (packed("plan", "agent-2", *content(sample(Plan))[2:-6], 7), "", "wrong_shape", "status"),
         (
             packed("plan", ["agent2"], *content(sample(Plan))[2:]),
@@ -364,5 +372,7 @@ def test_own_messages_keep_their_arrays() -> None:
         message.payload[0] = 1.0
     with pytest.raises(AttributeError):
         message.tick = 3  # type: ignore[misc]
+    whole_numbers: Any = decode(encode(changed(message, payload=np.arange(12))))
+    np.testing.assert_array_equal(whole_numbers.payload, np.arange(12.0))
     with pytest.raises(TypeError, match="cannot send"):
         encode(changed(message, payload=np.zeros((1, 1, 1, 1))))

@@ -378,6 +378,8 @@ def test_measured_delays_come_from_a_file(tmp_path: Path) -> None:
         ("1,5e-3", "row 1: expected .* with a decimal point.*, got '1,5e-3'"),
         ("0.1\n0.2 nan", "row 2: expected a finite number, got 'nan'"),
         ("0.1; 0.2", "row 1: expected a finite number, got '0.1;'"),
+        ("0.1 1_0", "row 1: expected a finite number, got '1_0'"),
+        ("0.1 " + 99 * "x", f"row 1: expected a finite number, got '{60 * 'x'}'$"),
         ("0.1\n50\n483.2", r"at most 10, got 483\.2; divide milliseconds by 1000; if seconds"),
     ],
 )
@@ -398,10 +400,10 @@ def test_long_delays_that_are_meant_are_taken(tmp_path: Path) -> None:
     tree["links"] = {
         **meant,
         "samples_s": "delays.csv",
-        "override": [{"to": "agent1", **meant, "samples_s": [20.0]}],
+        "override": [{"to": "agent1", **meant, "samples_s": [500.0]}],
     }
     links = validate(tree, str(tmp_path / "scenario.toml")).links
-    assert (links.samples_s, links.override[0].samples_s) == ([0.5, 483.2], [20.0])
+    assert (links.samples_s, links.override[0].samples_s) == ([0.5, 483.2], [500.0])
 
 
 def test_the_old_name_of_the_delays_tells_the_new_one() -> None:

@@ -99,12 +99,13 @@ def test_a_trace_comes_from_a_file(tmp_path: Path) -> None:
 def test_a_table_of_a_trace_is_read_as_all_tables(tmp_path: Path) -> None:
     """A byte order mark and blanks are ignored; a bad cell is named, and a large file is not read."""
     path = tmp_path / "roof.csv"
-    path.write_text("\ufefft_s, delay_s\n0.0, 0.02\n\n0.05, lost \n", encoding="utf-8")
+    path.write_text("\ufefft_s, delay_s\n0.0, 0.02\n  \n0.05, lost \n", encoding="utf-8")
     assert trace_of(path) == [[0.0, 0.02], [0.05, LOST_S]]
     for content, problem in (
         ("t_s,delay_s\n0.0,0.1\n0.1,soon\n", "row 3, column delay_s: expected a finite number"),
         ("t_s,delay_s\n0.0,nan\n", "row 2, column delay_s: expected a finite number"),
         ("t_s,delay_s\n0.0\n", "row 2: expected 2 numbers t_s,delay_s, got 1 cells"),
+        ("", "expected the heading t_s,delay_s, got nothing"),
         ("t_s,delay_s\n" + "0" * MOST_TEXT, "expected at most 10 MB, got more"),
     ):
         path.write_text(content)
@@ -118,6 +119,9 @@ def test_a_table_of_a_trace_is_read_as_all_tables(tmp_path: Path) -> None:
         ("[[0.0,0.1]]", "at least two rows of a time and a delay, got 1"),
         ("[[0.0,0.1],[0.1,0.2],[0.2]]", r"row 3: expected a time and a delay, got \[0.2\]"),
         ("[[0.1,0.1],[0.0,0.2]]", "row 2: expected rising times from 0 on, got 0 s"),
+        ("[[0.0,0.1],[0.0,0.2]]", "row 2: expected rising times from 0 on, got 0 s"),
+        ("[[0.0,0.1,0.2],[0.1,0.2]]", r"row 1: expected a time and a delay, got \[0.0, 0.1, 0.2\]"),
+        ("[[0.0,10.0],[0.1,10.1]]", "row 2: expected seconds, at most 10, got 10.1"),
         ("[[-0.1,0.1],[0.0,0.2]]", "row 1: expected rising times from 0 on, got -0.1 s"),
     ],
 )
