@@ -37,7 +37,7 @@ def test_targets_by_hand_and_by_script_are_the_same_run(
         assert transport.active().target(0.2, 0.3, -10.0, speed=0.5)["ends_s"] < 100.0
         assert "the last way point at" in succeed("target", "--file", "path.csv", "--speed", "0.5")
         assert wait_for(lambda: len(log.of(Target)) == 3)
-        until = log.of(Target)[-1].tick + 100  # on the way along the file
+        until = log.of(Target)[-1].tick + 40  # on the way along the file
         assert wait_for(lambda: log.of(PlantState)[-1].tick > until)
     finally:
         run.send_signal(signal.SIGINT)
