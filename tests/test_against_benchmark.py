@@ -7,6 +7,8 @@ import platform
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -65,6 +67,67 @@ def test_the_program_of_a_run_in_memory_names_what_there_is() -> None:
             assert [name.name for name in node.names if not hasattr(module, name.name)] == []
 
 
+def test_the_program_of_a_run_in_memory_tells_the_fastest_run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of as many as asked for, after one that does not count."""
+    runs: list[Any] = []
+    now_s = iter([0.0, 5.0, 10.0, 12.5, 20.0, 24.0])
+    for name, stand_in in (
+        ("transport.cli.options.read_setup", lambda *_, **__: SimpleNamespace(scenario=None)),
+        ("transport.flight.progress.compile_models", lambda *_: None),
+        ("transport.flight.memory.simulate", runs.append),
+        ("time.process_time", lambda: next(now_s)),
+        ("gc.disable", lambda: None),
+    ):
+        monkeypatch.setattr(name, stand_in)
+    monkeypatch.setattr(sys, "argv", ["-c", "paper", "3"])
+    exec(against.IN_MEMORY, {})  # noqa: S102 - as the other interpreter does
+    assert capsys.readouterr().out == "2.5\n"
+    assert len(runs) == 4
+
+
+@pytest.mark.parametrize(
+    ("uavs", "quantity"),
+    [
+        (0, "`paper` in memory, s of processor time"),
+        (16, "`paper`, N = 16 in memory, s of processor time"),
+    ],
+)
+def test_a_team_in_memory_may_have_another_size(
+    uavs: int, quantity: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which is made by the version that is measured; the program prints its time last."""
+    commands: list[list[str]] = []
+
+    def run(command: list[str], **_: object) -> Any:
+        commands.append(command)
+        return SimpleNamespace(stdout="compiled 1\n2.5\n")
+
+    monkeypatch.setattr("benchmarks.against.subprocess.run", run)
+    assert against.in_memory("paper", uavs, runs=3)(NOW, {}) == {quantity: 2.5}
+    *made, (python, *_, scenario, count) = commands
+    assert (python, count) == (against.python_of(NOW), "3")
+    if uavs:
+        ((*command, file),) = made
+        assert command[:4] == [python, "-P", "-m", "transport"]
+        assert command[4:] == ["scenario", "new", "--uavs", "16", "--from", "paper", "--out"]
+        assert file == scenario
+    else:
+        assert (made, scenario) == ([], "paper")
+
+
+def test_a_run_with_processes_has_a_begin_and_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processor time is that of user and system, of this run alone."""
+    used = iter(
+        [SimpleNamespace(ru_utime=1.0, ru_stime=2.0), SimpleNamespace(ru_utime=4.0, ru_stime=7.0)]
+    )
+    at_s = {"first tick": 1.25, "last tick": 4.0, "prompt": 4.5}
+    monkeypatch.setattr("resource.getrusage", lambda _: next(used))
+    monkeypatch.setattr(against, "instants", lambda *_: at_s)
+    assert list(against.with_processes(NOW, {}).values()) == [8.0, 1.25, 0.5]
+
+
 @pytest.mark.parametrize(
     ("flags", "expected"),
     [("fpu avx2 avx512f", ["AVX-512", "AVX2"]), ("fpu avx2", [platform.machine()])],
@@ -73,14 +136,16 @@ def test_a_processor_with_avx512_is_measured_without_it_as_well(
     flags: str, expected: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By a compiler that is told to leave AVX-512 out; native models switched off are on in all."""
-    monkeypatch.setenv("PAYLOAD_TRANSPORT_NATIVE", "0")
+    for name in ("PAYLOAD_TRANSPORT_NATIVE", "PYTHONDONTWRITEBYTECODE"):
+        monkeypatch.setenv(name, "0")
     monkeypatch.delenv("CC", raising=False)
     cpuinfo = tmp_path / "cpuinfo"
     cpuinfo.write_text(f"flags : {flags}\n", encoding="utf-8")
 
     found = against.environments(tmp_path, cpuinfo)
     assert list(found) == expected
-    assert all("PAYLOAD_TRANSPORT_NATIVE" not in environment for environment in found.values())
+    for environment in found.values():
+        assert not {"PAYLOAD_TRANSPORT_NATIVE", "PYTHONDONTWRITEBYTECODE"} & environment.keys()
     assert "CC" not in found[expected[0]]
     if "AVX2" in found:
         compiler = Path(found["AVX2"]["CC"])

@@ -203,6 +203,39 @@ def test_an_error_of_one_deviation_in_each_coordinate(monkeypatch: pytest.Monkey
     assert found.payload_error_cm == pytest.approx(100.0 * off_m, abs=1e-9)
 
 
+def test_a_row_has_the_ranges_of_its_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside them the error of the same flight with measured states, which has no noise."""
+    found = iter(
+        estimates.Comparison(
+            is_completed=seed != 1, payload_error_cm=2.0 - seed, largest_attitude_deg=3.0,
+            estimate_error_cm=seed, nees=52.0, is_in_band=seed == 2,
+        )
+        for seed in range(3)
+    )  # fmt: skip
+    seeds: list[int] = []
+    flown: list[Any] = []
+
+    def compared(setup: Setup) -> estimates.Comparison:
+        assert setup.scenario.plant.sensors == "vehicle"
+        seeds.append(setup.scenario.seed)
+        return next(found)
+
+    def fly(scenario: Any, *, progress: bool) -> Any:
+        flown.append(scenario.setup.scenario)
+        return SimpleNamespace(summary={"payload_tracking": {"rms_m": 0.0123}})
+
+    monkeypatch.setattr(estimates, "compared", compared)
+    monkeypatch.setattr("transport.fly", fly)
+    changes = {"links.delay_s": 0.2, "plant.noise.delay.position_s": 0.1}
+    assert estimates.row("a case", changes, 3) == [
+        "a case", "2 of 3", "0.00 - 2.00", "3.00 - 3.00", "0.00 - 2.00", "52.00 - 52.00", "1 of 3", "1.23",
+    ]  # fmt: skip
+    assert seeds == [0, 1, 2]
+    (measured,) = flown
+    assert (measured.links.delay_s, measured.plant.sensors) == (0.2, "state")
+    assert measured.plant.noise == type(measured.plant.noise)()
+
+
 def test_a_step_with_the_filter_over_one_without(monkeypatch: pytest.MonkeyPatch) -> None:
     """The median of the ratios of all turns."""
     times_ms = iter([1.0, 2.0, 1.0, 8.0, 2.0, 6.0])

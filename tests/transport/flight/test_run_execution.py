@@ -1,5 +1,6 @@
 """End of a recorded run: its exit code and reason, and whether its folder is kept."""
 
+import os
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,7 +11,7 @@ from rich.console import Console
 
 from tests.support import runs
 from tests.support.commands import free_base
-from transport.flight import run_execution
+from transport.flight import live, run_execution
 from transport.flight.local_processes import Harness
 from transport.flight.run_execution import observe
 from transport.flight.run_files import RunError
@@ -123,6 +124,60 @@ def test_an_interrupted_run_without_a_tick_leaves_no_folder(
     with pytest.raises(KeyboardInterrupt):
         observed(tmp_path / "a", monkeypatch, interrupt=True, **recorder)
     assert (tmp_path / "a").exists() is stays
+
+
+@pytest.mark.parametrize(
+    ("error", "ended", "received", "is_kept"),
+    [
+        (None, [], 0, False),
+        (None, [], 5, True),
+        (None, ["plant"], 0, True),
+        ("no router", [], 0, True),
+        ("no router", None, 0, False),  # processes are started elsewhere: there are no logs
+    ],
+)
+def test_a_folder_is_kept_for_its_messages_or_logs(
+    error: str | None,
+    ended: list[str] | None,
+    received: int,
+    is_kept: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Logs of a failure; the recorder asks whether a process of this machine is on its way."""
+    starting: list[bool] = []
+
+    def recorder_of(_setup: Any, _place: Any, writer: Any, _say: Any, is_starting: Any) -> Any:
+        starting.append(is_starting("plant"))
+        state = {"error": error, "started_s": 1.0, "received": received}
+        return SimpleNamespace(close=writer.close, **state)
+
+    monkeypatch.setattr(run_execution, "Recorder", recorder_of)
+    harness: Any = None
+    if ended is not None:
+        harness = SimpleNamespace(
+            ended=lambda: ended, is_starting=lambda *given: given == ("plant", 1.0)
+        )
+    made: Any = SimpleNamespace(path=tmp_path, is_kept=None)
+    progress: Any = SimpleNamespace(setup=RUN, say=None)
+    with run_execution._recorded(runs.place("r1"), made, {}, progress, harness):
+        pass
+    assert made.is_kept is is_kept
+    assert starting == [harness is not None]
+
+
+def test_a_run_is_marked_while_it_is_active(tmp_path: Path) -> None:
+    """With this process, and the address of each process, at which it listens or else that of its router."""
+    listens = Endpoints(listen=["tcp/127.0.0.1:1"], connect=["tcp/127.0.0.1:2"])
+    connects = Endpoints(listen=[], connect=["tcp/127.0.0.1:3"])
+    addresses = run_execution._Addresses(run="r1", processes={"plant": listens}, recorder=connects)
+    with run_execution._marked_active(tmp_path, addresses):
+        marked = live.read(tmp_path)
+        assert marked is not None
+        assert (marked.run, marked.pid, marked.keys) == ("r1", os.getpid(), "")
+        assert marked.endpoints == {"plant": "tcp/127.0.0.1:1", "recorder": "tcp/127.0.0.1:3"}
+        assert live.newest_folder(tmp_path.parent) == tmp_path
+    assert live.read(tmp_path) is None
 
 
 @pytest.mark.parametrize(

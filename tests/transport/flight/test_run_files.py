@@ -15,12 +15,15 @@ from tests.support.runs import SHORT, setup
 from transport.flight.run_files import (
     RunError,
     checked,
+    machine,
     new_run_folder,
     own_keys,
     run_header,
     started_ns,
+    versions,
 )
 from transport.log.run_folder import point_latest
+from transport.model.kernels import native
 from transport.protocol.wire.errors_and_exit_codes import EXIT_SCENARIO, EXIT_USAGE
 
 CLOCK_TICK_NS = 10**7  # of the times of processes
@@ -212,6 +215,17 @@ def test_the_header_describes_run_and_machine() -> None:
     cores = len(os.sched_getaffinity(0))
     system = re.escape(f"{platform.system()} {platform.release()}")
     assert re.fullmatch(rf".+, {cores} cores?, {system}", header["machine"])
+
+
+@pytest.mark.parametrize(("cores", "told"), [({3}, "1 core"), ({1, 3}, "2 cores")])
+def test_versions_and_cores_are_told(
+    cores: set[int], told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of kernels too, and the cores that this process may use."""
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: cores)
+    assert f", {told}, {platform.system()}" in machine()
+    assert versions().startswith(f"python {platform.python_version()}, payload-transport ")
+    assert versions().endswith(f", kernels {native.description()}")
 
 
 def test_the_start_of_a_process_is_told_to_its_clock_tick() -> None:
