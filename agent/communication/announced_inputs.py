@@ -250,7 +250,8 @@ class AnnouncedInputs:
                 age = self.heard.age(agent, plan, tick)
                 share[columns] = alone_by(silence, plan, age)
                 correlation[columns] = silence.correlation(age)
-        if not share.any() and (correlation == SHARED).all():
+        # The correlation falls from the age on from which an agent acts alone.
+        if not share.any():
             return None
         return Silent(alone=share, correlation=correlation)
 
@@ -287,8 +288,6 @@ class AnnouncedInputs:
         """
         columns = self._columns[agent]
         hover = self._hover(columns)
-        if at.x is None:
-            return hover
         if self.heard.has_returned(agent):
             if self.heard.is_before_return(agent, at.tick):
                 return self._by_fail_safe(agent, at)

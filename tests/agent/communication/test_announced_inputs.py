@@ -81,6 +81,7 @@ def test_fail_safe_begins_where_the_inputs_in_force_end() -> None:
     assumed = np.tile(np.arange(STEPS, dtype=float)[:, None], (1, len(U_HOVER)))
     inputs.assume(2, start, assumed)
 
+    np.testing.assert_array_equal(rows(2, inputs.in_force(1, before=2)), labelled(2, 0).inputs[1])
     for tick in range(start, start + STEPS + 2):
         is_over = tick >= start + STEPS
         expected = U_HOVER[COLUMNS[2]] if is_over else assumed[tick - start, COLUMNS[2]]
@@ -128,7 +129,9 @@ def test_off_the_roster_a_fail_safe_that_follows_takes_over_after_0_4_s() -> Non
     np.testing.assert_array_equal(U, [[6.0] * 4, [7.0] * 4, hover, hover])
 
 
-@pytest.mark.parametrize(("start", "steps"), [(2, [0, 1, 2]), (3, [1, 2, 3]), (6, [4]), (8, [])])
+@pytest.mark.parametrize(
+    ("start", "steps"), [(1, [0, 1, 2]), (2, [0, 1, 2]), (3, [1, 2, 3]), (6, [4]), (8, [])]
+)
 def test_assumed_inputs_begin_at_their_tick(start: int, steps: list[int]) -> None:
     """From tick 2 on five steps are assumed for a departed agent, then hover, (32b)."""
     inputs = announced(labelled(2, 0))
@@ -195,23 +198,24 @@ def test_age_of_information_is_that_of_the_last_solved_step() -> None:
     assert shares[0] == 1.0
 
 
-@pytest.mark.parametrize("age", range(STEPS + 3))
+@pytest.mark.parametrize("age", range(-1, STEPS + 3))
 @pytest.mark.parametrize("delay", [0, 1])
 def test_shift_and_hold(age: int, delay: int) -> None:
-    """A plan is shifted by the ticks since its start and held at its last step.
+    """A plan is shifted by the ticks since its start and held at its last step; before its start it is not.
 
     Source: docs/equations.md (32).
     """
     made = 7
     plan = labelled(1, made, delay=delay)
     start = plan.start_tick + age
-    U = announced(plan).sequence(start, STEPS, before=start + 1)
-    shifted = [plan.inputs[min(age + step, STEPS - 1)] for step in range(STEPS)]
+    U = announced(plan).sequence(start, STEPS, before=max(start, made) + 1)
+    shifted = [plan.inputs[min(max(age, 0) + step, STEPS - 1)] for step in range(STEPS)]
     np.testing.assert_array_equal(rows(1, U), shifted)
 
 
-def test_own_inputs_without_those_of_the_others() -> None:
+def test_own_inputs_without_those_of_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where only the own inputs are looked up they are the same, and the others' are hover."""
+    monkeypatch.setattr(np, "empty", lambda shape: np.full(shape, np.nan))  # so that a gap shows
     inputs = announced(labelled(1, 7), labelled(2, 7), own=1)
     of_all = inputs.sequence(8, STEPS, before=8)
     own = inputs.sequence(8, STEPS, before=8, of_all=False)
@@ -232,21 +236,22 @@ def test_corrections_end(age: int, delay: int) -> None:
     np.testing.assert_array_equal(rows(1, c), np.vstack([left, np.zeros((STEPS - len(left), 8))]))
 
 
-@pytest.mark.parametrize("age", range(1, STEPS + 3))
+@pytest.mark.parametrize("own", [0, 1])
+@pytest.mark.parametrize("age", range(STEPS + 3))
 @pytest.mark.parametrize("delay", [0, 1])
-def test_plans_of_others_count_as_one_tick_old_as_published(age: int, delay: int) -> None:
-    """With `by_one` a plan of another agent of any age is that of the age of one tick, (32)."""
+def test_plans_of_others_count_as_one_tick_old_as_published(age: int, delay: int, own: int) -> None:
+    """With `by_one` a plan of another agent is one tick old at most, (32); the age of an own one is known."""
     plan = labelled(1, 7, delay=delay)
-    by_one, by_age = announced(plan, alignment="by_one"), announced(plan)
-    one_old = plan.start_tick + 1
+    by_one, by_age = announced(plan, alignment="by_one", own=own), announced(plan)
+    one_old = plan.start_tick + (age if own == 1 else min(age, 1))
     start = plan.start_tick + age
     np.testing.assert_array_equal(
-        rows(1, by_one.sequence(start, STEPS, before=start)),
-        rows(1, by_age.sequence(one_old, STEPS, before=start)),
+        rows(1, by_one.sequence(start, STEPS, before=start + 1)),
+        rows(1, by_age.sequence(one_old, STEPS, before=start + 1)),
     )
     np.testing.assert_array_equal(
-        rows(1, by_one.corrections(start, STEPS, before=start)),
-        rows(1, by_age.corrections(one_old, STEPS, before=start)),
+        rows(1, by_one.corrections(start, STEPS, before=start + 1)),
+        rows(1, by_age.corrections(one_old, STEPS, before=start + 1)),
     )
 
 
@@ -399,6 +404,8 @@ def test_corrections_outlast_a_change_of_the_law() -> None:
     inputs.law_since = 9
     u = inputs.in_force(8, before=12, x=X)
     np.testing.assert_array_equal(rows(1, u), older.inputs[1])
+    u = inputs.in_force(9, before=12, x=X)
+    np.testing.assert_array_equal(rows(1, u), by_law(9, X)[COLUMNS[1]] + older.corrections[2])
     u = inputs.in_force(10, before=12, x=X)
     np.testing.assert_array_equal(rows(1, u), by_law(10, X)[COLUMNS[1]] + older.corrections[3])
     np.testing.assert_array_equal(rows(2, u), by_law(10, X)[COLUMNS[2]] + newer.corrections[1])
@@ -480,8 +487,26 @@ def test_after_a_failure_the_law_holds_without_older_corrections() -> None:
 def test_a_plan_without_corrections_leaves_the_law() -> None:
     """An agent that announces no corrections is assumed by the law alone."""
     plan = replace(labelled(1, 6), corrections=np.zeros((0, 8)))
-    u = under_law(plan).in_force(8, before=9, x=X)
-    np.testing.assert_array_equal(rows(1, u), by_law(8, X)[COLUMNS[1]])
+    for inputs in (under_law(plan), knowing_starts(plan)):
+        u = inputs.in_force(8, before=9, x=X)
+        np.testing.assert_array_equal(rows(1, u), by_law(8, X)[COLUMNS[1]])
+
+
+def test_the_difference_from_the_law_is_that_of_the_newest_plan_and_estimate() -> None:
+    """It changes with the plan, also where the law at their starts is the same, and with a late message."""
+    law = np.arange(12.0)
+    at_start = [law]
+    shared = SharedLaw(
+        inputs=lambda tick, _: law if tick == 20 else at_start[0], start_state=lambda _: X
+    )
+    inputs = AnnouncedInputs(OWNED, U_HOVER, law=shared)
+    columns = COLUMNS[1]
+    for plan, start in [(labelled(1, 7), law), (labelled(1, 8), law), (labelled(1, 8), 2.0 * law)]:
+        inputs.add(plan)
+        at_start[0] = start
+        expected = law[columns] + plan.inputs[0] - start[columns] - plan.corrections[0]
+        u = inputs.in_force(20, before=20, x=X)
+        np.testing.assert_allclose(rows(1, u), expected, rtol=ROUNDING)
 
 
 def test_off_the_roster_the_last_plan_is_in_force_and_no_law() -> None:
@@ -492,6 +517,11 @@ def test_off_the_roster_the_last_plan_is_in_force_and_no_law() -> None:
     np.testing.assert_array_equal(rows(1, inputs.in_force(8, before=9, x=X)), plan.inputs[2])
 
 
+# Limits beyond all numbers here.
+WIDE = ControllerSettings(
+    limits=Limits.model_construct(thrust_N=(-1e9, 1e9), moments_Nm=(1e9, 1e9, 1e9)),
+    sampling_period_s=0.05,
+)
 RULE = Silence.of(0.05, is_filtered=False)  # alone from 10 ticks overdue on, wholly from 20
 
 
@@ -526,6 +556,87 @@ def test_silent_others_by_columns() -> None:
     np.testing.assert_allclose(silent.correlation, [0.6] * 4 + [overdue] * 4 + [0.6] * 4)
 
 
+def test_a_share_that_a_plan_announces_counts_while_it_is_fresh() -> None:
+    """That of another agent does, the own one does not: own inputs are known."""
+    inputs = AnnouncedInputs(OWNED, U_HOVER, own=1, law=SharedLaw(silence=RULE))
+    inputs.add(replace(labelled(1, 0), alone=0.5))
+    inputs.heard.observe(1)
+    assert inputs.silent(1, before=1) is None
+    inputs.add(replace(labelled(2, 0), alone=0.25))
+    silent = inputs.silent(1, before=1)
+    assert silent is not None
+    np.testing.assert_array_equal(silent.alone, [0.0] * 4 + [0.25] * 4 + [0.0] * 4)
+
+
+class FailSafe:
+    """A fail-safe whose inputs encode UAV and tick; it takes over at the end of a plan."""
+
+    def played(self, steps: int, _: float) -> int:
+        """Return the steps that the actuators play."""
+        return steps
+
+    def inputs(self, uav: int, x: Array, tick: int) -> Array:
+        """Return inputs."""
+        return np.full(4, 100.0 * uav + tick + x[0])
+
+
+def test_without_a_plan_inputs_are_those_of_the_agents_state() -> None:
+    """Hover; overdue alone; on the fail-safe before a return, by the law from then on; without a state hover."""
+    shared = SharedLaw(
+        inputs=by_law, silence=RULE, inputs_alone=lambda uav, _tick, _x: np.full(4, 50.0 + uav)
+    )
+    inputs = AnnouncedInputs(OWNED, U_HOVER, own=2, law=shared, settings=WIDE)
+    inputs.fail_safe = FailSafe()  # type: ignore[assignment]
+    hover = U_HOVER[COLUMNS[1]]
+    alone = [50.0] * 4 + [52.0] * 4
+    silent = 60
+    np.testing.assert_array_equal(rows(1, inputs.in_force(3, before=4, x=X)), hover)
+    np.testing.assert_array_equal(rows(1, inputs.in_force(silent, before=silent, x=X)), alone)
+    np.testing.assert_array_equal(rows(1, inputs.in_force(silent, before=silent)), hover)
+
+    inputs.add(labelled(1, 40))
+    inputs.assume(1, 41, np.ones((40, len(U_HOVER))))
+    inputs.begin_anew(1, silent)
+    by_fail_safe = np.repeat([0.0, 200.0], 4) + silent - 1 + X[0]
+    before_return = inputs.in_force(silent - 1, before=silent, x=X)
+    np.testing.assert_array_equal(rows(1, before_return), by_fail_safe)
+    np.testing.assert_array_equal(rows(1, inputs.in_force(silent - 1, before=silent)), hover)
+    returned = inputs.in_force(silent, before=silent, x=X)
+    np.testing.assert_array_equal(rows(1, returned), by_law(silent, X)[COLUMNS[1]])
+    U = inputs.sequence(silent, STEPS, before=silent)
+    np.testing.assert_array_equal(rows(1, U), np.tile(hover, (STEPS, 1)))
+    assert inputs.unannounced(silent - 1, before=silent).by_fail_safe[COLUMNS[1]].all()
+    assert not inputs.unannounced(silent, before=silent).by_fail_safe.any()
+
+    # One of the time before, which comes late: what it announced was in force.
+    inputs.add(labelled(1, silent - 3))
+    late = inputs.unannounced(silent - 1, before=silent)
+    assert not late.by_fail_safe.any()
+    assert late.by_law[COLUMNS[1]].all()
+
+
+@pytest.mark.parametrize("has_fail_safe", [True, False])
+def test_off_the_roster_the_fail_safe_is_that_of_each_uav(has_fail_safe: bool) -> None:
+    """At the end of the last plan; hover without a fail-safe, without a state, and where no plan was ever made."""
+    plan = labelled(1, 0)
+    inputs = AnnouncedInputs(OWNED, U_HOVER, settings=WIDE)
+    inputs.add(plan)
+    inputs.heard.off_roster = {1, 2}
+    if has_fail_safe:
+        inputs.fail_safe = FailSafe()  # type: ignore[assignment]
+    hover = U_HOVER[COLUMNS[1]]
+    followed = np.repeat([0.0, 200.0], 4) + STEPS + X[0]
+    np.testing.assert_array_equal(
+        rows(1, inputs.in_force(STEPS - 1, before=9, x=X)), plan.inputs[-1]
+    )
+    u = inputs.in_force(STEPS, before=9, x=X)
+    np.testing.assert_array_equal(rows(1, u), followed if has_fail_safe else hover)
+    np.testing.assert_array_equal(rows(2, u), U_HOVER[COLUMNS[2]])
+    np.testing.assert_array_equal(rows(1, inputs.in_force(STEPS, before=9)), hover)
+    is_over = inputs.unannounced(STEPS, before=9).by_fail_safe
+    assert (is_over == np.isin(np.arange(12), COLUMNS[1])).all()
+
+
 def test_which_inputs_the_law_gives() -> None:
     """Another agent's without plan or after the first step of it, never the own ones."""
     inputs = announced(labelled(1, 6), own=OWN)
@@ -534,3 +645,5 @@ def test_which_inputs_the_law_gives() -> None:
     assert not inputs.unannounced(6, before=9).by_law.any()
     np.testing.assert_array_equal(inputs.unannounced(7, before=9).by_law, of_agent_1)
     assert not inputs.unannounced(7, before=9).by_fail_safe.any()
+    next_tick = announced(labelled(1, 6, delay=1), own=OWN)
+    assert not next_tick.unannounced(7, before=9).by_law.any()
