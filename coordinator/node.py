@@ -318,8 +318,7 @@ class CoordinatorNode:
             silent = hindmost
             self._clock.restart(now_ns)
 
-        members = self._roster.members
-        is_all = len(silent) > 1 and silent == members and members.isdisjoint(self._open.answered)
+        is_all = len(silent) > 1 and silent == self._roster.members
         if is_all and self._fleet is None:
             # All at once: more likely the plant, on which all depend.
             reason = f"no agent answered tick {self.tick} in time: is the plant alive?"

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from tests.support.runs import plan, plant_state
 from transport.coordinator.fleet import Fleet
 from transport.coordinator.node import CoordinatorNode
 from transport.coordinator.state_machine import State
@@ -342,7 +343,8 @@ def test_a_low_battery_lands_the_team_once(low_run: Setup) -> None:
     at_ns = NOW_NS + 1200 * MS
     assert not node.receive(status(low_run, 1, phase="flying", battery=0.2), at_ns)
     said = node.receive(status(low_run, 2, phase="flying", battery=0.1), at_ns)
-    assert [target.lands for target in said if isinstance(target, Target)] == [True]
+    landing = [target for target in said if isinstance(target, Target)]
+    assert [(target.lands, target.tick) for target in landing] == [(True, node.tick + 1)]
     reasons = [roster.reason for roster in said if isinstance(roster, Roster)]
     assert "battery of UAV2 at 10%: the team lands" in reasons
     assert not node.receive(status(low_run, 3, phase="flying", battery=0.1), at_ns)
@@ -372,6 +374,25 @@ def test_without_any_agent_the_vehicles_can_be_landed(low_run: Setup) -> None:
     assert node.state is State.OPEN
     until(node, 5)
     assert asked(node, "target", land=True)[0]["point_m"][2] == pytest.approx(-0.275)
+
+
+def test_silent_agents_leave_their_vehicles_to_fly_on() -> None:
+    """All of them at once are lost one by one in a team of vehicles, and end no run."""
+    settings = (
+        "plant.kind=vehicles",
+        "clock.on_agent_loss=continue",
+        "clock.barrier_timeout_s=1.0",
+    )
+    silent = Setup.of(read_scenario(SCENARIO, settings), str(SCENARIO))
+    node = flying(silent)
+    said: list[Message] = []
+    while node.tick < 30:
+        assert node.wake_ns is not None
+        said += node.poll(node.wake_ns)
+    rosters = [one for one in said if isinstance(one, Roster)]
+    assert [one.agents for one in rosters] == [()]
+    assert "agent1, agent2, agent3, agent4 did not answer tick" in rosters[0].reason
+    assert node.state is State.OPEN
 
 
 def test_a_recorder_that_returns_is_told_what_it_missed(low_run: Setup) -> None:
@@ -508,6 +529,34 @@ def test_a_loss_before_it_takes_over_ends_nothing(low_run: Setup, gone: str) -> 
     back.poll(back.wake_ns)
     assert back.finished is None
     assert back.tick > 0
+
+
+def test_a_loss_between_the_word_and_tick_0_ends_the_run(run: Setup) -> None:
+    """Also where vehicles have said already that they follow that word; a state of a plant changes nothing."""
+    node = coordinator_of(run, wall_offset_ns=WALL_NS)
+    ready(node)
+    for uav in (1, 2, 3, 4):
+        node.receive(status(run, uav), NOW_NS + 2 * MS)
+    assert node.wake_ns is not None
+    word = node.poll(node.wake_ns)[-1]
+    assert isinstance(word, Schedule)
+    node.receive(status(run, 1, start_ns=word.start_ns, sequence=1), NOW_NS + 210 * MS)
+    assert node.receive(plant_state(run, 0, "UAV1 roll of 90 deg"), NOW_NS + 220 * MS) == ()
+    assert node.state is State.STARTING
+    node.receive(Presence("agent2", 0, alive=False), NOW_NS + 230 * MS)
+    assert node.finished is not None
+    assert (node.finished.exit_code, node.finished.tick) == (4, 0)
+
+
+def test_a_plan_may_be_here_before_its_tick(outside: Setup) -> None:
+    """Agents of vehicles have clocks of their own: it is an answer once the tick is open."""
+    node = flying(outside)
+    node.receive(plan(outside, 2, 1, delay=1), NOW_NS + 1200 * MS)
+    said: list[Message] = []
+    while node.tick < 2:
+        assert node.wake_ns is not None
+        said += node.poll(node.wake_ns)
+    assert [one.answered for one in said if isinstance(one, Tick)] == [(), (2,)]
 
 
 def test_vehicles_that_are_never_ready_end_the_run(run: Setup) -> None:

@@ -8,7 +8,7 @@ own, four agents, and a run of three ticks of 50 ms:
     run SETTINGS                     a new coordinator; settings as of `--set`
     at MS                            the time of the events that follow, ms after tick 0
     ready NAMES, gone NAMES          tokens, such as agent2 or agent2.3 in incarnation 3
-    plans TICK AGENTS                the agents' answers to a tick; `proposals TICK LEFT AGENTS`
+    plans TICK AGENTS                the agents' answers to a tick; `proposals TICK LEFT AGENTS`; 3- is not shared
     plant TICK [REASON]              the plant's state, diverged for a reason
     poll, interrupt, status          as named; `wake` tells when the next poll is due
     link KEY=VALUE ...               a request of a change of links
@@ -122,10 +122,16 @@ class Session:
 
     def _plan(self, word: str, tick: int) -> Message:
         """Return an agent's plan, such as of agent 2 or of 2.3, in incarnation 3."""
-        agent, _, incarnation = word.partition(".")
+        agent, _, incarnation = word.rstrip("-").partition(".")
         run = setup(*self._settings)
-        delay = int(run.scenario.clock.next_tick)
-        return plan(run, int(agent), tick, delay=delay, incarnation=int(incarnation or INCARNATION))
+        return plan(
+            run,
+            int(agent),
+            tick,
+            delay=int(run.scenario.clock.next_tick),
+            incarnation=int(incarnation or INCARNATION),
+            shared=not word.endswith("-"),
+        )
 
 
 def named(word: str) -> tuple[str, int]:
@@ -140,9 +146,14 @@ def line_of(message: Message) -> str:
         case Roster():
             incarnations = zip(message.agents, message.incarnations, strict=True)
             team = " ".join(f"{agent}.{incarnation}" for agent, incarnation in incarnations)
-            return f"roster {message.version} of tick {message.tick}: {team}  ({message.reason})"
+            off = "".join(f", UAV{uav} off" for uav in message.off)
+            off += "".join(f", UAV{uav} released" for uav in message.released)
+            head = f"roster {message.version} of tick {message.tick}: {team}{off}"
+            return f"{head}  ({message.reason})"
         case Tick():
             answered = " ".join(map(str, message.answered)) or "none"
+            if message.shared != message.answered:
+                answered += f", shared by {' '.join(map(str, message.shared))}"
             late = f", {message.late_ns / MS:g} ms late" if message.late_ns else ""
             overrun = f", a plan {message.overrun_ns / MS:g} ms" if message.overrun_ns > 0 else ""
             members = " ".join(map(str, message.members))
