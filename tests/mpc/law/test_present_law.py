@@ -114,7 +114,7 @@ def test_before_a_target_the_gains_stay_as_they_were() -> None:
 
 @pytest.mark.parametrize("team", [WHOLE, LOST], ids=["whole", "lost"])
 def test_before_a_target_the_present_team_keeps_its_preview(team: Team) -> None:
-    """Feedforward of instants before it is as it was; from it on that of the new reference, (36c)."""
+    """Feedforward and motion of instants before it are as they were; then those of the new reference, (31f), (36c)."""
     settings = changed(LQ, fail_safe="follow")
     reference = corners()
     tick = KEPT + 22
@@ -130,9 +130,19 @@ def test_before_a_target_the_present_team_keeps_its_preview(team: Team) -> None:
         assert end is not None
         return one.current.feedforward(first, 60), end.slope
 
+    def motion_at(instant: int) -> Array:
+        """Return the state of the undisturbed motion that UAVs alone follow."""
+        motion = one.whole.fail_safe.motion
+        assert motion is not None
+        return motion.at(instant)[0]
+
     before, slope_before = ahead()
+    moved = [motion_at(instant) for instant in (first, tick, tick + 20)]
     one.follow(led)
     after, slope = ahead()
+    np.testing.assert_array_equal(motion_at(first), moved[0])
+    np.testing.assert_array_equal(motion_at(tick), moved[1])
+    assert (motion_at(tick + 20) != moved[2]).any()
     assert one.current.preview is not None
     assert one.current.preview.first > 0, "all rows are kept"
     np.testing.assert_array_equal(after[:20], before[:20])

@@ -96,3 +96,22 @@ def test_what_uavs_alone_do_on_the_reference(*, preview: bool) -> None:
         assert found(motion.last - 1, uav).any()
         for k in (motion.last, motion.last + 100):
             assert not found(k, uav).any()
+
+
+@pytest.mark.parametrize(
+    ("change", "has_motion"),
+    [
+        ({}, True),
+        ({"fail_safe": "level"}, False),
+        ({"prediction": "open_loop"}, False),
+        ({"motor_lag_s": 0.03}, False),
+    ],
+    ids=["follow", "level", "open loop", "motors"],
+)
+def test_an_undisturbed_motion_is_that_of_a_law_which_uavs_follow(
+    change: dict[str, object], *, has_motion: bool
+) -> None:
+    """Without one, or with motors whose inputs a setpoint lacks, UAVs alone follow the reference, (31f)."""
+    one = regulation(changed(FOLLOW, **change))
+    assert (one.fail_safe.motion is not None) is has_motion
+    assert one.fail_safe.follows is (change.get("fail_safe") != "level")

@@ -218,6 +218,18 @@ def test_step_is_that_of_the_actual_bodies(name: str) -> None:
     np.testing.assert_allclose(step.B, by_inputs * T.T @ expected.B, atol=SAME_STEPS)
 
 
+def test_actual_bodies_keep_what_no_factor_changes() -> None:
+    """Gravity, attachment points and drag are the known ones."""
+    known = replace(DRAGGED, gravity=3.7)
+    actual = Mismatch(gain=0.5, uav_mass=2.0, rod_length=1.1).system(known)
+    assert (actual.gravity, actual.payload.mass) == (3.7, known.payload.mass)
+    np.testing.assert_array_equal(actual.drag, known.drag)
+    for found, before in zip(actual.uavs, known.uavs, strict=True):
+        np.testing.assert_array_equal(found.rho, before.rho)
+        np.testing.assert_array_equal(found.inertia, before.inertia)
+        assert (found.mass, found.rod_length) == (2.0 * before.mass, 1.1 * before.rod_length)
+
+
 @pytest.mark.parametrize("lag_s", [0.03, 1e-5])
 @pytest.mark.parametrize("system", [SYSTEM, RATES], ids=["moments", "rates"])
 def test_step_with_motors_is_their_exponential(system: System, lag_s: float) -> None:
