@@ -120,4 +120,4 @@ def test_a_table_of_a_smooth_path_is_a_spline(profile: str) -> None:
     assert maneuver.press_m == 0.4
     x_m = maneuver.path(np.array([1.0, 2.0]))[0][:, 0]
     assert x_m[1] == pytest.approx(1.0, abs=0.01)  # corners are rounded
-    assert (x_m[0] == pytest.approx(0.5)) is (profile == "ramp")
+    assert (x_m[0] == pytest.approx(0.5)) == (profile == "ramp")
