@@ -1,11 +1,12 @@
 """Deployment of a run whose UAVs have processes: no plant, and the link to each autopilot."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
 from tests.support.commands import transport
-from transport.deploy.inventory import DeployError, check_links, read_inventory
+from transport.deploy.inventory import DeployError, Inventory, check_links, read_inventory
 from transport.deploy.placements import placements
 from transport.deploy.units import command, unit
 from transport.protocol.network.mesh import process_names
@@ -103,3 +104,42 @@ def test_a_vehicle_has_key_stand_and_device(tmp_path: Path) -> None:
         check_links(inventory, "ardupilot")
     with pytest.raises(DeployError, match=r"host.1.pose: expected the motion capture"):
         check_links(inventory, "betaflight")
+
+
+BETAFLIGHT = "udp:0.0.0.0:14600"
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "host", "refused"),
+    [
+        ("ardupilot", {"autopilot": "udp:127.0.0.1:14550"}, ""),
+        ("px4", {"autopilot": "udpclient:127.0.0.1:14550"}, ""),
+        ("px4", {"autopilot": "tcp:127.0.0.1:5760"}, "host.1.autopilot"),
+        ("px4", {"autopilot": "serial:/dev/ttyACM0"}, "host.1.autopilot"),
+        ("px4", {}, ""),
+        ("betaflight", {"autopilot": "tcp:127.0.0.1:5761", "pose": BETAFLIGHT}, ""),
+        ("betaflight", {"autopilot": "tcp:127.0.0.1:5761"}, "host.1.pose"),
+        ("betaflight", {"runs": ["agent1"]}, ""),  # no vehicle needs a pose there
+    ],
+)
+def test_links_are_those_of_the_autopilot(
+    autopilot: str, host: dict[str, object], refused: str
+) -> None:
+    """MAVLink comes over UDP; a Betaflight needs motion capture beside its link."""
+    only = {"name": "a", "address": "192.0.2.1", "runs": ["agent1", "vehicle1"], **host}
+    inventory = Inventory.model_validate({"run": "team", "host": [only]})
+    with pytest.raises(DeployError, match=refused) if refused else nullcontext():
+        check_links(inventory, autopilot)
+
+
+def test_at_most_one_host_records(tmp_path: Path) -> None:
+    """There may be no recorder."""
+    hosts = tmp_path / "hosts.toml"
+    names = ["coordinator", "agent3", "agent4", "vehicle4", "agent1", "vehicle1", "agent2"]
+    for count in (0, 1, 2):
+        text = HOSTS.replace('"agent1", ', '"agent1", "recorder", ') if count else HOSTS
+        text = text.replace('"agent2", ', '"agent2", "recorder", ') if count > 1 else text
+        hosts.write_text(text)
+        problem = "hosts.toml: host: expected one host that runs recorder, got 2"
+        with pytest.raises(DeployError, match=problem) if count > 1 else nullcontext():
+            read_inventory(hosts, [*names, "vehicle2", "vehicle3"])

@@ -6,6 +6,7 @@ And the shapes and colours it is drawn with.
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,9 @@ from msgspec import structs
 from scipy.spatial import ConvexHull
 
 from tests.support import runs
-from tests.support.logs import record_run
+from tests.support.logs import log_of, record_run
 from tests.support.messages import sample
+from transport.log.run_log import LogError
 from transport.model.arrays import Array
 from transport.plant.actuator_schedule import FAIL_SAFE
 from transport.protocol.scenario.setup.cost_of_run import StageCost
@@ -25,7 +27,7 @@ from transport.scene.frames_and_poses import TEAM, poses_in_scene
 from transport.scene.history import RunHistory
 from transport.scene.lines_meshes_and_labels import LineSegments, Mesh
 from transport.scene.payload_uav_and_obstacle_meshes import payload_points
-from transport.scene.predictions import PredictedPaths
+from transport.scene.predictions import PredictedPaths, Predictions
 from transport.scene.scene_at_tick import Air, SceneBuilder
 from transport.scene.uav_and_link_colours import age_colour, uav_colour
 
@@ -151,13 +153,89 @@ def changed(builder: SceneBuilder, tick: int, **of_history: Any) -> tuple[Predic
 def test_an_agent_predicts_with_the_plans_that_it_used(distributed: SceneBuilder) -> None:
     """With plans 0.2 s late, those of four ticks before, and not those of the tick itself."""
     tick, late = 20, round(DELAY_S / 0.05)
-    before = distributed.at(tick).predictions[0].payload_I
-    for age, is_same in ((0, True), (late, False)):
+    report = distributed.history.reports[1, tick]
+    # Ages that it reports, -1 for no plan; the age of a plan that is taken away.
+    for ages, age, is_same in (
+        (report.plan_ages, 0, True),
+        (report.plan_ages, late, False),
+        ((0, 0, 0), 0, False),
+        ((-1, -1, -1), -1, True),
+    ):
+        reports = dict(distributed.history.reports)
+        reports[1, tick] = structs.replace(report, plan_ages=ages)
         plans = {
             key: plan for key, plan in distributed.history.plans.items() if key != (3, tick - age)
         }
-        after = changed(distributed, tick, plans=plans)[0].payload_I
+        before = changed(distributed, tick, reports=reports)[0].payload_I
+        after = changed(distributed, tick, reports=reports, plans=plans)[0].payload_I
         assert np.array_equal(before, after) is is_same
+
+
+def test_a_prediction_that_diverges_is_not_drawn(
+    distributed: SceneBuilder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor is that of an agent without a plan."""
+    states = np.tile(distributed.history.plant_states[5].x, (3, 1))
+    diverging = states.copy()
+    diverging[2, 0] = np.inf
+    of_agents = {1: None, 2: diverging, 3: states, 4: None}
+    monkeypatch.setattr(Predictions, "_states", lambda _self, agent, _tick: of_agents[agent])
+    assert [prediction.agent for prediction in distributed.at(5).predictions] == [3]
+
+
+def test_inputs_are_those_in_force_until_a_plan_starts() -> None:
+    """Of an agent without the shared control law."""
+    run = runs.setup()
+    history: Any = SimpleNamespace(setup=run)
+    asked: list[Any] = []
+
+    def sequence(start: int, steps: int, *, before: int) -> Array:
+        asked.append((start, steps, before))
+        return np.full((steps, len(run.hover.u)), 7.0)
+
+    plan: Any = SimpleNamespace(tick=5, start_tick=7)
+    announced: Any = SimpleNamespace(sequence=sequence)
+    state = structs.replace(runs.plant_state(run, 5), u=run.hover.u + 1.0)
+    law = Predictions(history)._open_loop(state.x, announced, plan, state)
+    np.testing.assert_array_equal(law.u_rest[:2], [state.u, state.u])
+    np.testing.assert_array_equal(law.u_rest[2:], 7.0)
+    assert asked == [(7, run.settings.horizon - 2, 6)]
+
+
+def test_the_shared_law_follows_the_newest_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is made once, and told when a target has changed the reference; a class of the user shares none."""
+
+    def setup(reference: str, controller: str = "mpc", prediction: str = "closed_loop") -> Any:
+        return SimpleNamespace(
+            model=None,
+            hover=None,
+            scenario=SimpleNamespace(controllers=("mpc", controller)),
+            settings=SimpleNamespace(prediction=prediction),
+            reference=SimpleNamespace(sampled=reference),
+        )
+
+    followed: list[str] = []
+
+    def regulation(_model: Any, _hover: Any, _settings: Any, reference: str) -> Any:
+        followed.append(f"from {reference}")
+        return SimpleNamespace(follow=followed.append)
+
+    monkeypatch.setattr("transport.scene.predictions.Regulation", regulation)
+    history: Any = SimpleNamespace()
+    predictions = Predictions(history)
+    for other in (setup("a", controller="mine:Mine"), setup("a", prediction="open_loop")):
+        history.setup = other
+        assert predictions._followed_regulation() is None
+    for reference in ("a", "a", "b", "b"):
+        history.setup = setup(reference)
+        assert predictions._followed_regulation() is not None
+    assert followed == ["from a", "b"]
+
+
+def test_a_log_without_states_has_no_scene() -> None:
+    """The log of a run without a plant, or one cut before its first tick."""
+    with pytest.raises(LogError, match="expected the states of a run, got none"):
+        SceneBuilder.of(runs.setup(), log_of([runs.roster()]))
 
 
 def test_an_agent_predicts_with_the_force_that_it_estimates(centralized: SceneBuilder) -> None:
