@@ -232,6 +232,7 @@ def test_without_a_deviation_the_integral_forgets() -> None:
     """UAVs on a rigid body that hold forces against each other, without any error, let them go in 20 s, (31a)."""
     law = AloneLaw(SYSTEM, UAV, float(AT_REST.u[4 * UAV]))
     setpoint = setpoint_of(SYSTEM, UAV, AT_REST.x, AT_REST.u)
+    assert (law.follows_s, law.forgets_s) == (6.0 / 2.5, 20.0)
     first = np.array([1.0, -2.0, 0.5])
     held = first
     for _ in range(round(20.0 / PERIOD_S)):
