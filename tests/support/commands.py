@@ -11,7 +11,7 @@ from pathlib import Path
 
 import psutil
 
-from transport.flight.fork_server import ForkServer, Start
+from transport.flight.fork_server import Start, close_fork_server, fork_server
 
 # A maneuver short enough for tests that start processes: 1.5 s, 30 ticks.
 SHORT = (
@@ -63,7 +63,6 @@ def forks() -> Iterator[Callable[..., list[psutil.Process]]]:
     Each command is a list of words. The imports, most of the processor time of a process in a short test, are
     done once. The outputs are in the current folder: `process0.txt`, `process1.txt`, ...
     """
-    server = ForkServer()
     started: list[psutil.Process] = []
 
     def begin(*commands: Sequence[str]) -> list[psutil.Process]:
@@ -75,7 +74,7 @@ def forks() -> Iterator[Callable[..., list[psutil.Process]]]:
             )
             pairs = zip(commands, outputs, strict=True)
             starts = [Start(each, null.fileno(), output.fileno()) for each, output in pairs]
-            begun = server.start(starts, {})
+            begun = fork_server().start(starts, {})
         started.extend(begun)
         return begun
 
@@ -86,7 +85,7 @@ def forks() -> Iterator[Callable[..., list[psutil.Process]]]:
             if process.is_running():
                 process.kill()
             process.wait()
-        server.close()
+        close_fork_server()
 
 
 def settings(*changes: str) -> list[str]:
