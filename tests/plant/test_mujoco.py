@@ -358,7 +358,15 @@ def test_fast_flight_on_cables() -> None:
         {"at_s": at_s, "do": "degrade", "target": "uav2", "efficiency": e}
         for at_s, e in ((4.0, 0.2), (4.2, 1.0))
     ]
-    settings = {"plant.engine": "mujoco", "plant.mujoco.suspension": "cables", "faults.event": dip}
+    settings = {
+        "plant.engine": "mujoco",
+        "plant.mujoco.suspension": "cables",
+        "faults.event": dip,
+        # Measured states, as filters take most of the time.
+        "plant.sensors": "state",
+        "controller.estimator": "measured",
+        "plant.noise": {},
+    }
     run = transport.fly("eight", settings, phases=phases, progress=False)
     tensions_N, cables = run.series["cable_tension_N"], run.summary["cables"]
     assert run.completed

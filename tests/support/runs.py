@@ -6,6 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 from msgspec.structs import replace
 
 from transport.experiments.weather_experiment import SENSORS
@@ -103,6 +104,25 @@ def completed(run: Setup) -> list[Message]:
     end = simulate(run, messages.append)
     assert end.outcome == "completed", end
     return messages
+
+
+class _TickReachedError(Exception):
+    """End of the part of a run that is simulated."""
+
+
+def begun(run: Setup, tick: int) -> list[Message]:
+    """Return the messages of all ticks before one, of a run in memory that ends there."""
+    messages: list[Message] = []
+
+    def record(message: Message) -> None:
+        # All messages of the ticks before are recorded by then.
+        if isinstance(message, PlantState) and message.tick == tick:
+            raise _TickReachedError
+        messages.append(message)
+
+    with pytest.raises(_TickReachedError):
+        simulate(run, record)
+    return [message for message in messages if message.tick < tick]
 
 
 def reproducible(message: Message) -> Message:

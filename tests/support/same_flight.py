@@ -6,32 +6,15 @@ The run in this process is simulated to that tick only, as a recorded one may ha
 from collections.abc import Iterable
 from pathlib import Path
 
-import pytest
-
-from transport.flight.memory import simulate
+from tests.support.runs import begun
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, Plan, PlantState
 
 
-class TickReachedError(Exception):
-    """End of the compared part of a run."""
-
-
 def simulated_before(tick: int, scenario: Path, setting: str) -> list[Message]:
     """Return the messages of all ticks before one, of a run of a scenario with a setting in this process."""
-    run = Setup.of(read_scenario(scenario, [setting]), str(scenario))
-    messages: list[Message] = []
-
-    def record(message: Message) -> None:
-        # All messages of the ticks before are recorded by then.
-        if isinstance(message, PlantState) and message.tick == tick:
-            raise TickReachedError
-        messages.append(message)
-
-    with pytest.raises(TickReachedError):
-        simulate(run, record)
-    return before(tick, messages)
+    return begun(Setup.of(read_scenario(scenario, [setting]), str(scenario)), tick)
 
 
 def before(tick: int, messages: Iterable[Message]) -> list[Message]:

@@ -13,6 +13,11 @@ from transport.protocol.wire.messages import Measurement, Message, Note, Plan
 
 OFF, ON = 10, 20  # ticks
 TEAM = (1, 2, 3, 4)
+LEG = (
+    "maneuver.phase=[{name='hover',duration_s=1.5,displacement_m=[0,0,0]},"
+    "{name='climb',duration_s=5.0,displacement_m=[0,0,-2.5]},"
+    "{name='hover',duration_s=2.0,displacement_m=[0,0,0]}]"
+)
 POSITION, SPECIFIC_FORCE = 1, 16  # bits of `model.state.SENSORS`
 
 
@@ -81,7 +86,7 @@ def test_an_outage_is_in_summary_and_tables() -> None:
 @pytest.mark.parametrize(
     ("uavs", "sensors", "duration_s", "most_deg"),
     [
-        ((2,), "'position'", 10.0, 2.0),
+        ((2,), "'position'", 5.0, 2.0),
         (TEAM, "'position'", 3.0, 3.0),
         ((2,), "'position','velocity'", None, 6.0),
     ],
@@ -93,7 +98,7 @@ def test_the_others_tell_where_a_uav_is(
 
     Attitudes are those of the sensors, and with the velocity lost twice as many degrees.
     """
-    run = ready("precise", *VEHICLE, off(uavs, sensors, 8.0, duration_s))
+    run = ready("precise", *VEHICLE, LEG, off(uavs, sensors, 2.5, duration_s))
     series = series_of(run, log_of(completed(run)))
     errors_m = np.linalg.norm(series.payload_error_I, axis=1)
     assert np.sqrt(np.mean(errors_m**2)) < 0.03
