@@ -51,8 +51,9 @@ TOLD = (
     "maneuver.phase=[{name='hover',duration_s=5.5,displacement_m=[0,0,0]}]",
     "maneuver.target=[{at_s=0.5,points_m=[[0.2,0,-10]],to=[2]}]",
 )
-# UAVs 1 and 2 see a wall at the same tick: the team rests before it and goes round it.
+# UAVs 1 and 2, of two agents, see a wall at the same tick: the team rests before it and goes round it.
 SEEN = (
+    "agents.owned=[[1,3],[2,4]]",
     "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
     "{name='go',kind='spline',points_m=[[3.5,0,0]],speed_mps=0.5,ramp_s=1.5},"
     "{name='hover',duration_s=9.0,displacement_m=[0,0,0]}]",
