@@ -12,6 +12,7 @@ from tests.support.own_classes import Bulky
 from tests.support.runs import recorded, setup, ticks
 from transport.analysis.airtime import radio_of
 from transport.analysis.analysed_run import AnalysedRun
+from transport.analysis.summary_assembly import summarise
 from transport.experiments.simulation import run_in_memory
 from transport.log.run_folder import open_run
 from transport.protocol.scenario.setup.run_setup import Setup
@@ -48,11 +49,12 @@ def test_numbers_of_slots() -> None:
 
 
 def test_numbers_of_slots_that_take_turns() -> None:
-    """Replaced plans are no losses, and the line says how often each agent has a slot."""
+    """Replaced plans are no losses, nor in transit, and the line says how often each agent has a slot."""
     run = run_of("radio={standard='802.11b',rate_mbps=1.0}")
-    radio = radio_of(run, run_in_memory(run))
-    assert radio is not None
+    summary = summarise(AnalysedRun.of(run, run_in_memory(run)))
+    radio = summary["radio"]
     assert radio["delivered_share"] == 1.0
+    assert summary["messages"]["in_transit"] == 2 * 3  # of two agents that wait for their slots
     assert radio["replaced"] == (4 * (TICKS - 1) - 2 - radio["transmissions"]) * 3
     assert radio["slots"]["cycle_ticks"] == 2
     assert radio["slots"]["plan_ms"] <= radio["slots"]["slot_ms"]

@@ -142,6 +142,7 @@ def test_every_combination_is_there() -> None:
     expected |= {(task, PERFECT, REFERENCE) for task in TASKS}
     assert len(labels) == len(set(labels))
     assert set(labels) == expected
+    assert [point.text for point in made.experiment.points] == [", ".join(own) for own in labels]
     assert made.refused == {}
     assert set(NETWORK_TEXTS) == set(NETWORKS)
 
@@ -455,6 +456,9 @@ def test_numbers_of_the_arena_alone() -> None:
         "failed_steps_share": 0.05,
         FROM_GOAL: pytest.approx(0.5),
     }
+    unknown = {**summary, "own_constraints": [{"violation_max": None}]}
+    assert axes(run, unknown, log_of([told, *states]))[VIOLATION] is None
+    assert VIOLATION not in axes(run, {**summary, "own_constraints": []}, log_of([told, *states]))
     to_all = Outbox("coordinator", 0).stamp(Target, number=1, **fields)
     assert FROM_GOAL not in axes(run, summary, log_of([to_all, *states]))
 

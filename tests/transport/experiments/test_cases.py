@@ -1,13 +1,14 @@
 """Cases of an experiment: which runs are repeated, and what makes a result that of another run."""
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 
-from transport.experiments.cases import Case, Point, cases_of, is_random
+from transport.experiments.cases import Case, Point, cases_of, is_random, key_of
 from transport.experiments.run_numbers import resource_use
 from transport.experiments.simulation import ERROR, simulate
-from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
+from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
 
 LOSSY = Point(labels={"loss": 0.5}, text="50 %", settings=("links.loss=0.5",), scenario="paper")
 
@@ -65,6 +66,35 @@ def test_a_case_of_another_version_is_an_error() -> None:
     result = simulate(dataclasses.replace(case, key="another"))
     assert (result.key, result.outcome, result.numbers) == ("another", ERROR, {})
     assert "got another version" in result.reason
+
+
+@pytest.mark.parametrize("version", ["version", "engine_version", "controller_versions"])
+def test_a_result_is_that_of_its_versions(version: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the package, the engine of the plant and the controllers: another one makes another result."""
+    scenario = read_scenario(find_scenario("paper"))
+    before = key_of(scenario)
+    monkeypatch.setattr(f"transport.experiments.cases.{version}", lambda _: "another")
+    assert key_of(scenario) != before
+
+
+def test_the_settings_of_a_point_take_the_place_of_those_of_all() -> None:
+    """A run has the loss of its row in the table, whatever is set for the whole sweep."""
+    links = LOSSY.read(["links.loss=0.1", "links.delay_s=0.2"]).links
+    assert (links.loss, links.delay_s) == (0.5, 0.2)
+
+
+def test_large_runs_are_refused_unless_they_are_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Points that have been simulated before are not set up again."""
+    large = ["plant.step_s=1e-6"]
+    with pytest.raises(ScenarioError, match="--allow-large admits more"):
+        cases_of([LOSSY], large, 1)
+    assert len(cases_of([LOSSY], large, 1, allow_large=True)) == 1
+
+    checked: list[Path] = []
+    monkeypatch.setattr("transport.experiments.cases.check", lambda _, path: checked.append(path))
+    for simulated_before, count in ((True, 0), (False, 1)):
+        cases_of([LOSSY], (), 1, simulated_before=simulated_before)
+        assert len(checked) == count
 
 
 def test_fingerprints_tell_results_apart() -> None:

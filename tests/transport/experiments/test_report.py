@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from rich.console import Console
+from rich.table import Table
 
 from tests.support.figure_texts import problems
 from transport.cli.commands.experiment import EXPERIMENTS
 from transport.experiments.cases import Point
 from transport.experiments.declaration import Experiment
 from transport.experiments.figures.experiment_figures import draw, fill
-from transport.experiments.result_tables import WIDTH, table_of
+from transport.experiments.result_tables import WIDTH, Column, markdown_of, table_of
 from transport.experiments.run_numbers import NUMBERS
 from transport.experiments.simulation import ERROR, Result
 from transport.experiments.statistics import PointStatistics, statistics_of
@@ -177,6 +178,26 @@ def test_every_column_of_a_table_has_its_unit() -> None:
         "plans\n(kB/s)": "5.7",
     }
     assert found["done"] == "1/2"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(99.994, "99.99"), (100.0, "100"), (-99.994, "-99.99"), (-100.4, "-100"), (None, "-")],
+)
+def test_large_numbers_have_no_decimals(value: float | None, text: str) -> None:
+    """From a hundred on, of either sign; a missing number is a dash."""
+    assert Column("", "x").cell({"x": value, "completed": 1}) == text
+
+
+def test_a_table_has_the_columns_of_its_first_label_that_has_some() -> None:
+    """A case that is flown at several speeds has errors; in Markdown a heading is one line, a cell may have several."""
+    point = Point({"case": "wind", "speed_mps": 3.0}, "", scenario="a")
+    table = table_of("", statistics_of([point], [[completed(0.1, 1.0)]], NUMBERS[1:]))
+    assert "error rms\n(cm)" in [column.header for column in table.columns]
+
+    lines = Table("a\nb", "c")
+    lines.add_row("x\ny", "1")
+    assert markdown_of(lines) == ["| a b | c |", "| --- | --- |", "| x<br>y | 1 |"]
 
 
 @pytest.mark.parametrize("experiment", [LATENCY, HOVER], ids=lambda value: value.name)

@@ -47,6 +47,10 @@ def test_error_bars_stay_on_the_axis() -> None:
     assert spread.half_width > spread.mean
     assert spread.bar() == (spread.mean, spread.half_width)
 
+    from_zero = estimate([0.0, 0.2, 0.1, 0.2, 4.0])
+    assert from_zero is not None
+    assert from_zero.bar()[0] == from_zero.mean
+
     signed = estimate([-0.1, 0.2, 0.1, 0.2, 4.0])
     assert signed is not None
     assert signed.bar() == (signed.half_width, signed.half_width)
