@@ -142,7 +142,8 @@ def test_every_combination_is_there() -> None:
     expected |= {(task, PERFECT, REFERENCE) for task in TASKS}
     assert len(labels) == len(set(labels))
     assert set(labels) == expected
-    assert [point.text for point in made.experiment.points] == [", ".join(own) for own in labels]
+    texts = [", ".join(map(str, own)) for own in labels]
+    assert [point.text for point in made.experiment.points] == texts
     assert made.refused == {}
     assert set(NETWORK_TEXTS) == set(NETWORKS)
 
