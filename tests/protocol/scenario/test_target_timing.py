@@ -366,6 +366,22 @@ def test_times_are_feasible_by_the_factor_told() -> None:
         plan(losing(), HOVERS, points_m=points_m, times_s=[0.0, 0.98 * factor])
 
 
+def test_a_speed_that_is_too_large_is_refused_with_a_longer_time() -> None:
+    """The factor on the time is above 1; a speed below the usual one is taken."""
+    setup = runs.ready("resilient")
+    way = {"points_m": [[0.0, 0.0, -10.0], [4.0, 0.0, -10.0], [4.0, 4.0, -10.0]]}
+    with pytest.raises(RequestError, match=r"^speed_mps: expected .* times the time$") as refused:
+        plan(setup, HOVERS, **way, speed_mps=8.0)
+    assert float(str(refused.value).rpartition("feasible in ")[2].split()[0]) > 1.0
+    assert plan(setup, HOVERS, **way, speed_mps=0.8)["way_s"] > 0.0
+
+
+def test_a_short_approach_has_two_ramps() -> None:
+    """It never reaches its speed, and takes as long as both ramps."""
+    numbers = plan(runs.ready("resilient", HOVER), HOVERS, points_m=[[0.1, 0.0, -10.0]])
+    assert numbers["approach_s"] == 2.0 * numbers["approach_ramp_s"] == 2.0 * FIRST_RAMP_S
+
+
 def test_a_way_with_tight_corners_is_slowed_as_a_whole() -> None:
     """Without times and speed the way that the limits allow is taken, ramps included."""
     setup = runs.ready("resilient")
@@ -388,6 +404,7 @@ def test_the_way_down_has_half_the_speed() -> None:
     assert numbers["way_s"] - numbers["way_ramp_s"] == pytest.approx(3.0 / 0.5)
 
 
+FAR = [[float(number), 0.0, -10.0] for number in range(255)]
 HERE_AND_THERE = [[0.0, 0.0, -10.0], [1.0, 0.0, -10.0]]
 
 
@@ -399,6 +416,9 @@ HERE_AND_THERE = [[0.0, 0.0, -10.0], [1.0, 0.0, -10.0]]
         ({"times_s": [0.0, 9.0], "speed_mps": 1.0}, "speed_mps: expected none next to times_s"),
         ({"points_m": [HERE_AND_THERE[0]] * 2}, "points_m: expected each way point away from the"),
         ({"points_m": []}, "points_m: expected at least one point, or land = true"),
+        ({"land_at_m": [1.0, 2.0]}, "land_at_m: expected none without land = true, got a place"),
+        ({"land": True, "times_s": [0.0, 1.0]}, "times_s: expected speed_mps with land = true"),
+        ({"points_m": FAR[:255]}, "points_m: expected a list of at most 254"),
     ],
 )
 def test_requests_that_contradict_themselves_are_refused(
@@ -407,6 +427,7 @@ def test_requests_that_contradict_themselves_are_refused(
     """Whatever the run, points differ and times rise, one for each point, without a speed."""
     with pytest.raises(RequestError, match=problem):
         requested(TargetSection, {"points_m": HERE_AND_THERE} | given)
+    requested(TargetSection, {"points_m": FAR[:254]})
 
 
 # The parabola through three points at equal distances, the first one higher by h than the others,

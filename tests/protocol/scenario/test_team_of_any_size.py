@@ -71,6 +71,7 @@ def test_neighbours_are_as_far_apart_as_the_papers(uavs: int) -> None:
     )
     assert distances[~np.eye(uavs, dtype=bool)].min() > NEIGHBOURS_M - DISTANCE_ROUNDING
     assert len(set(rho[:, 2])) == 1
+    assert not np.signbit(rho[rho == 0.0]).any()  # a file has no -0.0
 
 
 @pytest.mark.parametrize("uavs", SIZES)
@@ -185,6 +186,7 @@ def test_a_team_keeps_the_distance_of_its_template() -> None:
         ("inertia_kgm2", "[0.03,0.03,0.06]", "expected [0.029, 0.029, 0.055], as of UAV1, or a"),
         ("rod_length_m", "3.3", "expected 3.2, as of UAV1, or a vehicle for the new team, got 3.3"),
         ("drag_kgps", "[0.1,0.2]", "expected (0.0, 0.0), as of UAV1, or a vehicle for the new"),
+        ("radius_m", "0.2", "expected None, as of UAV1, or a vehicle for the new team, got 0.2"),
     ],
 )
 def test_uavs_that_differ_need_a_vehicle(key: str, value: str, got: str) -> None:
@@ -196,6 +198,13 @@ def test_uavs_that_differ_need_a_vehicle(key: str, value: str, got: str) -> None
 
     made = resized(template, Team(uavs=6, vehicle="x500"), "paper.toml")
     assert {uav.mass_kg for uav in made.system.uav} == {2.0}
+
+
+def test_uavs_keep_their_radius() -> None:
+    """Contacts are told in the new team as well."""
+    radii = [f"system.uav.{uav}.radius_m=0.2" for uav in (1, 2, 3, 4)]
+    made = resized(read_scenario(PAPER, radii), Team(uavs=5), "paper.toml")
+    assert [uav.radius_m for uav in made.system.uav] == [0.2] * 5
 
 
 def test_a_single_uav_has_no_distance() -> None:
@@ -221,6 +230,7 @@ def test_sources_of_values() -> None:
     """A replaced value has its new source: vehicles replace vehicles, and payload and name are made anew."""
     given = Team(uavs=4, vehicle="x500", load_kg=3.0, name="four").origins()
     vehicle = Team(uavs=4, vehicle="x500").origins()
+    assert [one.source for one in given if one.key == "name"] == ["name='four'"]
     assert Team(uavs=6).origins(given) == vehicle
 
     lighter = Team(uavs=6, load_kg=2.0).origins(given)

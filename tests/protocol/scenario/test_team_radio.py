@@ -18,6 +18,7 @@ from transport.protocol.scenario.links.delay_jitter_and_loss import Link
 from transport.protocol.scenario.radio.radio_parameters import (
     NS_PER_S,
     PlanShape,
+    SlotLengths,
     channel_parameters,
     plan_length,
     propagation_of,
@@ -154,6 +155,45 @@ def test_slots_deliver_every_plan_within_its_tick() -> None:
     assert len(decided) == REPORTED_TICKS * PAIRS
     assert np.all((decided > 0.0) & (decided <= PERIOD_S))
     assert states_of("radio={}") == states_of()
+
+
+def test_plans_defer_to_the_traffic_of_others() -> None:
+    """It is heard by all: plans wait for its end, and arrive later than without it."""
+    alone_s, beside_s = (
+        np.vstack([one.arrivals for one in reports_of(f"radio={{background={share}}}")])
+        for share in (0.0, 0.5)
+    )
+    assert beside_s.max() > alone_s.max() + 0.1e-3
+    assert sum(one.busy_s for one in reports_of("radio={background=0.5}")) > 0.3 * TICKS * PERIOD_S
+
+
+def test_a_plan_that_none_hears_is_not_sent() -> None:
+    """On a roster of one there are no receivers."""
+    run = setup(ticks(TICKS), "radio={}")
+    assert run.scenario.radio is not None
+    radio = TeamRadio(run.run, run.scenario.radio)
+    radio.send(plan(run, 1, 0), (1,))
+    assert radio.advance(1, run.initial_state())["transmissions"] == 0
+
+
+@pytest.mark.parametrize(
+    ("plan_s", "cycle", "words"),
+    [
+        (0.002, 1, "takes 2.00 ms; 4 slots of 2.00 ms, one for each agent every tick"),
+        (0.001, 3, "takes 1.00 ms; 4 slots of 2.00 ms, one for each agent every 3 ticks"),
+        (
+            0.0021,
+            1,
+            "takes 2.10 ms, longer than its slot: plans wait for each other and collide; 4",
+        ),
+    ],
+)
+def test_slots_in_words(plan_s: float, cycle: int, words: str) -> None:
+    """A plan as long as its slot fits; one that is longer has a remedy."""
+    slots = SlotLengths(plan_bytes=700, plan_s=plan_s, slot_s=0.002, slots=4, cycle_ticks=cycle)
+    assert slots.text().startswith(f"a plan of 700 bytes {words}")
+    assert slots.are_enough is ("longer" not in words)
+    assert ("raise radio.rate_mbps" in slots.text()) is not slots.are_enough
 
 
 def test_sends_at_one_instant_deliver_nothing() -> None:

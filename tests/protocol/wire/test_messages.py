@@ -36,6 +36,7 @@ from transport.protocol.wire.messages import (
     LinkChange,
     Measurement,
     Message,
+    Note,
     Plan,
     PlantState,
     Rejected,
@@ -296,6 +297,9 @@ def steps(count: int) -> dict[str, Any]:
     return UAV | {"inputs": np.zeros((count, 4)), "corrections": np.zeros((0, 4))}
 
 
+ALL_IDS = tuple(range(1, 257))
+
+
 def points(count: int) -> dict[str, Any]:
     """Return the points of a target."""
     return {"points": np.zeros((count, 3)), "times": np.zeros(count)}
@@ -332,6 +336,25 @@ def points(count: int) -> dict[str, Any]:
         (StepReport, {"measurement_age": -1}, {"measurement_age": -2}, "measurement_age"),
         (PlantState, {"plan_ticks": (-3, 0)}, {"plan_ticks": (-4, 0)}, "plan_ticks"),
         (VehicleStatus, {"plan_tick": -3}, {"plan_tick": -4}, "plan_tick"),
+        (Tick, {"members": (1, 256)}, {"members": (0, 1)}, "members"),
+        (Tick, {"members": ALL_IDS}, {"members": (257,)}, "members"),
+        (Tick, {"answered": ALL_IDS}, {"answered": (*ALL_IDS, 256)}, "answered"),
+        (
+            Roster,
+            {"agents": ALL_IDS, "incarnations": (0,) * 256},
+            {"agents": (1,), "incarnations": (-1,)},
+            "incarnations",
+        ),
+        (Control, {"reason": "x" * 1_000}, {"reason": "x" * 1_001}, "reason"),
+        (
+            Note,
+            {"names": ("x" * 80,) * 64, "values": np.zeros(64)},
+            {"names": ("x",) * 65, "values": np.zeros(65)},
+            "names",
+        ),
+        (Note, {}, {"names": ("x" * 81, "y")}, "names"),
+        (Plan, {"targets": (b"x" * 16_384,) * 8}, {"targets": (b"x",) * 9}, "targets"),
+        (Plan, {}, {"targets": (b"x" * 16_385,)}, "targets"),
         (Control, {"exit_code": 255}, {"exit_code": 256}, "exit_code"),
         (Rejected, {"count": 1}, {"count": 0}, "count"),
         (
