@@ -176,6 +176,14 @@ def report_of(tick: int, uav: int, missing: int = 0) -> UavReport:
     return UavReport(np.full(state.SENSED, number), np.full(state.INPUTS, -number), missing)
 
 
+def _rows(reports: Mapping[int, UavReport], newest: int) -> Array:
+    """Return reports as a plan of the newest tick has them, one row for each of the last ticks."""
+    rows = np.zeros((state.REPORTS, state.REPORTED))
+    for tick, one in reports.items():
+        rows[newest - tick] = [1.0 + one.missing, *one.values, *np.asarray(one.inputs)]
+    return rows
+
+
 def _assert_sensed(noted: Noted, told: Mapping[int, Mapping[int, UavReport]]) -> None:
     """Check the measurements of each tick: those of an older quantity are reported at a later tick."""
     for tick in range(1, LAST + 1):
@@ -222,9 +230,8 @@ def test_each_measurement_counts_for_the_tick_that_it_is_of() -> None:
     }
     for k in range(LAST + 1):
         for agent, newest in ((3, 6), (2, 7)) if k == LAST else ():
-            rows = np.zeros((state.REPORTS, state.REPORTED))
+            rows = _rows(of_plans[agent], newest)
             for tick, one in of_plans[agent].items():
-                rows[newest - tick] = [1.0 + one.missing, *one.values, *np.asarray(one.inputs)]
                 told[tick][agent - 1] = one
             sent = structs.replace(plan(run, agent, newest), uav_states=rows.reshape(1, -1))
             estimator.take(sent)
@@ -250,15 +257,13 @@ def test_each_measurement_counts_for_the_tick_that_it_is_of() -> None:
         for uav, one in reporting.items():
             is_told[state.input_slice(uav)] = True
             np.testing.assert_array_equal(period.u[state.input_slice(uav)], one.inputs)
-        x_begin = estimator.past(tick)
-        assert x_begin is not None
-        before = LAST if tick >= 1 else 1  # the first periods are not repeated
-        if tick >= 1:
-            assert (period.u[~is_told] == 100.0 * tick + before + x_begin[0]).all()
-            assert str(period.silent) == str((tick, before))
+        x_begin: Any = estimator.past(tick)
+        if tick:  # the first period is not repeated
+            assert (period.u[~is_told] == 100.0 * tick + LAST + x_begin[0]).all()
+            assert str(period.silent) == str((tick, LAST))
             forces = noted.forces(SimpleNamespace(x=x_begin))
-            np.testing.assert_array_equal(period.forces, forces)
             end = noted.predict_motion(x_begin, tick, period.u, forces)
+            np.testing.assert_array_equal(period.forces, forces)
             np.testing.assert_array_equal(period.end, end)
         assert (period.unannounced.by_law == ~is_told).all()
         np.testing.assert_array_equal(period.K, [[tick]])
