@@ -11,6 +11,7 @@ from transport.plant.autopilot.copter_control import (
     BRAKE,
     GUIDED,
     LAND,
+    STABILIZE,
     CopterControl,
     CopterEstimate,
     CopterSetpoint,
@@ -138,10 +139,12 @@ def test_it_refuses() -> None:
     """It arms only without a problem and in GUIDED, and obeys setpoints only armed and there."""
     control = CopterControl(dict(_DEFAULTS))
     estimate = CopterEstimate((0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3)
+    assert (STABILIZE, GUIDED, LAND, BRAKE) == (0, 4, 9, 17)  # ArduCopter's numbers
     assert control.arm("") == "mode not armable"
     assert not control.change_mode(99)
     assert not control.take(CopterSetpoint(0.5, (0.0, 0.0, 0.0), 0.0))
     assert control.change_mode(GUIDED)
+    assert not control.take(CopterSetpoint(0.5, (0.0, 0.0, 0.0), 0.0))
     assert control.arm("Need Position Estimate") == "Need Position Estimate"
     assert control.outputs(0.0, STEP_S, estimate) == (0.0,) * 4
     assert not control.arm("")

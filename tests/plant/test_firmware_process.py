@@ -100,6 +100,13 @@ def test_one_that_ends_or_freezes_is_told(
     process = Process(tmp_path, STEP_S)
     with pytest.raises(FirmwareError, match="has not answered"):
         process.outputs()
+
+    def fill() -> None:  # until it takes no more packets
+        for _ in range(10_000):
+            process.give()
+
+    with pytest.raises(FirmwareError, match="has not answered"):
+        fill()
     process.end()
 
 

@@ -56,6 +56,16 @@ def test_measures_a_tick() -> None:
             np.testing.assert_array_equal(getattr(message, field), getattr(expected, field))
 
 
+def test_measurements_tell_who_answered_and_who_shared_their_plans() -> None:
+    """As the tick says of the one before; with the roster that it names."""
+    node = ready(setup(NEXT_TICK))
+    tell(node, tick(0))
+    said = replace(tick(1, answered=(1, 2, 4)), shared=(2, 4))
+    found = [one for one in tell(node, said) if isinstance(one, Measurement)]
+    told = {(one.answered, one.shared, one.roster) for one in found}
+    assert (len(found), told) == (4, {((1, 2, 4), (2, 4), 1)})
+
+
 def test_a_tick_waits_for_its_roster() -> None:
     """Agents are measured by the roster that the tick names, which may come after it."""
     node = ready(setup(NEXT_TICK))

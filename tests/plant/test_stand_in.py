@@ -4,6 +4,7 @@ import json
 import socket
 import struct
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -325,28 +326,42 @@ def test_it_hears_what_is_for_its_system(tmp_path: Path, monkeypatch: pytest.Mon
 def test_outputs_are_sent_again_until_the_physics_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The same packet; an answer brings the next one; without physics it ends."""
+    """The same packet; each answer brings the next one, and what the companion asks for; without physics it ends."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(stand_in, "_AGAIN_S", 0.05)
-    monkeypatch.setattr(stand_in, "_ORPHAN_S", 0.4)
+    monkeypatch.setattr(stand_in, "_ORPHAN_S", 0.5)
+    m = messages()
+    port = free_udp_port()
+    companion = MavlinkLink(Endpoint(False, "127.0.0.1", port), (255, 191), 1)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as world:
         world.bind(("127.0.0.1", 0))
         world.settimeout(5.0)
-        port = str(world.getsockname()[1])
-        options = ["--sim-port-out", port, "--serial1", "udpclient:127.0.0.1:9"]
+        own_port = str(world.getsockname()[1])
+        options = ["--sim-port-out", own_port, "--serial1", f"udpclient:127.0.0.1:{port}"]
         copter = threading.Thread(target=stand_in.main, args=(options,), daemon=True)
         copter.start()
-        numbers = []
+        numbers, told = [], []
         for _ in range(2):
             packet, there = world.recvfrom(4096)
             numbers.append(struct.unpack_from("<HHI", packet)[2])
-        world.sendto(physics(0.0025), there)
-        while numbers[-1] == 1:
-            numbers.append(struct.unpack_from("<HHI", world.recv(4096))[2])
+        begun_s = time.monotonic()
+        step = 0
+        while time.monotonic() < begun_s + 0.7:
+            step += 1
+            world.sendto(physics(0.0025 * step), there)
+            while numbers[-1] == step:
+                numbers.append(struct.unpack_from("<HHI", world.recv(4096))[2])
+            told += [one.msgname for one in companion.receive(0.1)]
+            if step == 1:
+                ask = m.MAVLink_param_request_read_message(1, 1, b"GUID_TIMEOUT", -1)
+                companion.send(ask)
+        assert copter.is_alive()
         copter.join(5.0)
+    companion.close()
     assert not copter.is_alive()
     assert numbers[:2] == [1, 1]
-    assert numbers[-1] == 2
+    assert numbers[-1] == step + 1
+    assert told == ["HEARTBEAT", "SYS_STATUS", "PARAM_VALUE"]
 
 
 def test_options_are_those_of_ardupilots_simulator(tmp_path: Path) -> None:

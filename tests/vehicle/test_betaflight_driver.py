@@ -120,7 +120,9 @@ def driver(firmware: Firmware) -> Iterator[BetaflightAutopilot]:
     camera.close()
 
 
-def test_measurements_are_in_the_common_frame(driver: BetaflightAutopilot) -> None:
+def test_measurements_are_in_the_common_frame(
+    firmware: Firmware, driver: BetaflightAutopilot
+) -> None:
     """Place, velocity and attitude of the motion capture; rates and specific force of the firmware, turned."""
     state = driver.state()
     assert state is not None
@@ -130,6 +132,16 @@ def test_measurements_are_in_the_common_frame(driver: BetaflightAutopilot) -> No
     np.testing.assert_allclose(state.sensed[9:12], [math.radians(100), 0, 0], atol=1e-3)
     np.testing.assert_allclose(state.sensed[12:], [0, 0, -9.80665], atol=1e-9)
     assert (state.position_s, state.armed, state.says) == (2.5, False, "")
+    # Twice as much in flight is no other unit.
+    firmware.imu = struct.pack("<9h", 0, 0, 4096, *[0] * 6)
+    twice = pytest.approx(-2 * 9.80665)
+    assert wait_for(
+        lambda: (
+            (now := driver.state()) is not None
+            and now.sensed is not None
+            and now.sensed[14] == twice
+        )
+    )
 
 
 def test_settings_are_checked(firmware: Firmware, driver: BetaflightAutopilot) -> None:
@@ -316,11 +328,17 @@ def test_settings_are_asked_for_until_they_are_known(
     unknown = driver.findings()
     driver._answers = answers
     assert {(one.got, one.is_met) for one in unknown} == {("", False)}
+    assert wait_for(lambda: {44, 90} <= answers.keys())
+    for missing in (44, 90):
+        driver._answers = {key: each for key, each in answers.items() if key != missing}
+        assert driver.findings()[-1].got == ""
+    driver._answers = answers
     assert wait_for(lambda: all(finding.got for finding in driver.findings()))
     before = dict(firmware.asked)
     assert wait_for(lambda: firmware.asked[102] >= before[102] + 70)  # 0.7 s; settings each 0.5 s
     assert {before[command] == firmware.asked[command] for command in (111, 44, 75, 90)} == {True}
-    assert firmware.asked[150] > before[150]
+    sensors, status = (firmware.asked[command] - before[command] for command in (102, 150))
+    assert 5 < sensors / status < 20  # 100 and 10 times a second
 
 
 def test_setpoints_are_cut_to_what_channels_can_tell(
