@@ -75,6 +75,8 @@ def test_every_key_is_on_the_page() -> None:
         (float | None, "number"),
         (Annotated[float, Interval(gt=0.0, lt=90.0)], "number > 0, < 90"),
         (Annotated[int, Interval(ge=1, le=65_535)], "integer, 1 to 65 535"),
+        # The limit of a key is that of its own, on top of that of its type.
+        (Annotated[Annotated[float, Interval(ge=0.0)], Interval(ge=2.0)], "number >= 2"),
         (Literal["daqp", "clarabel"], "daqp, clarabel"),
         (Vector, "3 numbers"),
         (list[Annotated[float, Interval(ge=0.0)]], "list of numbers >= 0"),
@@ -96,3 +98,20 @@ def test_a_list_of_many_commands_is_most(monkeypatch: pytest.MonkeyPatch) -> Non
     names = [f"group{number % 10} command{number}" for number in range(20)]
     assert of_group(names) == [f"group{number}" for number in range(10)]
     assert of_group([*names, "another"]) == ["most"]
+
+
+def test_a_key_without_a_meaning_or_a_place_ends_the_program(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """It is named, and no page is written without it."""
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    program: Any = import_module("reference_page")
+    page = tmp_path / "keys.md"
+    text = program.KEYS.read_text(encoding="utf-8")
+    page.write_text(text.replace("<!-- keys of radio -->", ""), encoding="utf-8")
+    monkeypatch.setattr(program, "KEYS", page)
+    with pytest.raises(SystemExit, match=r"keys\.md: expected a list of radio, got none"):
+        program.keys_page()
+    monkeypatch.setattr(program, "meanings", lambda _: {})
+    with pytest.raises(SystemExit, match=r"Scenario, \w+: expected a docstring, got none"):
+        program.keys_page()

@@ -76,12 +76,7 @@ def _target(file: File, target: str) -> str:
     """Return a link as the site needs it, relative to its page; copies of other files are in files/."""
     folder = PurePosixPath(file.src_uri).parent
     path = (ROOT / ("." if file.src_uri in OUTSIDE else "docs" / folder) / target).resolve()
-    if (
-        "://" in target
-        or target.startswith("mailto:")
-        or not path.is_file()
-        or not path.is_relative_to(ROOT)
-    ):
+    if not path.is_file() or not path.is_relative_to(ROOT):  # such as an address
         return target
     own = path.relative_to(ROOT).as_posix()
     for name, source in OUTSIDE.items():

@@ -11,6 +11,7 @@ from tests.support import runs
 from transport.cli import options
 from transport.cli.main import app
 from transport.cli.options import forget_setup, process_setup, read_setup, run_folder
+from transport.protocol.wire.errors_and_exit_codes import TransportError
 
 
 @pytest.mark.parametrize(
@@ -89,6 +90,22 @@ def test_a_setup_is_kept_until_its_file_or_a_value_changes(tmp_path: Path) -> No
     path.write_text(path.read_text(encoding="utf-8").replace("attitude = 5.0", "attitude = 4.0"))
     os.utime(path, (1, 1))
     assert read_setup(str(path)).scenario.controller.weights.attitude == 4.0
+
+
+@pytest.mark.parametrize("large", [False, True])
+def test_a_large_run_is_read_if_it_is_allowed(large: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the commands and by the processes of a run."""
+    asked: list[bool] = []
+
+    def read(_path: Path, _settings: object, *, allow_large: bool) -> None:
+        asked.append(allow_large)
+        raise TransportError("enough")
+
+    monkeypatch.setattr(options, "read_scenario", read)
+    for reads in (read_setup, process_setup):
+        with pytest.raises(TransportError, match="enough"):
+            reads("paper", ["seed=7"], allow_large=large)
+    assert asked == [large, large]
 
 
 @pytest.mark.parametrize(("speed", "loaded"), [(0.0, []), (0.5, ["scipy.interpolate"])])
