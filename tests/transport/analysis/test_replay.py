@@ -15,7 +15,7 @@ from typer.testing import CliRunner, Result
 
 from tests.support import logs, runs
 from transport.analysis.replay.replay_difference import Comparison, Difference, InputsApart
-from transport.analysis.replay.replay_of_agent import Replay, _due_changes
+from transport.analysis.replay.replay_of_agent import Replay, _due_changes, _follows
 from transport.cli.commands import replay
 from transport.cli.main import app
 from transport.flight.run_files import machine, versions
@@ -546,12 +546,26 @@ def test_another_version_of_a_class_of_the_user_is_noted() -> None:
     run = runs.setup(runs.SHORT, f"agents.controller={name}")
     for recorded_with, notes in (
         (f"{name} 1", []),
+        (f"{name}s 0", []),  # of another class
         (f"{name} 0", [f"the run was recorded with controller {name} 0, this is {name} 1"]),
     ):
         log = logs.log_of([runs.roster()])
         again = Replay(run, replace(log, header={"controller": recorded_with}), 1)
         assert list(again.steps()) == []
         assert again.notes == notes
+
+
+@pytest.mark.parametrize(
+    ("before", "follows"), [(None, True), ((4, 1), True), ((3, 1), False), ((2, 0), True)]
+)
+def test_a_measurement_follows_the_one_of_the_tick_before(
+    before: tuple[int, int] | None, *, follows: bool
+) -> None:
+    """Or that of another roster, as an agent that was off the roster had none; the first one follows none."""
+    run = runs.setup(runs.SHORT)
+    measurement = runs.measurement(run, 1, 5, version=1)
+    earlier = None if before is None else runs.measurement(run, 1, before[0], version=before[1])
+    assert _follows(measurement, earlier) is follows
 
 
 @pytest.mark.parametrize(("version", "due"), [(0, 0), (1, 2), (2, 4), (3, 4)])

@@ -56,6 +56,8 @@ def change(k: int) -> LinkChange:
         (2, [note("killed", 3), note("restarted", 8)], [0, 8]),
         (2, [note("stopped", 3), note("continued", 8), note("killed", 8)], [0, 8]),
         (2, [note("continued", 3, target="agent1"), note("killed", 3)], [0, 8]),
+        (2, [note("stopped", 0), note("continued", 8)], [0]),  # in the tick that admits it
+        (2, [note("killed", 0)], [0, 8]),
         (3, [note("continued", 8)], [0, 8]),  # noticed at most one absence
         (2, [], [0]),  # an in-memory run without a fault of the agent
     ],
@@ -130,11 +132,25 @@ def test_messages_come_before_the_measurement_that_needs_them() -> None:
     plans = [runs.plan(run, 1, k) for k in range(3)]
     proposal = replace(runs.plan(run, 2, 1), negotiation=1)
     changed, air = change(0), radio_report(run, 1)
-    received: list[Message] = [plans[2], plans[0], plans[1], proposal, first, changed, air, later]
+    exchanged, last = replace(air, negotiation=1), roster(2, 3, 1)
+    received: list[Message] = [
+        *(plans[2], plans[0], plans[1], proposal, first, changed, air, later),
+        *(exchanged, last),
+    ]
     found = in_order_of_need(received, measurements)
     expected: list[Message] = [
         *(first, measurements[0]),
         *(plans[0], changed, air, later, measurements[1]),
-        *(plans[1], proposal),  # the step of tick 1 may end with them; that of tick 3 is beyond
+        # The step of tick 1 may end with them; that of tick 3 is beyond.
+        *(plans[1], proposal, exchanged, last),
     ]
     assert [id(message) for message in found] == [id(message) for message in expected]
+
+
+def test_measurements_of_a_process_are_in_the_order_of_their_ticks() -> None:
+    """The recorder may receive them in another one; those of another agent are left out."""
+    run = runs.setup(runs.ticks(20))
+    sent = [runs.measurement(run, agent, k) for agent, k in ((AGENT, 2), (1, 1), (AGENT, 0))]
+    log = log_of([roster(0, 1, 1), *sent])
+    (process,) = processes_of(run, log, AGENT)
+    assert [(one.agent, one.tick) for one in process.measurements(log)] == [(AGENT, 0), (AGENT, 2)]
