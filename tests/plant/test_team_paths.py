@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from tests.support.runs import plan, setup
+from tests.support.nodes import PlantNode
+from tests.support.runs import plan, roster, setup, tick
 from transport.plant.team_paths import TeamPaths
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.codec import encode
@@ -85,3 +86,24 @@ def test_an_agent_off_the_roster_need_not_know_it(run: Setup) -> None:
     paths.tell(target(2), TOLD_TICK - 1)
     heard = [carrying(run, sender, TOLD_TICK) for sender in (1, 2, 3)]
     assert paths.hear(heard, TOLD_TICK, (1, 2, 3))
+
+
+@pytest.mark.parametrize("to", [(), (2,)])
+def test_uavs_without_a_plan_are_led_along_the_shared_path(run: Setup, to: tuple[int, ...]) -> None:
+    """The plant renews their fail-safe when all are told a target, or when plans of all have carried it."""
+    node = PlantNode(run)
+    node.receive(roster(), 0)
+    begin = node._schedule.fail_safe.setpoint(0, 0).motion.position_I[0]
+    led_m = []
+    for k in range(TOLD_TICK + 2):
+        node.receive(tick(k), 0)
+        if k == TOLD_TICK - 1:
+            node.receive(target(*to), 0)
+        for sender in ROSTER:
+            make = carrying if k >= TOLD_TICK else plan
+            node.receive(make(run, sender, k), 0)
+        end = node._schedule.fail_safe.setpoint(0, ARRIVED_TICK).motion.position_I[0]
+        led_m.append(end - begin)
+    since = TOLD_TICK if to else TOLD_TICK - 1
+    expected = [AWAY_M if k >= since else 0.0 for k in range(TOLD_TICK + 2)]
+    assert led_m == pytest.approx(expected, abs=TOLERANCE_M)
