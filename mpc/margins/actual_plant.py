@@ -173,11 +173,8 @@ def _with_motors(F: Array, G: Array, wrench: _Wrench, lag_s: float) -> tuple[Arr
 
 
 def _exact_step(F: Array, G: Array, duration_s: float) -> Discrete:
-    """Return the zero-order hold of x' = F x + G u; of no duration the identity."""
+    """Return the zero-order hold of x' = F x + G u."""
     none = np.zeros(len(F))
-    if duration_s == 0.0:
-        return Discrete(A=np.eye(len(F)), B=np.zeros_like(G), f_d=none)
-
     # Short lags of small vehicles decay too fast for the hold of a whole period: halves are joined.
     size = float(np.abs(F).sum(axis=0).max()) * duration_s
     halvings = max(0, math.ceil(math.log2(max(size, _SMALL) / _LARGEST)))

@@ -2,11 +2,14 @@
 
 from dataclasses import replace
 from functools import lru_cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.model.path.test_flatness import unequal
+from tests.support.systems import ring
 from transport.model import state
 from transport.model.path.flat_reference import FlatReference, Track
 from transport.model.path.flatness import flight
@@ -126,6 +129,25 @@ def test_after_a_release_the_others_carry_its_load(*, is_flat: bool) -> None:
         np.testing.assert_array_equal(
             left.setpoint(0, 30).motion.Theta, setpoint_of(TEAM, 0, x, u).motion.Theta
         )
+
+
+def test_a_team_follows_its_track_else_the_motion_of_the_whole_team() -> None:
+    """A UAV off on its rod leaves the track as it is; the undisturbed motion ends with the whole team, (31f), (51)."""
+    system = ring(6)
+    at_rest = hover(system)
+    rest = Phase(name="rest", duration_s=0.5, displacement_I=[0.0, 0.0, 0.0])
+    maneuver = Maneuver(start_I=[0.0, 0.0, -9.0], phases=[rest], profile="smooth")
+    track = FlatReference(system, at_rest, maneuver).track(4, PERIOD_S)
+    left = FailSafe(system, at_rest.u, track.X, track).of_team({OFF}, ())
+    assert (left.u_hover != at_rest.u).any()
+    assert left.track is track
+
+    followed = setpoint_of(system, 1, track.X[0], 1.1 * at_rest.u)
+    motion: Any = SimpleNamespace(setpoint=lambda *_: followed)
+    whole = FailSafe(system, at_rest.u, track.X, motion=motion)
+    assert whole.setpoint(1, 2) is followed
+    expected = whole.of_team({OFF}, ()).u_hover[4:8]
+    np.testing.assert_allclose(whole.of_team({OFF}, ()).setpoint(1, 2).inputs, expected)
 
 
 def test_what_a_team_follows_from_tells_it_apart() -> None:
