@@ -84,6 +84,19 @@ def test_constraints_that_no_plan_meets_are_softened(
     assert min(optimum.solution.violations.values()) > 1e-3
 
 
+@pytest.mark.parametrize("is_contradicted", [False, True])
+def test_only_what_softening_helps_is_softened(*, is_contradicted: bool) -> None:
+    """A program that has a solution keeps it, and one that has none either way is what it was: without violations."""
+    setup = paper_setup()
+    low = (ConstraintSection(expression="r0[2] <= 5", soft=False),)
+    settings = ControllerSettings(horizon=HORIZON, constraint=low)
+    at, one = situation(setup, settings, seed=1), controller(setup, settings, (0, 1, 2, 3))
+    found = (contradicted if is_contradicted else step)(one, at).solution
+    assert found.status == ("infeasible" if is_contradicted else "solved")
+    assert not found.violations
+    assert len(found.z) == one.settings.horizon * len(one.own), "a slack of a softened constraint"
+
+
 def test_softened_constraint_never_fails() -> None:
     """The same demand on the payload, softened, costs a penalty and has a solution.
 

@@ -30,6 +30,7 @@ from transport.mpc.program.rollout import Actuation, rollout
 from transport.mpc.program.trajectory import Signals
 from transport.mpc.reference import Sampled
 from transport.mpc.settings_period_horizon_weights import (
+    ConstraintSection,
     ControllerSettings,
     CostTerm,
     Limits,
@@ -370,6 +371,24 @@ def test_plan_mixes_the_optimum_with_what_was_announced(w: float, *, off_limits:
         np.testing.assert_array_equal(np.clip(result.U, low, high), result.U)
         first = np.clip(np.clip(first, u0[own] - largest, u0[own] + largest), low, high)
     np.testing.assert_allclose(result.U[0], first, rtol=0.0, atol=1e-9)
+
+
+def test_hard_constraints_are_softened_in_the_newest_program() -> None:
+    """That about the law's trajectory, and that about the present state without a law, has rows of its own, (30e)."""
+    impossible = "r0[2] >= 5"
+    constraint = ConstraintSection(expression=impossible, soft=False)
+    settings = SETTINGS.model_copy(update={"constraint": (constraint,)})
+    _, track = flown()
+    one, start = controller((0, 1, 2, 3), settings), 60
+    x0, U = track.X[start], track.U[start : start + 12]
+    law = one.law(x0, track.X[start : start + 12], np.zeros((12, 16)), None, start)
+    linear = one.linearise(x0, track.U[start - 1])
+    y_ref = np.tile(linear.model.y, (13, 1))
+    for given in (law, None, law):
+        course = one.predict(linear, one.discretise(linear), U, given)
+        solution = one.solve(one.condense(linear, course, y_ref, given))
+        assert solution.status == "solved"
+        assert solution.violations[impossible] == pytest.approx(5.0 - x0[R0][2], abs=1.0)
 
 
 def test_no_corrections_on_and_near_the_reference() -> None:
