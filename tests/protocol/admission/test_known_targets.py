@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import permutations
 from typing import Any
 
 import msgspec
@@ -137,7 +136,7 @@ def test_the_order_in_which_targets_are_heard_of_does_not_matter() -> None:
     np.testing.assert_array_equal(path_of(*told), RUN.run.after(told).X_ref)
     slowed = path_of(*told, SLOWING)
     assert (slowed != path_of(*told)).any()
-    for order in permutations(told):
+    for order in (told[::-1], [told[1], told[2], told[0]]):
         np.testing.assert_array_equal(path_of(*order), path_of(*told))
         np.testing.assert_array_equal(path_of(order[0], SLOWING, *order[1:]), slowed)
 
