@@ -266,8 +266,15 @@ def test_a_signal_may_begin_an_abort(bus: StubBus) -> None:
         bus.while_waiting = lambda: bus.inbox.put(end)
         signal.raise_signal(signal.SIGTERM)
 
+    reasons: list[str] = []
+
+    def on_interrupt(reason: str) -> Sequence[Message]:
+        reasons.append(reason)
+        assert len(reasons) == 1
+        return [told]
+
     bus.while_waiting = interrupt
-    assert run(StubNode(), on_interrupt=lambda _: [told]) == EXIT_DIVERGED
+    assert run(StubNode(), on_interrupt=on_interrupt) == EXIT_DIVERGED
     assert bus.sent == [told]
 
 
