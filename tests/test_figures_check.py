@@ -31,6 +31,8 @@ def docs(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
 def short(docs: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """A table of two short runs with its page and its kept results."""
     monkeypatch.setattr(docs.kept, "FOLDER", tmp_path)
+    # In this process: others take seconds to start.
+    monkeypatch.setattr(docs.figures.joblib, "cpu_count", lambda: 1)
     page = tmp_path / "page.md"
     page.write_text("<!-- short -->\n\n<!-- end of short -->\n")
     runs = {
@@ -39,7 +41,6 @@ def short(docs: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     }
     columns = {"result": docs.table_builder.outcome, "cost": docs.table_builder.COST}
     table = docs.table_builder.listed("short", "", runs, columns)
-    # Timed runs are simulated one at a time, in this process: others take seconds to start.
     one = replace(
         docs.table_builder.measured("record/measured.md", table), document=page, is_timed=True
     )
