@@ -31,7 +31,7 @@ def team(seed: int) -> Scenario:
     return drawn(seed, template(), "precise")
 
 
-@pytest.mark.parametrize("seed", [*SEEDS, *SLACK_AT_FIRST])
+@pytest.mark.parametrize("seed", [*SEEDS[::4], *SLACK_AT_FIRST])
 def test_a_drawn_team_hovers_with_taut_rods_apart_within_its_limits(seed: int) -> None:
     """Every rod carries a fifth of the mean, UAVs and attachments are apart, and half the thrust at most is in use."""
     setup = Setup.of(team(seed), f"team {seed}")
