@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from transport.experiments.simulation import ERROR, Result, simulate
@@ -262,6 +263,62 @@ def test_cells_are_of_completed_runs(docs: SimpleNamespace) -> None:
     shown = program.grid("a grid", [""], ["one", "other"], {"row": []}, centimetres)
     one, other = shown.columns.values()
     assert [one(flown, None), other(flown, None)] == ["3.0 cm", ""]
+
+
+def test_rows_share_runs_and_say_what_they_are(docs: SimpleNamespace) -> None:
+    """A run of two rows is simulated once, with each of its seeds; a cell may have none. Zero is a number."""
+    program = docs.table_builder
+    one = program.Run("paper", ("seed=1",))
+    two = program.Run("paper", ("links.loss=0.5",), uavs=3, seeds=2)
+    assert (one.point().team, two.point().team) == (None, (3, 1))
+
+    def result(cost: float | None) -> Result:
+        return Result(key="", outcome="completed", reason="", numbers={"cost_mean": cost})
+
+    def mean(flown: Any) -> str:
+        return f"{sum(program.values('cost_mean', flown)):g} of {len(program.values('cost_mean', flown))}"
+
+    rows = {"ab": [one, None], ("b", "c"): [two, one]}
+    shown = program.grid("shared", ["row", "part"], ["first", "second"], rows, mean)
+    table = program.measured("page.md", shown)
+    assert len(table.cases) == 3
+    assert table.texts == ["paper: seed=1", "paper: links.loss=0.5", "paper: links.loss=0.5"]
+    text = table.text([result(5.0), result(0.0), result(None)]).splitlines()
+    assert text[2:] == ["| ab | 5 of 1 | |", "| b | c | 0 of 1 | 5 of 1 |"]
+
+
+def test_further_numbers_are_those_of_the_last_tick(
+    docs: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the UAV that is farthest from its reference; cables and walls are those of a run that has some."""
+    program = docs.table_builder
+    errors_m = np.zeros((3, 2, 3))
+    errors_m[0] = 9.0
+    errors_m[-1, 1] = [3.0, 0.0, 4.0]
+    monkeypatch.setattr(program, "series_of", lambda *_: SimpleNamespace(uav_errors_I=errors_m))
+    for cables, walls in ((None, None), ({"slack": 1}, {"uav": 0.5})):
+        summary = {"cables": cables, "clearance_min_m": walls}
+        expected = {"uav_last_m": 5.0, **(cables or {}), **(walls or {})}
+        assert program.more(None, summary, None) == expected
+
+
+@pytest.mark.usefixtures("docs")
+def test_settings_are_those_of_the_words_of_a_row() -> None:
+    """Delays and losses that a row names."""
+    tables = import_module("measured_controllers"), import_module("measured_results")
+    known = {
+        "200 ms": "links.delay_s=0.2",
+        "30 % packet loss": "links.loss=0.3",
+        "100 ms": "links.delay_s=0.1",
+    }
+    count = 0
+    for one in (*tables[0].ENGINES, *tables[0].VALUES, *tables[1].RESULTS):
+        for key, runs in one.rows.items():
+            for words, setting in known.items():
+                if words in " ".join([key] if isinstance(key, str) else key):
+                    assert all(setting in run.settings for run in runs)
+                    count += 1
+    assert count >= 10
 
 
 def test_a_run_that_this_machine_cannot_repeat_is_not_drawn(

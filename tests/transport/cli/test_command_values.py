@@ -2,15 +2,19 @@
 
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import typer
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from tests.support import runs
-from transport.cli import options
+from tests.support.command_tree import root
+from transport.cli import lazy, options
+from transport.cli.lazy import Command
 from transport.cli.main import app
 from transport.cli.options import forget_setup, process_setup, read_setup, run_folder
+from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.wire.errors_and_exit_codes import TransportError
 
 
@@ -117,3 +121,102 @@ def test_splines_are_imported_before_a_paced_run(
     monkeypatch.setattr(options, "load", asked.append)
     process_setup("paper", [f"clock={{mode='realtime',speed={speed}}}"] if speed else [])
     assert asked == loaded
+
+
+def raising(error: Exception, *words: str) -> Result:
+    """Return how a command with settings ends that raises an error."""
+    single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+    @single.command(cls=Command)
+    def command(settings: list[str] = typer.Option([], "--set")) -> None:
+        raise error
+
+    return CliRunner().invoke(single, words)
+
+
+REFUSED = ScenarioError("paper.toml", "links.loss", "expected at most 1, got 7")
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "text"),
+    [
+        (TransportError("no"), TransportError.exit_code, "no"),
+        (REFUSED, REFUSED.exit_code, str(REFUSED)),
+        (FileNotFoundError(2, "No such file", "a.toml"), 2, "a.toml: No such file"),
+        (
+            ModuleNotFoundError(name="pyarrow"),
+            2,
+            "expected the package pyarrow, got none: pip install 'payload-transport[parquet]'",
+        ),
+    ],
+)
+def test_an_error_that_the_user_can_solve_is_one_line(
+    error: Exception, code: int, text: str
+) -> None:
+    """With its exit code, on standard error."""
+    ended = raising(error)
+    assert (ended.exit_code, ended.stdout, ended.stderr) == (code, "", f"transport: {text}\n")
+
+
+@pytest.mark.parametrize(
+    "error", [OSError("odd"), ModuleNotFoundError(name="transport.nowhere"), ValueError("odd")]
+)
+def test_another_error_keeps_its_traceback(error: Exception) -> None:
+    """It is a bug."""
+    assert raising(error).exception is error
+
+
+def test_a_folder_that_is_gone_and_a_setting_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are the cause of an error, which does not name them itself."""
+    setting = "links.loss=7"
+    told = raising(REFUSED, "--set", setting).stderr
+    assert told == f"transport: {REFUSED.blaming([setting])}\n"
+    assert setting in told
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    expected = "expected a current folder, got one that has been removed"
+    assert raising(OSError("odd")).stderr == f"transport: {expected}\n"
+
+
+@pytest.mark.parametrize("words", [[], ["log"]])
+def test_without_a_command_the_help_is_shown(words: list[str]) -> None:
+    """As an error, which it is for a script."""
+    shown = CliRunner().invoke(app, words)
+    assert (shown.exit_code, shown.stdout) == (2, "")
+    assert shown.stderr.strip() == CliRunner().invoke(app, [*words, "--help"]).stdout.strip()
+
+
+@pytest.mark.parametrize(
+    ("message", "text"),
+    [
+        ("Input should be a\n number.", "expected a number, got 'x'"),
+        ("Value error, 'x' is no number", "'x' is no number"),
+    ],
+)
+def test_a_value_of_an_option_is_told_once(message: str, text: str) -> None:
+    """In the words of all errors."""
+    cause = SimpleNamespace(errors=lambda: [{"input": "x"}])
+    error = SimpleNamespace(format_message=lambda: message)
+    error.__cause__ = cause
+    assert lazy._usage_problem(error) == text
+
+
+def test_a_command_is_imported_once_and_left_out_of_collections(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Collections go on after the import, also if that fails."""
+    group = root()
+    assert isinstance(group, lazy.LazyGroup)
+    assert group.load("validate") is group.load("validate")
+    called: list[str] = []
+    steps = ("disable", "freeze", "enable")
+    note = {name: lambda name=name: called.append(name) for name in steps}
+    monkeypatch.setattr(lazy, "gc", SimpleNamespace(**note))
+    lazy.load("json")
+    with pytest.raises(ModuleNotFoundError):
+        lazy.load("transport.nowhere")
+    assert called == [*steps, *steps]
