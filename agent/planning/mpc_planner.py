@@ -165,7 +165,7 @@ class Planner:
         result = self._handed_over(step, result)
         self._times.lap("solve")
         plan = self._plan(step, result, out)
-        # The plan is announced first: the report gives its age. The times end here.
+        # The times end with the plan: the report is of them.
         self._team.announced.add(plan)
         self._freshness.conclude(plan.tick, is_solved=plan.status == "solved")
         self._times.conclude(publish_ns)
