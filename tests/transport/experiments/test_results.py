@@ -5,6 +5,7 @@ Kept results survive, damage is told, other people's folders are left alone.
 
 import io
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import orjson
@@ -100,15 +101,22 @@ def test_a_sweep_simulates_what_is_missing_seed_by_seed(tmp_path: Path) -> None:
     def simulate(missing: Sequence[Case]) -> Iterator[Result]:
         for case in missing:
             simulated.append((case.point, case.scenario.seed))
-            yield result(case.key, cost=case.point + 0.1 * case.scenario.seed)
+            one = result(case.key, cost=case.point + 0.1 * case.scenario.seed)
+            yield replace(one, reason=f"{case.point}")
 
     experiment = Experiment(name="test", points=tuple(points))
     with opened(tmp_path, "test") as results:
         results.add(result(cases[1].key))
         results.add(result(cases[3].key, ERROR))
-        swept = sweep(
-            experiment, [*cases, cases[0]], simulate, results, Console(file=io.StringIO())
-        )
+        output = io.StringIO()
+        console = Console(file=output, width=200)
+        swept = sweep(experiment, [*cases, cases[0]], simulate, results, console)
+    # None was in the folder before; those that had a result are done.
+    assert (
+        output.getvalue().splitlines()[-1] == "6 of 6 runs done; last: paper, , seed 2: completed"
+    )
+    assert "already" not in output.getvalue()
+    assert [row["reason"] for row in swept.rows("runs")] == ["0", "", "0", *["1"] * 3, "0"]
     assert simulated == [(0, 0), (1, 0), (1, 1), (0, 2), (1, 2)]
     costs = [one.numbers["cost_mean"] for one in swept.results]
     assert costs == pytest.approx([0.0, 0.3, 0.2, 1.0, 1.1, 1.2, 0.0])

@@ -88,6 +88,9 @@ def test_bad_messages_change_nothing(tmp_path: Path, flight: list[Message]) -> N
     assert counts.pop(("agent3", "wrong_sender")) == 1
     assert {reason for _, reason in counts} >= {"replayed"}
     assert sum(counts.values()) >= 3
+    # The first is told at once, those of the second after it at the end of the log.
+    noted_ns = [one.received_ns for one in log.messages if isinstance(one.message, Rejected)]
+    assert (noted_ns[0], noted_ns[-1]) == (1_000_000 * at, 1_000_000 * (len(disturbed) - 1))
     tail = [
         message
         for message in LogTail(tmp_path / "run.mcap").read()

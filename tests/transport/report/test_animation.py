@@ -27,7 +27,7 @@ from transport.scene.scene_at_tick import Scene, SceneBuilder
 # Largest size of a frame with moving lines.
 LARGEST_FRAME_BYTES = 40_000
 MOVED = 0.001  # share of pixels that differ at the end
-SPEED = 4.0
+SPEED = 8.0  # two frames
 
 
 @pytest.fixture(scope="module")

@@ -464,18 +464,11 @@ def test_phases_with_room_have_their_names_above_the_first_panel() -> None:
 def test_files_of_figures_name_neither_program_nor_date(tmp_path: Path) -> None:
     """Equal figures give equal files."""
     with mpl.rc_context(RC):
-        files = save(Figure(), tmp_path / "a.png", ("svg", "pdf"))
-    assert [file.suffix for file in files] == [".png", ".svg", ".pdf"]
+        files = save(Figure(), tmp_path / "a.png")
+    assert [file.suffix for file in files] == [".png", ".svg"]
     for file in files:
         content = file.read_bytes()
-        for name in (
-            b"Software",
-            b"dc:date",
-            b"dc:creator",
-            b"CreationDate",
-            b"/Creator",
-            b"/Producer",
-        ):
+        for name in (b"Software", b"dc:date", b"dc:creator"):
             assert name not in content, (file.name, name)
 
 
