@@ -35,7 +35,7 @@ def test_all_end_at_the_least_progress_on_random_networks() -> None:
     """Whichever agents are cut off, and at any time, all are equally far behind a while after the last silence."""
     rng = np.random.default_rng(68)
     stops = 0
-    for _ in range(40):
+    for _ in range(20):
         agents = {agent: Stopping(PERIOD_S, TICKS) for agent in range(1, 5)}
         delay = int(rng.integers(1, 6))
         silences = rng.integers(20, 200, size=(4, 4))  # first tick of each link's silence
@@ -60,7 +60,7 @@ def test_all_end_at_the_least_progress_on_random_networks() -> None:
             sent[k] = [said(a, k, one.lag, float(alone[a])) for a, one in agents.items()]
         assert len(set(lags.values())) == 1
         stops += max(lags.values()) > 0
-    assert stops > 30
+    assert stops > 15
 
 
 def test_an_agent_that_starts_is_as_far_behind_as_the_others_at_once() -> None:
