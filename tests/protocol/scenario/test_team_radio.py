@@ -274,6 +274,10 @@ def test_late_computations_make_plans_late() -> None:
     }
     assert 2 in ages
     assert 1 not in ages
+    # Whatever their order on the air, plans are reported in that of their agents.
+    for one in reports_of(late):
+        plans = [*zip(one.agents, one.plan_ticks, one.exchanges, strict=True)]
+        assert plans == sorted(plans)
 
 
 def test_the_length_of_a_plan_is_known_before_the_run() -> None:
