@@ -117,7 +117,7 @@ def test_a_flight_with_clocks_that_differ() -> None:
         run = ready("resilient", f"clock.offsets_s=[0.0,0.0,{offset_s},0.0]")
         x = np.array([one.x for one in plant_states(begun(run, 200))])
         largest.append(np.degrees(np.abs(x[:, state.THETA0]).max()))
-    assert largest[0] < largest[1] < largest[2] < 1.0
+    assert 1.3 * largest[0] < largest[1] < 0.7 * largest[2] < 0.7
 
 
 @pytest.mark.parametrize(
