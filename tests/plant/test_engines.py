@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.support.nodes import PlantNode
-from tests.support.runs import SHORT, integrated, plant_states, recorded, reproducible, setup
+from tests.support.runs import SHORT, integrated, plant_states, recorded, reproducible, setup, ticks
 from transport.flight.memory import simulate
 from transport.flight.roles import plant_run
 from transport.model.arrays import Array
@@ -425,7 +425,7 @@ def test_tensions_of_an_engine_with_cables_are_recorded(
     module(tmp_path, monkeypatch, "mine_cables", text)
     module(tmp_path, monkeypatch, "mine_rods", broken())
     for name, tensions in (("mine_cables", [4.0, 3.0, 2.0, 1.0]), ("mine_rods", [])):
-        messages = recorded(setup(SHORT, f"plant.engine={name}:Mine"))
+        messages = recorded(setup(ticks(3), f"plant.engine={name}:Mine"))
         found = [one for one in messages if isinstance(one, ActualInputs)]
         assert len(found) == (len(plant_states(messages)) if tensions else 0)
         for one, commands in zip(found, plant_states(messages), strict=False):

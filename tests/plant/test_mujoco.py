@@ -141,7 +141,7 @@ def test_a_fall_in_still_air_ends_at_the_terminal_velocity(
     uavs = tuple(replace(uav, drag=np.array([0.1, 0.75])) for uav in team.uavs)
     system = replace(team, payload=replace(team.payload, drag=1.5), uavs=uavs)  # 9 kg, 4.5 kg/s
     tau_s, v_end = 2.0, 2.0 * system.gravity
-    for t_s in (1.0, 12.0):
+    for t_s in (1.0, 8.0):
         x = advanced(engine(system, LIGHTEST), at_rest(system, -500.0), np.zeros(16), t_s)
         expected = v_end * (1.0 - np.exp(-t_s / tau_s))
         assert abs(x[state.V0][2] - expected) < 2e-3 * v_end
