@@ -329,6 +329,7 @@ def test_along_a_table_the_speed_is_constant_between_rows() -> None:
         ("way", [[0, 0, 0, 0]], "expected rows from"),
         ("way", [[0, 0, 0, 0], [2, 1, 0, 0], [3, 1, 1, 1]], "expected rows from"),
         ("way", [[0, 0, 1, 0], [3, 1, 0, 0]], "expected rows from"),
+        ("way", [[0, 0, 0, 0], [3, 1 + 1e-6, 0, 0]], "expected rows from"),
         ("way", [[0, 0, 0, 0], [2, 1, 0, 0], [2, 1, 0, 0], [3, 1, 0, 0]], "row 3: .* > 2 s, got 2"),
         ("formation", [[0.0, 1, 1]], "expected rows of shares"),
         ("formation", [[0.5, 1, 1], [0.5, 2, 1]], "expected rows of shares"),
@@ -342,3 +343,12 @@ def test_impossible_tables_are_refused(field: str, rows: list[list[float]], text
     table: dict[str, Any] = {field: rows}
     with pytest.raises(ParameterError, match=f"phase 'go' {field}: .*{text}|{text}"):
         Phase(name="go", duration_s=3.0, displacement_I=[1.0, 0.0, 0.0], **table)
+
+
+def test_a_table_of_two_rows_is_a_straight_way() -> None:
+    """From its start to its end, which may differ from that of the phase by rounding."""
+    table = [[0.0, 0.0, 0.0, 0.0], [3.0, 1.0 + 1e-12, 0.0, 0.0]]
+    phase = Phase(name="go", duration_s=3.0, displacement_I=[1.0, 0.0, 0.0], way=table)
+    r, v = Maneuver(start_I=[0.0, 0.0, 0.0], phases=[phase]).path(np.array([1.5]))
+    assert r[0] == pytest.approx([0.5, 0.0, 0.0])
+    assert v[0] == pytest.approx([1.0 / 3.0, 0.0, 0.0])
