@@ -299,6 +299,17 @@ def turned(system: System, turning: Array, Theta: Array, omega_B: Array, held_s:
     return np.concatenate([angles, decay * omega_B + (1.0 - decay) * turning])
 
 
+def test_around_a_slow_inner_loop_the_attitude_is_damped() -> None:
+    """Roll returns with damping ratio 0.7 where the largest gain does not limit it, (31b), (57)."""
+    K = 8.0
+    system = System(payload=SYSTEM.payload, uavs=SYSTEM.uavs, rate_gains=[K, K, K])
+    by_sensors = AloneLaw(system, UAV, float(AT_REST.u[4 * UAV])).by_sensors()
+    by_roll, by_rate = by_sensors[1, state.THETA][0], by_sensors[1, state.OMEGA][0]
+    # phi'' = K (omega_c - phi'), omega_c = by_roll phi + by_rate phi'
+    ratio = K * (1.0 - by_rate) / (2.0 * np.sqrt(-K * by_roll))
+    assert ratio == pytest.approx(np.sqrt(0.5))
+
+
 @pytest.mark.parametrize("name", READY)
 def test_any_heading_error_is_within_the_moments_of_the_rotors(name: str) -> None:
     """Up to half a turn asks for no more than there is about the vertical, and it decays in seconds, (31b).
