@@ -134,6 +134,8 @@ def test_a_team_that_fits_may_start(run: Setup) -> None:
         ({"off_ms": -50.0}, "got -50.0 ms"),
         ({"way_ms": 30.0}, "got [+-]0.0 ms [+]- 30.0 ms"),
         ({"moved_m": 2.0}, "UAV1 and UAV2: expected 1.10 m .*, got "),
+        ({"moved_m": -0.7}, "UAV2 and UAV3: expected 1.10 m .*, got 0.40 m"),
+        ({"moved_m": 0.7}, "UAV2 and UAV3: expected 1.10 m .*, got 1.80 m"),
         ({"phase": "checking"}, "vehicle2 is checking: battery"),
     ],
 )
@@ -152,6 +154,56 @@ def test_a_team_that_is_elsewhere_may_not_start(run: Setup, moved_m: float, text
         fleet.take(status(run, uav, moved_m=moved_m), NOW_NS + 2 * MS)
     assert fleet.problem().startswith(text)
     assert bool(fleet.problem()) == bool(text)
+
+
+def test_the_clock_is_known_by_the_exchange_that_took_least_time(run: Setup) -> None:
+    """A slower one after it changes nothing, nor does a word that answers none."""
+    fleet = fleet_of(run)
+    for uav in (1, 2, 3, 4):
+        fleet.take(status(run, uav), NOW_NS + 2 * MS)
+    fleet.take(status(run, 2, way_ms=30.0), NOW_NS + 60 * MS)
+    assert fleet.problem() == ""
+    fleet = fleet_of(run)
+    for uav in (1, 2, 3, 4):
+        word = status(run, uav)
+        fleet.take(msgspec.structs.replace(word, heard_ns=0), NOW_NS + 2 * MS)
+    assert "vehicle1: clock: " in fleet.problem()
+
+
+def test_words_are_told_five_times_a_second_for_as_long_as_vehicles_may_take(run: Setup) -> None:
+    """Each has the instant of tick 0 once it is decided, which stays; the time counts from the first word on."""
+    fleet = fleet_of(run)
+    ready_ns = round(run.scenario.vehicles.ready_s * S)
+    assert not fleet.is_over(NOW_NS + 10 * ready_ns)
+    said = [fleet.speak(NOW_NS + ms * MS) for ms in (0, 199, 200)]
+    assert [one is not None for one in said] == [True, False, True]
+    assert said[0] is not None
+    assert (said[0].sent_ns, said[0].start_ns) == (NOW_NS + WALL_NS, 0)
+    assert [fleet.is_over(NOW_NS + ready_ns + one) for one in (0, 1)] == [False, True]
+
+    for uav in (1, 2, 3, 4):
+        fleet.take(status(run, uav, roster=uav, start_ns=uav), NOW_NS + 2 * MS)
+    assert (fleet.roster, fleet.followed_ns) == (4, 4)
+    starts = []
+    for ms in (400, 600):
+        one = fleet.speak(NOW_NS + ms * MS)
+        assert one is not None
+        starts.append(one.start_ns)
+    assert starts == [NOW_NS + WALL_NS + 1400 * MS] * 2
+    assert not fleet.is_over(NOW_NS + 2 * ready_ns)
+
+
+@pytest.mark.parametrize(("after_s", "learns"), [(4.99, True), (5.0, False)])
+def test_a_coordinator_that_returns_learns_for_five_seconds(
+    run: Setup, after_s: float, learns: bool
+) -> None:
+    """Changes that a vehicle knows of are waited for, from the first word on."""
+    fleet = fleet_of(run)
+    fleet.speak(NOW_NS)
+    assert not fleet.learns(NOW_NS + MS)
+    word = msgspec.structs.replace(status(run, 1), targets=1)
+    fleet.take(word, NOW_NS + round(after_s * S))
+    assert fleet.learns(NOW_NS + round(after_s * S)) is learns
 
 
 def test_a_missing_word_is_named(run: Setup) -> None:
