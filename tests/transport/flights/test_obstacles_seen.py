@@ -137,6 +137,9 @@ def test_a_silence_from_the_moment_of_sight_ends_before_the_wall(rule: str) -> N
     silent = f"links.change=[{{at_s={SEEN_S},loss=1.0}},{{at_s={SEEN_S + 3.0},loss=0.0}}]"
     run, log = flown(*settings, silent)
     assert 0.05 * min(makers(log).values()) == pytest.approx(SEEN_S)
+    # All have lost the same time by the stop.
+    (lag,) = {plan.lag for plan in log.of(Plan) if plan.tick == run.ticks - 1}
+    assert lag > 0
     uav_m, load_m = least(run, log)
     assert uav_m > 0.0
     assert load_m > 0.0
