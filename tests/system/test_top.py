@@ -5,6 +5,7 @@ import json
 import os
 import signal
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,12 @@ from typer.testing import CliRunner
 from tests.support import runs
 from tests.support.commands import PATIENCE_S, is_flying, settings, start, transport, wait_for
 from tests.support.log_messages import on_reference, report
+from tests.support.logs import HEADER, with_scenario
 from tests.support.messages import sample
 from transport.cli.commands.top import Watch, table_of
 from transport.cli.main import app
 from transport.log.run_log import read_log
+from transport.log.writer import LogWriter
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.scenario.setup.cost_of_run import StageCost
@@ -243,3 +246,43 @@ def gives_way(pid: int) -> bool:
 def bits(messages: Sequence[Message]) -> list[bytes]:
     """Return the encoded plant states in the order of time."""
     return [encode(plant_state) for plant_state in runs.plant_states(messages)]
+
+
+def test_the_roster_of_the_first_tick_holds_until_a_roster_is_told() -> None:
+    """A run is also watched from its middle on."""
+    watch = watched()
+    watch.take(runs.tick(3, members=(1, 2, 3)))
+    watch.take(runs.tick(4, members=(1, 2)))
+    assert watch.members == frozenset({1, 2, 3})
+    watch.take(runs.roster({1: 1, 2: 1}, k=4))
+    assert watch.members == frozenset({1, 2})
+    assert watch.agents[3].removed == 1
+
+
+@pytest.mark.parametrize(
+    ("outcome", "style"), [("completed", "bold green"), ("diverged", "bold red")]
+)
+def test_the_end_of_a_run_has_a_colour(outcome: str, style: str) -> None:
+    """Behind its name."""
+    watch = watched()
+    watch.take(replace(runs.end(3), outcome=outcome, reason="why"))
+    title: Any = table_of(watch, "a run").renderables[0]
+    assert title.plain == f"a run  {outcome}: why"
+    assert [str(span.style) for span in title.spans] == [style]
+
+
+@pytest.mark.parametrize("words", [[], ["--once"]])
+def test_a_log_without_an_outcome(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its processes were killed: a failure, unless one table was asked for."""
+    run = runs.setup()
+    header = with_scenario(HEADER, run)
+    (tmp_path / "scenario.toml").write_text(header["scenario"], encoding="utf-8")
+    with closing(LogWriter(tmp_path / "run.mcap", header, period_ns=run.period_ns)) as writer:
+        writer.write(runs.tick(0), 0)
+    monkeypatch.setattr(os, "nice", lambda _: 0)
+    ended = CliRunner().invoke(app, ["top", "--run", str(tmp_path), *words])
+    assert ended.exit_code == (0 if words else 4)
+    text = f"transport: {tmp_path}: the log ends without an outcome\n"
+    assert ended.stderr == ("" if words else text)
