@@ -12,12 +12,17 @@ from transport.model.arrays import Array
 from transport.model.linear.linearisation import Model
 from transport.model.path.curves import Curve
 from transport.model.path.flat_reference import FlatReference
-from transport.model.path.flatness import flight
+from transport.model.path.flatness import flight, slowed
 from transport.model.path.maneuver import Maneuver
 from transport.model.path.phase import Phase
-from transport.model.physics.hover import hover, hover_after_failures, with_released
+from transport.model.physics.hover import (
+    RELEASED_MASS_KG,
+    hover,
+    hover_after_failures,
+    with_released,
+)
 from transport.model.physics.parameters import ParameterError, Payload, System, Uav, table_1
-from transport.model.state import input_slice, uav_slice
+from transport.model.state import StateView, input_slice, uav_slice
 
 # Central differences of order 8 over steps of 0.3 ms: rounding of numbers up to 10 over the step.
 STEP_S = 3e-4
@@ -243,6 +248,28 @@ def test_reference_of_the_uavs_left_after_a_release(gains: list[float] | None) -
     errors[:, uav_slice(bob)] = 0.0
     assert errors.max() < BOB
     assert not u[:, input_slice(bob)].any()
+
+
+def test_a_formation_is_not_that_of_a_released_uav() -> None:
+    """Its bob hangs straight down with its own weight, while the others stand apart, (66a)."""
+    team, bob = unequal(), 2
+    uavs = [replace(uav, rho=rho) for uav, rho in zip(team.uavs, LEFT, strict=True)]
+    team = replace(team, uavs=tuple(uavs))
+    at_rest = hover_after_failures(team, {bob}, {bob})
+    path = np.zeros((7, 1, 5))
+    path[0, 0, 3:] = (1.4, 0.8)
+    found = flight(with_released(team, {bob}), at_rest, path, released={bob})
+    rods = StateView(found.x).e_P[0]
+    np.testing.assert_allclose(rods[bob], [0.0, 0.0, -1.0], atol=ROUNDING)
+    assert found.tensions[0, bob] == pytest.approx(RELEASED_MASS_KG * team.gravity)
+    assert np.abs(np.delete(rods, bob, axis=0)[:, :2]).max() > 0.01
+
+
+def test_a_slower_path_passes_the_same_places() -> None:
+    """In twice the time, the speed is half of it, the acceleration a quarter, and so on."""
+    path = along(CURVES["eight"]).jets(np.linspace(0.0, 18.0, 5))
+    ratios = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0])
+    np.testing.assert_array_equal(slowed(path, 2.0) * ratios[:, None, None], path)
 
 
 @pytest.mark.parametrize("drag", [False, True])
