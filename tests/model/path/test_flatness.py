@@ -253,7 +253,9 @@ def test_reference_of_the_uavs_left_after_a_release(gains: list[float] | None) -
 def test_a_formation_is_not_that_of_a_released_uav() -> None:
     """Its bob hangs straight down with its own weight, while the others stand apart, (66a)."""
     team, bob = unequal(), 2
-    uavs = [replace(uav, rho=rho) for uav, rho in zip(team.uavs, LEFT, strict=True)]
+    places = LEFT.copy()
+    places[bob] = [0.1, 0.2, -0.1]
+    uavs = [replace(uav, rho=rho) for uav, rho in zip(team.uavs, places, strict=True)]
     team = replace(team, uavs=tuple(uavs))
     at_rest = hover_after_failures(team, {bob}, {bob})
     path = np.zeros((7, 1, 5))

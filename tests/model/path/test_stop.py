@@ -57,6 +57,12 @@ def test_losses_add_up() -> None:
         slowed = slowed.with_slowing(Slowing(since_s=since_s, lost_s=3.0, ramp_s=2.0))
         after = np.linspace(30.0, 35.0, 11)
         assert np.allclose(slowed.jets(after), path.jets(after - 4.0), atol=1e-10)
+        # The second one is by the clock: from its begin on the time along the path with the first is behind.
+        once = path.with_slowing(slowed.slowings[0])
+        t_s = np.array([since_s, since_s + 0.5, since_s + 1.5])
+        behind = slowed.slowings[1].warped(t_s, 1)[0]
+        found = [slowed.progress(float(each_s)) for each_s in t_s]
+        assert found == pytest.approx([once.progress(float(each_s)) for each_s in behind])
 
 
 @pytest.mark.parametrize("ahead_s", [0.0, 0.4, -0.4])

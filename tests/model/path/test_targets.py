@@ -167,3 +167,22 @@ def test_many_braking_targets_take_linear_work() -> None:
         )
     r_I, _ = path.path(np.array([0.0, 39.0]))
     np.testing.assert_allclose(r_I[1], [0.59, 0.0, -10.0], atol=1e-9)
+
+
+def test_a_landing_has_its_own_stages() -> None:
+    """On the way and on the ground, each as long as it lasts."""
+    down = replace(TO[0], lands=True)  # from 6 s to 10 s
+    landing = Maneuver(start_I=RAMPS.start_I, phases=[*RAMPS.phases, *RAMPS.phases], targets=[down])
+    names = [name for name, _, _ in landing.stages()]
+    assert names == ["hover", "climb", "landing", "landed"]
+    assert [landing.phase_at(t_s).name for t_s in (5.5, 7.0, 12.0)] == names[1:]
+    assert landing.phase_at(7.0).duration_s == 4.0
+
+
+def test_a_curve_after_a_rest_is_smooth_by_any_profile() -> None:
+    """The rest has no way that could have corners, and nothing on a path that begins in flight is pressed."""
+    rest = Phase(name="rest", duration_s=1.0, displacement_I=[0.0, 0.0, 0.0])
+    for phases in ([rest, *EIGHT.phases], [*EIGHT.phases, rest]):
+        path = replace(EIGHT, phases=tuple(phases), profile="ramp", press_m=0.2)
+        assert path.jets(np.array([4.0])).shape == (ORDERS, 1, 3)
+        assert not np.any(path.press(np.linspace(0.0, 20.0, 5)))
