@@ -295,6 +295,28 @@ def test_progress_is_that_of_the_newest_genuine_message(tmp_path: Path) -> None:
     recorder.close()
 
 
+def test_refusals_are_recorded_in_the_run_and_at_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the gate tells them: after each event by the clock, and the last ones whatever the time."""
+    notice = catalogue.sample(FaultNote, target="agent1")
+    times: list[bool] = []
+
+    def notices(_gate: object, _incarnation: int, now_ns: int | None = None) -> list[Message]:
+        times.append(now_ns is not None)
+        return [notice]
+
+    monkeypatch.setattr(
+        "transport.protocol.admission.acceptance_and_refusals.Gate.notices", notices
+    )
+    recorder = recorder_of(tmp_path, ScriptedBus([runs.tick(0), runs.end(1), SILENCE]))
+    recorder.start(PROCESSES)
+    recorder.join()
+    assert times == [True, True, False]
+    assert recorder.received == 2 + 3
+    recorder.close()
+
+
 def test_roster_and_faults_are_told(tmp_path: Path) -> None:
     """The first roster is no news; a fault without a tick is noted at the newest one, 0 before the first."""
     told: list[str] = []
