@@ -24,7 +24,7 @@ from transport.model.physics.symbols import Symbols
 
 # How `step` and `advance` are compiled: each is a tenth of the code, but they are evaluated most, tens of
 # times in a step of a controller. GCC's vectorisation of straight code fuses products and sums of
-# neighbours in spite of the flag above.
+# neighbours in spite of `-ffp-contract=off`.
 _STEPS = ("step", "advance")
 _OPTIMISED = """#pragma GCC push_options
 #pragma GCC optimize("O3,no-tree-slp-vectorize")
