@@ -16,6 +16,7 @@ from benchmarks.silence_cases import Case
 from docs.tables import table
 from tests.support.messages import sample
 from tests.support.runs import plant_state
+from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.protocol.wire.messages import Note
@@ -128,19 +129,33 @@ def test_what_a_case_is_compared_with(
     assert asked[0][: len(late)] == late
 
 
-def test_resets_of_filters_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Notes about anything else are none."""
+def test_a_run_as_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ticks in order, the largest angle of any sign in degrees, and the nearest two UAVs; other notes are no resets.
+
+    In tick 1 the payload is 3 cm and 4 cm aside and turned, and the rod of UAV 1 leans so far that it is 0.2 m
+    nearer to UAV 4.
+    """
+    lean, length_m = 0.2 / 3.2, 3.2
 
     def simulate(setup: Any, record: Callable[[Any], None]) -> Any:
         for problem in ("filter: reset", "planner: late", "filter: again"):
             record(sample(Note, problem=problem))
-        for tick in (1, 0):
-            record(plant_state(setup, tick))
+        moved = plant_state(setup, 1)
+        view = state.StateView(moved.x)
+        view.r0_I += (0.03, 0.04, 0.0)
+        view.Theta0[:] = (0.1, -0.3, 0.2)
+        view.e_P[0] = (lean, 0.0, math.sqrt(1.0 - lean**2))
+        record(moved)
+        record(plant_state(setup, 0))
         return SimpleNamespace(outcome="aborted", reason="no")
 
     monkeypatch.setattr(silence, "simulate", simulate)
-    flown = silence.fly("paper", ("name=counted",))
+    flown = silence.fly("paper", ("name=recorded",))
     assert (flown.resets, flown.outcome, flown.reason) == (2, "aborted", "no")
+    np.testing.assert_allclose(flown.error_m, [0.0, 0.05], atol=1e-9)
+    np.testing.assert_allclose(flown.attitude_deg, [0.0, 54.0 / math.pi], atol=1e-9)
+    lower_m = length_m * (1.0 - math.sqrt(1.0 - lean**2))
+    np.testing.assert_allclose(flown.separation_m, [0.5, math.hypot(0.3, lower_m)], atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -168,6 +168,7 @@ def test_other_groups_are_refused(groups: Any) -> None:
         ),
         ({"all": True, "from": "agent1", "settings": {"loss": 1.0}}, "all: expected no other"),
         ({"settings": {"samples_s": "x.csv"}}, "samples_s: expected a valid list, got 'x.csv'"),
+        ({"settings": {"trace": "x.csv"}}, "trace: expected a valid list, got 'x.csv'"),
         (
             {"settings": {"delay_s": 1e308}},
             "delay_s: expected a magnitude of at most 10, got 1e+308",

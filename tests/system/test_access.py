@@ -21,7 +21,7 @@ from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.security import Security, access_control
 from transport.protocol.wire.bundles import BUNDLES
 from transport.protocol.wire.codec import VERSION, encode
-from transport.protocol.wire.key_expressions import ACTING, OPERATOR, ROUTER, WATCHER, Keys
+from transport.protocol.wire.key_expressions import ACTING, OPERATOR, READING, ROUTER, WATCHER, Keys
 from transport.protocol.wire.messages import KINDS, Message, Plan
 from transport.protocol.wire.names import agent_name, vehicle_name
 
@@ -190,6 +190,38 @@ def test_rights_to_request() -> None:
         coordinator.bus.close()
 
 
+def test_rights_of_a_name() -> None:
+    """A process answers, and is there, in its own name alone, and reads what it subscribes to.
+
+    Watchers and operators read all and answer nothing; an operator may change the run.
+    """
+    rules = access_control(TEAM, KEYS.prefix)
+    by_id = {rule["id"]: rule for rule in rules["rules"]}
+    names = {one["id"]: one["cert_common_names"] for one in rules["subjects"]}
+    assert names == {name: [name] for name in (*TEAM, WATCHER, OPERATOR, ROUTER)}
+
+    reading, acting = ({f"ask/*/{what}" for what in some} for some in (READING, ACTING))
+    for policy in rules["policies"]:
+        (name,) = policy["subjects"]
+        if name == ROUTER:
+            continue
+        may: dict[str, set[str]] = {}
+        for rule in (by_id[one] for one in policy["rules"] if one != "out"):
+            for kind in rule["messages"]:
+                may.setdefault(kind, set()).update(map(KEYS.end, rule["key_exprs"]))
+
+        is_process = name not in (WATCHER, OPERATOR)
+        reads = set(map(KEYS.end, KEYS.subscriptions(name))) if is_process else {"**"}
+        assert may["declare_subscriber"] == reads
+        answers = {f"ask/{name}/*"} if is_process else None
+        assert may.get("declare_queryable") == may.get("reply") == answers
+        is_there = {f"alive/{name}/**", f"ready/{name}/**"} if is_process else None
+        assert may.get("liveliness_token") == is_there
+        for sees in ("declare_liveliness_subscriber", "liveliness_query"):
+            assert may[sees] == {"alive/**", "ready/**"}
+        assert may["query"] == (reading | acting if name == OPERATOR else reading)
+
+
 def test_rights_to_put() -> None:
     """By the access rules only the owner of a key may put a message on it."""
     vehicles = [vehicle_name(uav) for uav in range(1, 5)]
@@ -204,9 +236,6 @@ def test_rights_to_put() -> None:
         may_put[name] = {
             key for rule in own if "put" in rule["messages"] for key in rule["key_exprs"]
         }
-        asks = {key for rule in own if "query" in rule["messages"] for key in rule["key_exprs"]}
-        if name not in (OPERATOR, ROUTER):
-            assert not asks & {KEYS.request("*", request) for request in ACTING}
     assert may_put.pop(ROUTER) == {f"{KEYS.prefix}/**"}
     assert [name for name, keys in may_put.items() if not keys] == ["recorder", WATCHER, OPERATOR]
     for kind in (*KINDS.values(), *BUNDLES.values()):

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from transport.protocol.network import mavlink
 from transport.protocol.network.mavlink import (
     Endpoint,
     LinkError,
@@ -29,11 +30,13 @@ def heartbeat() -> Any:
     return m.MAVLink_heartbeat_message(m.MAV_TYPE_QUADROTOR, 3, 0, 4, 4, 3)
 
 
-def packet(system: int, key: bytes | None = None, timestamp: int | None = None) -> bytes:
+def packet(
+    system: int, key: bytes | None = None, timestamp: int | None = None, component: int = 1
+) -> bytes:
     """Bytes of a heartbeat of a system, as a link sends them."""
     sent: list[bytes] = []
     link = object.__new__(MavlinkLink)
-    link._mav = messages().MAVLink(None, srcSystem=system, srcComponent=1)
+    link._mav = messages().MAVLink(None, srcSystem=system, srcComponent=component)
     link._signatures = None if key is None else Signatures(key)
     if link._signatures is not None and timestamp is not None:
         link._signatures._sent = timestamp
@@ -199,13 +202,16 @@ def test_timestamps_of_signatures_grow(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_first_packet_of_a_stream_is_a_minute_old_at_most(
     age_s: float, counts: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A recorded stream is not taken for a new one; each system and component has its own."""
+    """A recorded stream is not taken for a new one; each system, component and link has its own."""
     monkeypatch.setattr(time, "time", lambda: NOW_S)
-    recorded, later = Signatures(KEY).signed(packet(2)), Signatures(KEY).signed(packet(3))
+    streams = [(0, 2, 1), (0, 3, 1), (0, 2, 2), (1, 2, 1)]
+    recorded = []
+    for link, system, component in streams:
+        monkeypatch.setattr(mavlink, "_LINK", bytes([link]))
+        recorded.append(Signatures(KEY).signed(packet(system, component=component)))
     monkeypatch.setattr(time, "time", lambda: NOW_S + age_s)
     receiver = Signatures(KEY)
-    assert receiver.accept(recorded) is counts
-    assert receiver.accept(later) is counts
+    assert [receiver.accept(one) for one in recorded] == [counts] * len(streams)
 
 
 def test_addresses_and_keys_are_checked(tmp_path: Path) -> None:

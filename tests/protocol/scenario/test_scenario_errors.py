@@ -1,5 +1,6 @@
 """Wrong scenarios: one line each, with file, field, what was expected and what came."""
 
+import math
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -900,15 +901,12 @@ def _out_of_bounds(_: str, field: FieldInfo) -> tuple[str, str] | None:
 
 
 def _milliseconds(key: str, field: FieldInfo) -> tuple[str, str] | None:
+    """A time above its range, which its key or its type has."""
     within = key_of(field).within
-    if (
-        within is None
-        or ending_of(key) != "_s"
-        or within[1] > 60.0
-        or field.annotation is not float
-    ):
+    bounds = [bound.le for bound in field.metadata if getattr(bound, "le", None) is not None]
+    most = within[1] if within else min(bounds, default=math.inf)
+    if ending_of(key) != "_s" or most > 60.0 or field.annotation is not float:
         return None
-    most = within[1]
     return (
         f"{1e3 * most:g}",
         f"expected seconds, at most {most:g}, got {1e3 * most:g}: did you mean {most:g}?",
@@ -923,7 +921,7 @@ KINDS: Mapping[
     "choice": (_no_choice, 39),
     "not finite": (_not_finite, 150),
     "bounds": (_out_of_bounds, 189),
-    "milliseconds": (_milliseconds, 20),
+    "milliseconds": (_milliseconds, 29),
 }
 
 

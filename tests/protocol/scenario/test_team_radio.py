@@ -290,6 +290,17 @@ def test_the_length_of_a_plan_is_known_before_the_run() -> None:
     assert 0 <= expected - longest <= SHORTER_BYTES
 
 
+@pytest.mark.parametrize("owned", [((1,), (2, 3, 4)), ((1, 2, 3), (4,))])
+def test_slots_are_for_the_agent_with_most_uavs(owned: tuple[tuple[int, ...], ...]) -> None:
+    """Whichever agent that is: the largest plan of the last tick is as long as they expect."""
+    groups = [list(uavs) for uavs in owned]
+    run = setup(ticks(300), "radio={}", f"agents.owned={groups}")
+    assert run.scenario.radio is not None
+    expected = plan_length(run.run, run.scenario.radio, PlanShape.of(run.run))
+    longest = max(len(encode(plan(run, agent, 300))) for agent in run.agents)
+    assert 0 <= expected - longest <= SHORTER_BYTES
+
+
 def test_slots_that_do_not_fit_into_a_period_take_turns() -> None:
     """At 1 Mb/s two agents send in a tick and two in the next; each plan sent arrives."""
     reports = reports_of(SLOW)

@@ -527,19 +527,20 @@ def test_plans_count_from_the_start_of_an_agent_in_real_time() -> None:
     assert plans_between_agents(run, log_of(messages), twice, replaced=0)["in_transit"] == 0
 
 
-def test_held_ticks_are_missed_deadlines() -> None:
+@pytest.mark.parametrize(
+    ("late_ms", "missed"),
+    [((0, 0, 2900, 0), 1), ((0, 0, 0, 2900), 1), ((0, 2900, 0, 1e-6), 2), ((2900, 0, 0, 0), 0)],
+)
+def test_held_ticks_are_missed_deadlines(late_ms: tuple[float, ...], missed: int) -> None:
     """With `hold` every plan has arrived when a tick opens.
 
-    The ticks that waited for one are counted.
+    The ticks that waited for one are counted, also the last; the first one waits for no plan.
     """
     run = runs.setup(HOVER, *REALTIME, "clock.on_overrun=hold")
-    late_ns = (0, 0, 2_900_000_000, 0)
-    messages = [
-        replace(runs.tick(k), overrun_ns=overrun_ns) for k, overrun_ns in enumerate(late_ns)
-    ]
-    found = summarise(AnalysedRun.of(run, log_of(messages)))["deadline"]
-    assert [found[name] for name in ("plans", "missed", "worst_ms")] == [3, 1, 2900.0]
-    assert found["share"] == pytest.approx(1 / 3)
+    messages = [replace(runs.tick(k), overrun_ns=round(1e6 * ms)) for k, ms in enumerate(late_ms)]
+    found = deadline(run, log_of(messages))
+    assert [found[name] for name in ("plans", "missed", "worst_ms")] == [3, missed, 2900.0]
+    assert found["share"] == pytest.approx(missed / 3)
 
 
 def test_times_by_hand() -> None:

@@ -1,6 +1,7 @@
 """`transport ros2` without a network: which ticks are published, when it ends, and which targets go on."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -118,10 +119,55 @@ def test_the_last_messages_are_those_before_an_end(
         for message in (runs.tick(0), runs.plant_state(run, 3))
     ]
     tail: Any = SimpleNamespace(ended=end == "log", read_recorded=lambda: entries)
-    history: Any = SimpleNamespace(control="aborted" if end == "control" else None, add=list)
+    added: list[Any] = []
+    control = "aborted" if end == "control" else None
+    history: Any = SimpleNamespace(control=control, add=added.extend)
     noted: list[tuple[int, int]] = []
     start: Any = SimpleNamespace(note=lambda *given: noted.append(given))
     folder: Any = None
     reader = program._Reader(folder=folder, tail=tail, history=history, start=start)
     assert reader.read() is bool(end)
     assert noted == [(3, 5)]
+    assert added == [entry.message for entry in entries]
+
+
+@pytest.mark.parametrize(("on_overrun", "waited_ns"), [("hold", 200_000_000), ("continue", 0)])
+def test_stamps_and_topics_are_those_of_the_run(
+    on_overrun: str, waited_ns: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stamps are later after a wait only if the clock waits; a target for all, and one for each agent, are heard."""
+    run = runs.setup("clock.mode=realtime", "clock.speed=2", f"clock.on_overrun={on_overrun}")
+    seen: list[Any] = []
+    node = SimpleNamespace(close=lambda: seen.append("closed"))
+
+    def note(*given: Any) -> Any:
+        seen.append(given)
+        return node
+
+    def messages_of(builder: Any, stamps_apart_ns: int) -> Any:
+        return SimpleNamespace(builder=builder, stamps_apart_ns=stamps_apart_ns, topics=())
+
+    monkeypatch.setattr("transport.report.ros2_bag.Ros2Messages", messages_of)
+    monkeypatch.setattr(program, "os", SimpleNamespace(nice=seen.append))
+    monkeypatch.setattr(program, "find_active", lambda name, _: (Path(name), "live run"))
+    monkeypatch.setattr(program, "setup_of", lambda _: run)
+    monkeypatch.setattr(program, "LogTail", lambda *given: given)
+    monkeypatch.setattr(program, "Commands", lambda live_run, _: live_run)
+    monkeypatch.setattr(program, "_node", note)
+    monkeypatch.setattr(program, "_publish", note)
+    program.ros2("folder", "tcp/[::1]:7447", 3)
+
+    nice, (connect, domain, messages, told), (reader, publisher, targets), end = seen
+    assert (nice > 0, connect, domain, end) == (True, "tcp/[::1]:7447", 3, "closed")
+    by_agent = {f"/agent{agent}/target": (agent,) for agent in (1, 2, 3, 4)}
+    assert told == targets.told == {ALL: (), **by_agent}
+    assert (targets.node, targets.commands) == (node, "live run")
+    assert (publisher.node, publisher.messages) == (node, messages)
+    assert reader.tail == (reader.folder / "run.mcap", run) == (Path("folder/run.mcap"), run)
+    assert messages.builder.setup is reader.history.setup is run
+    assert messages.builder.history is reader.history
+
+    reader.start.note(0, 10**9)
+    reader.start.note(1, 10**9 + messages.stamps_apart_ns + 200_000_000)
+    assert messages.stamps_apart_ns == 25_000_000
+    assert reader.start.stamp_ns(1) == 10**9 + 25_000_000 + waited_ns

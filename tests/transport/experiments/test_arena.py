@@ -18,9 +18,15 @@ from tests.support import runs
 from tests.support.logs import log_of
 from tests.support.results import here
 from transport.agent.user_class.run_for_user import Run
-from transport.experiments.arena.arena_algorithms import BUILT_IN, REFERENCE, Entry, entered
+from transport.experiments.arena.arena_algorithms import (
+    BUILT_IN,
+    REFERENCE,
+    Algorithm,
+    Entry,
+    entered,
+)
 from transport.experiments.arena.arena_report import ArenaResult
-from transport.experiments.arena.arena_runs import FROM_GOAL, VIOLATION, arena, axes, judged
+from transport.experiments.arena.arena_runs import FROM_GOAL, VIOLATION, _point, arena, axes, judged
 from transport.experiments.arena.arena_tasks_and_networks import (
     NETWORK_TEXTS,
     NETWORKS,
@@ -172,6 +178,20 @@ def test_algorithms_differ_in_their_controller_only() -> None:
             is_spared = str(labels["algorithm"]).startswith("centralized")
             assert bool(tree["faults"]["event"]) == (task == "death" and not is_spared)
         assert len(fixed_parts) == 1
+
+
+def test_a_task_has_the_last_word(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A setting of the algorithm gives way to the network's, that to the task's, and that to the failures'."""
+    keys = ("links.loss", "links.duplicate", "links.delay_s", "links.jitter_s")
+    sets = [tuple(f"{key}={value}" for key in keys[value:]) for value in range(4)]
+    algorithm = Algorithm(name="own", settings=sets[0], tuned="nothing")
+    task = Task(text="", settings=sets[2], failures=sets[3], uavs=3)
+    monkeypatch.setattr("transport.experiments.arena.arena_runs.TASKS", {"task": task})
+    monkeypatch.setattr("transport.experiments.arena.arena_runs.NETWORKS", {"network": sets[1]})
+    scenario = _point("task", "network", algorithm).read()
+    assert len(scenario.system.uav) == 3
+    links = scenario.links
+    assert [links.loss, links.duplicate, links.delay_s, links.jitter_s] == [0, 1, 2, 3]
 
 
 def test_a_perfect_network_delivers_every_plan() -> None:

@@ -172,14 +172,15 @@ def test_points_with_a_diverged_run_are_drawn_as_diverged(monkeypatch: pytest.Mo
 def test_a_larger_cost_is_at_the_highest_number_of_the_axis(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A cost beyond the axis stays in the panel, below diverged runs."""
-    beyond = 50.0
-    costs = {STILL: {PERIOD_S: (beyond,)}}
-    for panel in panels_of(compared(costs, {PERIOD_S: (0.1,)}), monkeypatch):
+    """A cost beyond the axis stays in the panel, below diverged runs; for a low one the axis begins lower."""
+    beyond, low = 50.0, 0.5
+    costs = {STILL: {PERIOD_S: (beyond,), 0.1: (low,)}}
+    for panel in panels_of(compared(costs, {PERIOD_S: (0.1,), 0.1: (0.05,)}), monkeypatch):
         _, paper = drawn(panel)
         heights = heights_of(panel)
         diverged = heights.pop("diverged")
-        assert points_of(paper)[:, 1] == pytest.approx([max(heights.values())])
+        assert points_of(paper)[:, 1] == pytest.approx([max(heights.values()), low])
+        assert panel.get_ylim()[0] == pytest.approx(low)
         assert max(heights.values()) < diverged < panel.get_ylim()[1]
 
 
@@ -198,6 +199,7 @@ def test_an_interval_ends_at_the_highest_number_of_the_axis(
         (bars,) = paper.lines[2]
         (bar,) = bars.get_segments()
         assert bar[:, 1] == pytest.approx([lower, highest])
+        assert panel.get_ylim()[0] == pytest.approx(lower)  # all of it is in the panel
 
 
 # Times of an agent at these periods: the second is nearest to the reference's as a ratio, the first
@@ -284,3 +286,4 @@ def test_ratios_about_one_have_most_of_the_axis(monkeypatch: pytest.MonkeyPatch)
             [[1.0, ratio] for ratio in (0.95, 1.05, 1.5, 2.0)]
         )
         assert at_105 - at_095 > at_2 - at_15 > 0.0
+        assert panel.get_ylim()[0] == 0.88

@@ -134,6 +134,29 @@ def test_a_chunk_that_unpacks_to_a_bomb_is_damage(
     assert peak_bytes < READER_BYTES
 
 
+@pytest.mark.parametrize(("claimed", "count"), [(1, 9), (2, 11), (3, 9)])
+@pytest.mark.parametrize(
+    ("compression", "compress"),
+    [("", bytes), ("lz4", lz4.frame.compress), ("zstd", zstandard.compress)],
+)
+def test_a_chunk_is_as_large_as_it_claims(
+    tmp_path: Path,
+    compression: str,
+    compress: Callable[[bytes], bytes],
+    claimed: int,
+    count: int,
+) -> None:
+    """A chunk of two messages that claims the size of one or of three is damage, not cut to whole messages."""
+    path = written(tmp_path / "run.mcap", 9, CompressionType.LZ4, finished=False)
+    message = struct.pack("<BQHIQQ", Opcode.MESSAGE, 30, 1, 0, 0, 0) + bytes(8)
+    own = chunk(compress(2 * message), compression, claimed * len(message))
+    path.write_bytes(path.read_bytes() + own)
+
+    parser = Parser(path)
+    assert sum(1 for _ in parser.entries()) == count
+    assert parser.damaged == (claimed != 2)
+
+
 def test_a_record_of_any_length_is_not_read_whole(tmp_path: Path) -> None:
     """A sparse file with one record of terabytes is passed over: its length is checked before."""
     path = written(tmp_path / "run.mcap", 100, CompressionType.LZ4)
