@@ -100,11 +100,9 @@ class Autopilots:
         self._addresses: list[tuple[str, int]] = []
         self._answered: list[int | None] = []
         self._folders: list[Path] = []
-        folder = os.environ.get(FOLDER) or tempfile.mkdtemp(prefix="transport-autopilots-")
-        is_temporary = FOLDER not in os.environ
-        weakref.finalize(
-            self, _end, self._processes, self._sockets, folder if is_temporary else None
-        )
+        kept = os.environ.get(FOLDER)
+        folder = kept or tempfile.mkdtemp(prefix="transport-autopilots-")
+        weakref.finalize(self, _end, self._processes, self._sockets, None if kept else folder)
 
         command = program(setup)
         hover_N = setup.run.hover.u[::INPUTS]

@@ -262,7 +262,6 @@ def test_failures_are_named(returned: str, method: str, monkeypatch: pytest.Monk
         "measurement.payload[0] = 0.0",
         "messages[0].inputs[0, 0] = 0.0",
         "self.run.u_hover[0] = 0.0",
-        "self.run.lower[0] = -1e9",
     ],
 )
 def test_changing_what_it_was_given(change: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ Found, called with what its links have delivered, checked in all it returns.
 
 import sys
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -96,6 +97,16 @@ def own(
     monkeypatch.chdir(folder)
     sys.modules.pop("my_own", None)  # of an earlier call of this test
     return setup(SHORT, "agents.controller=my_own:Mine", *changes)
+
+
+def test_a_class_cannot_write_into_the_arrays_of_its_run() -> None:
+    """They are shared with the project's own parts."""
+    run = run_of(setup().run, 2)
+    values = {one.name: getattr(run, one.name) for one in fields(run)}
+    writeable = {
+        name: one.flags.writeable for name, one in values.items() if isinstance(one, np.ndarray)
+    }
+    assert writeable == dict.fromkeys(("x_hover", "u_hover", "lower", "upper"), False)
 
 
 def test_velocities_by_name() -> None:

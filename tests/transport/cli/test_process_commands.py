@@ -48,6 +48,7 @@ def test_a_place_is_that_of_the_scenario_or_of_the_options() -> None:
     assert own.incarnation == pytest.approx(1e3 * time.time(), abs=1e5)
     given = ProcessOptions(run="r2", incarnation=0, join_timeout=1e6).place("agent1")
     assert (given.run, given.incarnation, given.join_timeout_s) == ("r2", 0, 1e6)
+    assert ProcessOptions(join_timeout=0.0).place("agent1").join_timeout_s == 0.0
 
 
 @pytest.mark.parametrize(
