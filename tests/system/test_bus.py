@@ -18,7 +18,7 @@ from tests.support.commands import free_base
 from tests.support.runs import setup
 from transport.protocol.admission.acceptance_and_refusals import Gate
 from transport.protocol.network.bus import LINGER_S, Bus
-from transport.protocol.network.bus_events import BusOptions, Place
+from transport.protocol.network.bus_events import BusOptions, Departed, Place
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.requests_and_answers import Reach, ask
 from transport.protocol.network.session import BusError
@@ -33,17 +33,17 @@ PATIENCE_S = 20.0
 
 
 class Plant:
-    """The bus of a plant, and its counts of refused messages."""
+    """The bus of a plant, or another process, and its counts of refused messages."""
 
-    def __init__(self, port: int, join_timeout_s: float = 1.0) -> None:
-        self.gate = Gate("plant", KEYS, setup().rules.shape)
+    def __init__(self, port: int, join_timeout_s: float = 1.0, name: str = "plant") -> None:
+        self.gate = Gate(name, KEYS, setup().rules.shape)
         self.rejections = self.gate.rejections
         place = Place(
             run=KEYS.run,
             endpoints=Endpoints(listen=[f"tcp/127.0.0.1:{port}"], connect=[]),
             join_timeout_s=join_timeout_s,
         )
-        self.bus = Bus("plant", place, DIGEST, self.gate, BusOptions(tell_every_s=0.1))
+        self.bus = Bus(name, place, DIGEST, self.gate, BusOptions(tell_every_s=0.1))
 
     def counts(self) -> dict[tuple[str, str], int]:
         """Return the numbers of refused messages by sender and reason."""
@@ -145,6 +145,31 @@ def test_messages_of_announced_processes_are_accepted(network: tuple[Plant, zeno
     arrival = plant.bus.next(PATIENCE_S)
     assert arrival is not None
     assert arrival.event == Presence("coordinator", 0, alive=False)
+
+
+def test_the_recorder_is_told_who_has_sent_its_last_message() -> None:
+    """Each process by its name."""
+    port = free_base()
+    recorder = Plant(port, name="recorder")
+    names = ("plant", "agent12")
+    told: list[object] = []
+    try:
+        with stranger(port) as session:
+            block = zenoh.CongestionControl.BLOCK
+            signs = [
+                session.declare_publisher(KEYS.left(name), congestion_control=block)
+                for name in names
+            ]
+            deadline = time.monotonic() + PATIENCE_S
+            while len({*told}) < len(names) and time.monotonic() < deadline:
+                for sign in signs:
+                    sign.put(b"")
+                arrival = recorder.bus.next(0.01)
+                if arrival is not None:
+                    told.append(arrival.event)
+    finally:
+        recorder.bus.close()
+    assert {*told} == {Departed(name) for name in names}
 
 
 def pass_on(server: socket.socket, port: int, delay_s: float) -> None:

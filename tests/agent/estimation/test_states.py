@@ -13,6 +13,7 @@ from transport.agent.communication.announced_inputs import AnnouncedInputs
 from transport.agent.communication.unannounced_inputs import SharedLaw
 from transport.agent.estimation.disturbance import DisturbanceEstimator, MeasuredTeam
 from transport.agent.estimation.predicted_motion import Failure, PredictedMotion
+from transport.agent.estimation.repeated_ticks import WINDOW
 from transport.agent.estimation.state_estimator import StateEstimator
 from transport.agent.silence.silence_thresholds import Silence
 from transport.model import state
@@ -457,3 +458,83 @@ def test_inputs_before_a_tick_are_as_reported(lags: bool) -> None:
         np.testing.assert_array_equal(estimator.inputs_until(k, announced), u)
         for agent in run.agents if k == 0 else run.agents[:1]:
             announced.add(ground_truth.plan(agent, k))
+
+
+class NotedForces(DisturbanceEstimator):
+    """An estimator of forces that notes what it learns from, and for which team."""
+
+    def __init__(self, run: Setup) -> None:
+        team = MeasuredTeam(model=run.model, hover=run.hover, owned=run.owned[0])
+        self.teams: list[MeasuredTeam] = []
+        super().__init__(team, PERIOD_S, time_constant_s=0.4)
+        self.learned: list[Array] = []
+
+    def rebuild(self, team: MeasuredTeam) -> None:
+        """Note the team."""
+        self.teams.append(team)
+
+    def learn(self, predicted: Array, measured: Array) -> None:
+        """Note the measured state."""
+        assert (predicted != measured).any()
+        self.learned.append(measured[: state.PAYLOAD].copy())
+
+
+def test_a_period_measured_at_both_ends_counts_once() -> None:
+    """Late messages repeat it without effect, also with information that was missing at the first time, (41)."""
+    ground_truth = flight(FOUR)
+    run = ground_truth.run
+    forces = NotedForces(run)
+    estimator = StateEstimator(motion_without_lag(run), run.owned[0], forces)
+    announced = AnnouncedInputs(run.owned, run.hover.u, own=1)
+    uninformed = {6}
+    announced.heard.is_informed = lambda tick, before: tick not in uninformed  # type: ignore[method-assign]
+    arriving_at: dict[int, list[int]] = {k: [k] for k in range(9)}
+    arriving_at[3], arriving_at[7] = [], [3, 7]
+    for k, ticks in arriving_at.items():
+        if k == 7:
+            uninformed.clear()
+        for tick in ticks:
+            estimator.measure(measurement(run, 1, tick, x=ground_truth.X[tick]))
+        estimator.estimate(k, announced)
+    # Nothing of 3 and 4, as 3 came late; nothing of 6, without the others.
+    expected = ground_truth.X[[1, 2, 5, 7, 8], : state.PAYLOAD]
+    np.testing.assert_array_equal(forces.learned, expected)
+
+
+@pytest.mark.parametrize("left", [(0,), ()], ids=["one of two left", "none left"])
+def test_forces_are_those_on_the_team_that_is_left(left: tuple[int, ...]) -> None:
+    """Measured by the own UAVs that are left; an agent without any goes on with what it has."""
+    run = flight(PAIRS).run
+    forces = NotedForces(run)
+    estimator = StateEstimator(motion_without_lag(run), run.owned[0], forces)
+    model = Model(run.system, [1], [1])
+    failure = Failure(tick=0, model=model, hover=run.hover, moved=lambda x: x, own_left=left)
+    estimator.change(failure)
+    told = [(team.model, tuple(team.owned)) for team in forces.teams[1:]]
+    assert told == ([(model, left)] if left else [])
+
+
+def test_messages_older_than_all_estimates() -> None:
+    """A plan tells no state then, a measurement only its age; what was told of such ticks is forgotten."""
+    ground_truth = flight(PAIRS)
+    run = ground_truth.run
+    estimator = StateEstimator(motion_with_lag(run), run.owned[0])
+    announced = AnnouncedInputs(run.owned, run.hover.u, own=1)
+    applied = np.tile(run.hover.u[:4] + 0.1, (2, 1))
+    estimator.measure(replace(measurement(run, 1, 0, x=ground_truth.X[0]), inputs=applied))
+    estimator.estimate(0, announced)
+    np.testing.assert_array_equal(estimator.inputs_until(0, announced)[:8], applied.ravel())
+    x = estimator.estimate(WINDOW + 2, announced)
+    assert not x.flags.writeable
+    assert estimator.past(3) is not None
+    assert estimator.past(2) is None
+
+    assert (estimator.inputs_until(0, announced)[:8] != applied.ravel()).all()
+    estimator.take(ground_truth.plan(2, 2))
+    assert estimator.new_states.age(2, 5) == -1
+    estimator.take(ground_truth.plan(2, 3))
+    assert estimator.new_states.age(2, 5) == 2
+    estimator.measure(measurement(run, 1, 2, x=ground_truth.X[2]))
+    assert estimator.new_states.measured == 2
+    rows = estimator.reported(WINDOW + 2, x)
+    np.testing.assert_array_equal(rows, state.uav_blocks(x[: run.system.n])[:2])

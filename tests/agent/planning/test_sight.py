@@ -49,10 +49,10 @@ def seen(run: Setup, *rows: Sequence[float]) -> Measurement:
     return replace(runs.measurement(run, 1, 3), seen=np.array(rows))
 
 
-def rest(run: Setup, now_s: float) -> Target:
+def rest(run: Setup, now_s: float, load_margin_m: float = LOAD_MARGIN_M) -> Target:
     """Return the target of an agent that sees the wall at a time, without time for a way round it."""
     sight = Sight(1)
-    assert sight.take(seen(run, row()))
+    assert sight.take(seen(run, row(load_margin=load_margin_m)))
     avoidance = sight.avoid(run.run, now_s, left_s=0.0)
     assert avoidance is not None
     assert avoidance.text == "sees obstacle 1, no way round it in time: stops before it"
@@ -66,12 +66,14 @@ def rest(run: Setup, now_s: float) -> Target:
     return target
 
 
-def beyond_margins(run: Setup, now_s: float, target: Target) -> float:
+def beyond_margins(
+    run: Setup, now_s: float, target: Target, load_margin_m: float = LOAD_MARGIN_M
+) -> float:
     """Return by how much the distances of all bodies at a rest exceed their margins, m."""
     x = run.reference.states(np.array([now_s + target.approach_s / 2.0]))
     (apart,) = clearances(run.system, run.obstacles[0], x)
     N = run.system.N
-    return float(min(apart[:N].min() - MARGIN_M, apart[N:].min() - LOAD_MARGIN_M))
+    return float(min(apart[:N].min() - MARGIN_M, apart[N:].min() - load_margin_m))
 
 
 @pytest.mark.parametrize(
@@ -84,6 +86,36 @@ def test_it_rests_at_the_last_place_that_keeps_its_distance(now_s: float, more_m
     speed_mps = 1.5
     resolution_m = speed_mps * (speed_mps / GENTLE_MPS2) / 2.0 / HALVINGS
     assert more_m <= beyond_margins(run, now_s, target) <= more_m + resolution_m
+
+
+def test_a_rest_keeps_its_distance_of_payload_and_rods_too() -> None:
+    """Where their margin is the larger one, they are 0.3 m farther than it."""
+    run, now_s, margin_m = flight(), 2.5, 1.6
+    target = rest(run, now_s, margin_m)
+    assert REST_M <= beyond_margins(run, now_s, target, margin_m) <= REST_M + 0.05
+
+
+def test_an_obstacle_is_that_of_the_message() -> None:
+    """Its solids and margins by its number in the scenario, by which it is named, whichever is seen first."""
+    run = flight()
+    sight = Sight(1)
+    assert sight.take(seen(run, row(4, radius=0.3, margin=0.5, load_margin=0.7)))
+    assert sight.take(seen(run, row(2, along_m=30.0)))
+    beside, ahead = sight.seen
+    assert (beside.name, ahead.name) == ("obstacle 2", "obstacle 4")
+    assert (ahead.margin_m, ahead.load_margin_m) == (0.5, 0.7)
+    (solid,) = ahead.solids
+    assert (solid.radius, solid.heading_rad) == (0.3, math.atan2(7.2, 9.6))
+    np.testing.assert_array_equal(solid.centre_I, [0.8 * ALONG_M, 0.6 * ALONG_M, -10.0])
+    np.testing.assert_array_equal(solid.half, [0.1, 1.0, 4.0])
+    avoidance = sight.avoid(run.run, 2.51, left_s=0.0)
+    assert avoidance is not None
+    assert avoidance.text.startswith("sees obstacle 4, ")
+    # It begins at the next tick, on the path.
+    target = avoidance.target
+    assert target.tick == 51
+    place_I, _ = run.maneuver.path(np.array([0.05 * 51 + target.approach_s / 2.0]))
+    np.testing.assert_allclose(target.points, place_I, atol=1e-9)
 
 
 @pytest.mark.parametrize("speed_mps", [1.2, 2.4])
@@ -100,31 +132,35 @@ def test_decelerations_are_within_their_range(speed_mps: float) -> None:
 
 
 def test_two_ways_round_the_same_obstacles_are_tried() -> None:
-    """Then it stops before them, until another one is seen."""
+    """Then it stops before them, until another one is seen; a way that takes longer than is left is none."""
     run = flight()
     sight = Sight(2)
     assert not sight.take(runs.measurement(run, 1, 3))
     assert sight.take(seen(run, row(1), row(1, half_x=0.2)))
     assert not sight.take(seen(run, row(1)))
-    found = [sight.avoid(run.run, 2.5, left_s=24.0) for _ in range(3)]
+
+    def avoided(left_s: float) -> tuple[Target, str]:
+        """Return the target at 2.5 s, and what it does."""
+        found = sight.avoid(run.run, 2.5, left_s=left_s)
+        assert found is not None
+        return found.target, found.text.rpartition(": ")[2]
+
+    way, text = avoided(24.0)
+    takes_s = way.approach_s + way.way_s
+    texts = [text, *(avoided(left_s)[1] for left_s in (takes_s - 0.01, 24.0))]
     assert sight.take(seen(run, row(3, along_m=30.0, half_z=ENDLESS_M)))
-    found.append(sight.avoid(run.run, 2.5, left_s=24.0))
-    texts = [one.text for one in found if one is not None]
+    texts.append(avoided(takes_s + 0.01)[1])
     goes_round, stops = "goes round it", "stops before it"
-    assert [text.rpartition(": ")[2] for text in texts] == [
-        goes_round,
-        goes_round,
-        stops,
-        goes_round,
-    ]
+    assert texts == [goes_round, stops, stops, goes_round]
     assert [[len(one.solids) for one in sight.seen], sight.seen[1].solids[0].half[2]] == [
         [2, 1],
         np.inf,
     ]
-    round_it = found[0]
-    assert round_it is not None
-    np.testing.assert_allclose(round_it.target.points[-1], [9.6, 7.2, -10.0], atol=1e-6)
-    assert round_it.target.way_s <= 24.0 - round_it.target.approach_s
+    np.testing.assert_allclose(way.points[-1], [9.6, 7.2, -10.0], atol=1e-6)
+    led = run.after([way])
+    at_s = 2.5 + way.approach_s + np.linspace(0.0, way.way_s, 40)
+    apart = clearances(run.system, run.obstacles[0], led.reference.states(at_s))
+    assert apart[:, : run.system.N].min() > MARGIN_M + 0.19
 
 
 def test_a_path_that_keeps_clear_stays() -> None:

@@ -1,6 +1,7 @@
 """Information about the others as one agent has heard it, by hand-made plans (32c)."""
 
 from collections.abc import Iterable
+from dataclasses import replace as replaced
 
 import pytest
 from msgspec.structs import replace
@@ -63,6 +64,7 @@ def test_without_a_plan_one_is_expected_from_the_first_tick_or_a_return_on() -> 
     assert [others.acts_without_plan(4, tick) for tick in (5, 6)] == [False, True]
     others.begin_anew(4, 30)
     assert others.age(4, None, 34).overdue == 4.0
+    assert heard([20]).age(4, None, 24).overdue == 4.0
     assert [others.acts_without_plan(4, tick) for tick in (35, 36)] == [False, True]
     assert [others.is_before_return(4, tick) for tick in (29, 30)] == [True, False]
     assert (others.has_returned(4), others.has_returned(3)) == (True, False)
@@ -79,6 +81,36 @@ def test_inputs_are_known_until_information_is_overdue_by_the_limit(
     assert others.is_informed(8 + age, before=9 + age) is is_informed
     others.off_roster = {4}
     assert others.is_informed(8 + age, before=9 + age)
+
+
+def test_a_past_tick_is_judged_by_plans_that_had_started() -> None:
+    """One that was made after it tells nothing of the inputs then."""
+    others = heard(range(10))
+    for agent in (2, 3, 4):
+        others.plans.add(plan(agent, 20))
+    assert [others.is_informed(tick, before=21) for tick in (12, 13, 20)] == [True, False, True]
+
+
+def test_the_usual_age_is_that_since_the_return() -> None:
+    """A plan may be newer than usual; at a return, also of the agent itself, the ages are forgotten."""
+    others = heard(range(1))
+    for k in range(5, 40):
+        others.plans.add(plan(2, k - 5))
+        others.observe(k)
+    assert others.age(2, plan(2, 34), 40) == InformationAge(mean=5.0, overdue=1.0)
+    assert others.age(2, plan(2, 37), 40) == InformationAge(mean=5.0, overdue=0.0)
+    for agent in (1, 2):
+        others.begin_anew(agent, 40)
+    assert others.age(2, None, 44) == InformationAge(mean=1.0, overdue=4.0)
+
+
+def test_another_rule_holds_from_a_failure_on() -> None:
+    """Also from one at the first tick."""
+    rule = replaced(RULE, uninformed=7.0)
+    others = HeardOthers((1, 2), own=1, silence=RULE, after_failures=rule)
+    assert others.silence is RULE
+    others.failed_since = 0
+    assert others.silence is rule
 
 
 def test_an_agent_that_begins_in_mid_run_has_to_hear_those_that_were_there() -> None:
@@ -105,6 +137,8 @@ def test_a_plan_counts_by_the_larger_share_alone() -> None:
     assert others.most_said(before=9) == 0.0
     others.off_roster = {4}
     assert others.most_said(before=10) == 0.6
+    others.off_roster = {2}
+    assert others.most_said(before=10) == 0.9
 
 
 @pytest.mark.parametrize(("tick", "said"), [(39, 0.0), (40, 0.7)])

@@ -373,6 +373,59 @@ def test_plan_mixes_the_optimum_with_what_was_announced(w: float, *, off_limits:
     np.testing.assert_allclose(result.U[0], first, rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize(("excess_N", "within"), [(5e-9, True), (2e-8, False)])
+def test_a_plan_beyond_its_limits_by_rounding_is_at_them(excess_N: float, *, within: bool) -> None:
+    """Up to 1e-9 of the range needs no program; the plan itself is within the limits to the last bit."""
+    model, track = flown()
+    most_N, x0 = 11.0, track.X[60]
+    limits = SETTINGS.limits.model_copy(update={"thrust_N": (0.0, most_N)})
+    one = controller(settings=SETTINGS.model_copy(update={"limits": limits}))
+    law = one.law(x0, track.X[60:72], np.zeros((12, model.system.m)), None, 60)
+    assert law is not None
+    u_rest = law.u_rest.copy()
+    u_rest[0, 4] += most_N + excess_N - law.uncorrected[0, 4]
+    law = msgspec.structs.replace(law, u_rest=u_rest)
+
+    linear, U = one.linearise(x0, track.U[59]), track.U[60:72]
+    course = one.predict(linear, one.discretise(linear), U, law)
+    assert isinstance(course, Course)
+    assert course.U_all[0, 4] == pytest.approx(most_N + excess_N, abs=1e-12)
+    assert course.within is within
+    result = one.conclude(
+        one.solve(one.condense(linear, course, np.zeros((13, 25)), law)), course, U, law
+    )
+    assert result.solution.status == "solved"
+    assert 0.0 <= most_N - result.U[0, 0] < 1e-6
+
+
+@pytest.mark.parametrize("w", [0.5, 1.0])
+def test_course_and_plan_are_those_under_the_estimated_forces(w: float) -> None:
+    """A constant push moves the predicted states, and inputs follow them by the law, (70), (74)."""
+    model, track = flown()
+    x0, actuation = track.X[60], Actuation.of(SETTINGS, model.system.N)
+    one = controller(settings=SETTINGS.model_copy(update={"relaxation": w}))
+    forces = np.full(3 + 3 * model.system.N, 0.2)
+    announced_c = np.random.default_rng(5).normal(scale=0.001, size=(12, model.system.m))
+    law = one.law(x0, track.X[60:72], announced_c, None, 60)
+    assert law is not None
+
+    linear = one.linearise(x0, track.U[59], forces)
+    U = track.U[60:72]
+    course = one.predict(linear, one.discretise(linear), U, law)
+    assert isinstance(course, Course)
+    assert course.within
+    pushed, calm = (rollout(model, actuation, x0, course.law, given) for given in (forces, None))
+    assert np.abs(pushed.Z - calm.Z).max() > 1e-3
+    np.testing.assert_allclose(course.Z, pushed.Z, rtol=0.0, atol=1e-9)
+
+    solution = one.solve(one.condense(linear, course, np.zeros((13, 25)), law))
+    result = one.conclude(solution, course, U, law)
+    c = announced_c.copy()
+    c[:, 4:8] = result.c
+    expected = rollout(model, actuation, x0, msgspec.structs.replace(law, c=c), forces).U
+    np.testing.assert_allclose(result.U, expected[:, 4:8], rtol=0.0, atol=1e-9)
+
+
 def test_hard_constraints_are_softened_in_the_newest_program() -> None:
     """That about the law's trajectory, and that about the present state without a law, has rows of its own, (30e)."""
     impossible = "r0[2] >= 5"

@@ -4,16 +4,18 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import hypothesis
 import pytest
 from hypothesis import given
+from pydantic import create_model
 from pydantic.fields import FieldInfo
 
 from tests.support import drawn_settings
 from tests.support.drawn_settings import KEYS, choices, setting_of
 from tests.support.runs import PAPER
+from transport.model.section import Section
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.sections.scenario_errors import PythonSetting, hint
 from transport.protocol.scenario.sections.scenario_keys import (
@@ -953,6 +955,35 @@ def test_a_number_has_a_magnitude_within_a_range(
     """Zero, and the ends, are within; times up to a minute that milliseconds explain have those words."""
     found = [(f"x_s{place}", problem)] if problem else []
     assert list(out_of_range(value, "x_s", within)) == found
+
+
+@pytest.mark.parametrize(
+    ("endings", "least", "most"),
+    [
+        ("_s _hz", 1e-9, 1e9),
+        ("_m", 1e-12, 1e6),
+        ("_mps _rad _rads", 1e-12, 1e4),
+        ("_mps2", 1e-6, 1e4),
+        ("_rads2", 1e-12, 1e6),
+        ("_kg", 1e-9, 1e6),
+        ("_kgm2", 1e-12, 1e9),
+        ("_share _deg _kgps _N _N_s _Nm _Nm_s", 1e-12, 1e12),
+    ],
+)
+def test_a_number_has_a_magnitude_within_that_of_its_unit(
+    endings: str, least: float, most: float
+) -> None:
+    """Both ends are within, a hundredth beyond is not; the ending of the key tells the unit."""
+    for ending in endings.split():
+        field: Any = {f"x{ending}": (float, ...)}
+        kind = create_model("Kind", __base__=Section, **field)
+        found = {
+            value: [text for _, text in out_of_range(kind.model_validate({f"x{ending}": value}))]
+            for value in (least, most, 0.99 * least, -1.01 * most)
+        }
+        small = f"expected a magnitude of at least {least:g}, got {0.99 * least:g}"
+        large = f"expected a magnitude of at most {most:g}, got {-1.01 * most:g}"
+        assert found == {least: [], most: [], 0.99 * least: [small], -1.01 * most: [large]}
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -432,6 +432,19 @@ def test_a_run_beyond_the_limits_is_replayed_with_changes(
     assert refused.value.source == str(other)
 
 
+def test_another_controller_has_the_given_changes() -> None:
+    """With --against, changes are made to that controller; all else is that of the run."""
+    recorded = runs.setup("links.loss=0.2", "controller.horizon=9")
+    run: Any = SimpleNamespace(setup=recorded, scenario_file=runs.PAPER)
+    changed = replay._changed_setup(run, ["controller.horizon=7"], "resilient").scenario
+    other = runs.ready("resilient", "controller.horizon=7").scenario
+    assert changed.controller == other.controller
+    assert changed.controller.horizon == 7
+    assert (
+        changed.model_copy(update={"controller": recorded.scenario.controller}) == recorded.scenario
+    )
+
+
 def test_the_limits_of_a_comparison_are_told() -> None:
     """Ticks without an answer, a cut log, real time, and bits of another machine where they should be equal."""
     here = {"versions": versions(), "machine": machine()}

@@ -68,6 +68,8 @@ def sent(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, Any]]:
             "land 3 -4 --speed 0.25",
             ("coordinator", "target", {"land": True, "land_at_m": [3.0, -4.0], "speed_mps": 0.25}),
         ),
+        ("land 0 -4", ("coordinator", "target", {"land": True, "land_at_m": [0.0, -4.0]})),
+        ("land 0 0", ("coordinator", "target", {"land": True, "land_at_m": [0.0, 0.0]})),
         ("abort", ("coordinator", "abort", {})),
         ("release", ("coordinator", "release", {})),
     ],

@@ -418,6 +418,26 @@ def test_a_loss_of_the_scenario_is_left_out() -> None:
 
 
 @pytest.mark.parametrize(
+    ("name", "options", "losses"),
+    [
+        ("matrix", {"delay": [0.1], "loss": [0.4]}, [0.0, 0.4, 0.0, 0.4]),
+        ("sharing", {"threshold": [0.1]}, [0.0, 0.0, 0.3, 0.3]),
+    ],
+)
+def test_bursts_and_jitter_of_the_scenario_are_left_out(
+    name: str, options: Mapping[str, Any], losses: list[float]
+) -> None:
+    """Losses are independent and of the named share; delays are constant."""
+    own = ("links.gilbert_elliott={enter=0.2,leave=0.2}", "links.jitter_s=0.05", "links.loss=0.2")
+    points = EXPERIMENTS[name].experiment(scenarios("resilient", settings=own), options).points
+    links = [point.read(own).links for point in points]
+    assert [one.loss for one in links] == losses
+    for one in links:
+        assert one.jitter_s == 0.0
+        assert one.gilbert_elliott is None or one.gilbert_elliott.enter == 0.0
+
+
+@pytest.mark.parametrize(
     ("name", "options"),
     [
         ("latency", {"delay": [0.0]}),

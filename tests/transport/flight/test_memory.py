@@ -315,13 +315,18 @@ def test_the_end_of_an_agent_is_told_and_its_stop_is_not(do: str, reason: str) -
     assert rosters[-1].reason.startswith(reason)
 
 
-def test_a_coordinator_that_was_continued_can_be_killed_later() -> None:
-    """A stop that ends changes nothing in memory; the kill after it ends the run."""
+@pytest.mark.parametrize("target", ["coordinator", "plant"])
+def test_coordinator_or_plant_that_was_continued_can_be_killed_later(target: str) -> None:
+    """A stop that ends changes nothing in memory; the kill after it ends the run at its tick."""
     events = "".join(
-        f"{{target='coordinator',do='{do}',at_s={at_s}}},"
+        f"{{target='{target}',do='{do}',at_s={at_s}}},"
         for do, at_s in (("stop", 0.2), ("continue", 0.4), ("kill", 0.8))
     )
-    assert memory.simulate(setup(SHORT, f"faults.event=[{events}]")).outcome == "aborted"
+    messages: list[Message] = []
+    end = memory.simulate(setup(SHORT, f"faults.event=[{events}]"), messages.append)
+    assert end.outcome == "aborted"
+    # 0.8 s is tick 16; a killed coordinator has sent that tick or not.
+    assert plant_states(messages)[-1].tick in {15, 16}
 
 
 def test_a_run_in_which_every_node_waits_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

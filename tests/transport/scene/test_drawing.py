@@ -8,6 +8,7 @@ from scipy.spatial.distance import pdist
 
 from tests.support import runs
 from transport.model.arrays import Array
+from transport.model.physics.parameters import resting_height
 from transport.scene.drawn_paths_links_and_thrust import Drawing
 from transport.scene.frames_and_poses import poses_at_start
 from transport.scene.history import RunHistory
@@ -41,6 +42,23 @@ def test_drawn_uavs_touch_neither_each_other_nor_an_obstacle(name: str) -> None:
     gaps_m = [pdist(builder.start_I).min()]
     gaps_m += [2.0 * obstacle.margin_m for obstacle in builder.setup.obstacles]
     assert 0.2 * min(gaps_m) < 2.0 * reach_m < min(gaps_m)
+
+
+@pytest.mark.parametrize("name", ["paper", "delivery"])
+def test_the_drawn_payload_stands_on_the_ground(name: str) -> None:
+    """At rest its lowest corners are at the ground; without a ground it is a plate of 12 cm below the attachments."""
+    builder, drawing = drawing_of(name)
+    system = builder.setup.system
+    (body,) = meshes(drawing, "payload")
+    top_m = np.mean([uav.rho[2] for uav in system.uavs])
+    assert body[:, 2].min() == pytest.approx(top_m)
+    ground_m = builder.setup.scenario.plant.ground_m
+    if ground_m is None:
+        assert body[:, 2].max() == pytest.approx(top_m + 0.12)
+    else:
+        lowest_m = resting_height(system, ground_m) + body[:, 2].max()
+        assert lowest_m == pytest.approx(ground_m)
+        assert body[:, 2].max() != pytest.approx(top_m + 0.12)
 
 
 def test_names_stand_outside_and_above() -> None:
