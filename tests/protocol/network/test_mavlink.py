@@ -187,15 +187,20 @@ SINCE_2015_S = NOW_S - datetime(2015, 1, 1, tzinfo=UTC).timestamp()
 
 
 def test_timestamps_of_signatures_grow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They count 10 us since 2015, and by one at least, also while the clock of the host stands."""
+    """They count 10 us since 2015, and by one at least, also while the clock of the host stands.
+
+    All kinds of messages of a stream are in one order: an earlier one that comes later is refused.
+    """
     monkeypatch.setattr(time, "time", lambda: NOW_S)
-    sender, receiver = Signatures(KEY), Signatures(KEY)
+    sender, receiver, later = Signatures(KEY), Signatures(KEY), Signatures(KEY)
     bare = packet(2)
-    signed = [sender.signed(bare) for _ in range(3)]
+    of_another_kind = bare[:7] + bytes([bare[7] + 1]) + bare[8:]
+    signed = [sender.signed(one) for one in (bare, of_another_kind, bare)]
     stamps = [int.from_bytes(one[-12:-6], "little") for one in signed]
     assert stamps == [int(SINCE_2015_S * 1e5) + number for number in range(3)]
     assert all(map(receiver.accept, signed))
     assert not any(map(receiver.accept, signed))  # each counts once
+    assert [later.accept(one) for one in reversed(signed)] == [True, False, False]
 
 
 @pytest.mark.parametrize(("age_s", "counts"), [(59.0, True), (61.0, False)])

@@ -2,6 +2,8 @@
 
 from collections import Counter
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -297,8 +299,19 @@ def test_slots_are_for_the_agent_with_most_uavs(owned: tuple[tuple[int, ...], ..
     run = setup(ticks(300), "radio={}", f"agents.owned={groups}")
     assert run.scenario.radio is not None
     expected = plan_length(run.run, run.scenario.radio, PlanShape.of(run.run))
-    longest = max(len(encode(plan(run, agent, 300))) for agent in run.agents)
-    assert 0 <= expected - longest <= SHORTER_BYTES
+    assert expected == max(len(encode(plan(run, agent, 300))) for agent in run.agents)
+
+
+def test_slots_are_for_the_agent_with_the_longest_name() -> None:
+    """The name of agent 10 is a byte longer than that of agent 1."""
+    run = setup(ticks(300), "radio={}")
+    assert run.scenario.radio is not None
+    team: Any = SimpleNamespace(
+        agents=range(1, 11), owned=((0,),) * 10, ticks=300, sensors=run.run.sensors
+    )
+    longest = replace(plan(run, 1, 300), sender="agent10", agent=10)
+    expected = plan_length(team, run.scenario.radio, PlanShape.of(run.run))
+    assert expected == len(encode(longest)) == len(encode(plan(run, 1, 300))) + 1
 
 
 def test_slots_that_do_not_fit_into_a_period_take_turns() -> None:

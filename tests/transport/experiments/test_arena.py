@@ -160,6 +160,8 @@ def test_algorithms_differ_in_their_controller_only() -> None:
     Failures are the same for all but the centralized algorithms, which are spared them.
     """
     made = arena(tasks=["death", "shared"], networks=[PERFECT])
+    points = made.experiment.points
+    assert {one.labels["algorithm"] for one in points if one.baseline} == {REFERENCE}
     for task in ("death", "shared"):
         fixed_parts = set()
         for case in made.cases:
@@ -189,7 +191,7 @@ def test_a_task_has_the_last_word(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("transport.experiments.arena.arena_runs.TASKS", {"task": task})
     monkeypatch.setattr("transport.experiments.arena.arena_runs.NETWORKS", {"network": sets[1]})
     scenario = _point("task", "network", algorithm).read()
-    assert len(scenario.system.uav) == 3
+    assert scenario.owned == ((1,), (2,), (3,))
     links = scenario.links
     assert [links.loss, links.duplicate, links.delay_s, links.jitter_s] == [0, 1, 2, 3]
 

@@ -134,6 +134,9 @@ def test_a_chunk_that_unpacks_to_a_bomb_is_damage(
     assert peak_bytes < READER_BYTES
 
 
+MESSAGE = struct.pack("<BQHIQQ", Opcode.MESSAGE, 30, 1, 0, 0, 0) + bytes(8)
+
+
 @pytest.mark.parametrize(("claimed", "count"), [(1, 9), (2, 11), (3, 9)])
 @pytest.mark.parametrize(
     ("compression", "compress"),
@@ -148,13 +151,26 @@ def test_a_chunk_is_as_large_as_it_claims(
 ) -> None:
     """A chunk of two messages that claims the size of one or of three is damage, not cut to whole messages."""
     path = written(tmp_path / "run.mcap", 9, CompressionType.LZ4, finished=False)
-    message = struct.pack("<BQHIQQ", Opcode.MESSAGE, 30, 1, 0, 0, 0) + bytes(8)
-    own = chunk(compress(2 * message), compression, claimed * len(message))
+    own = chunk(compress(2 * MESSAGE), compression, claimed * len(MESSAGE))
     path.write_bytes(path.read_bytes() + own)
 
     parser = Parser(path)
     assert sum(1 for _ in parser.entries()) == count
     assert parser.damaged == (claimed != 2)
+
+
+@pytest.mark.parametrize("count", [100, 101])
+def test_the_largest_chunk_that_is_read(
+    tmp_path: Path, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A chunk of the most bytes before compression is read, a larger one is damage."""
+    monkeypatch.setattr("transport.log.parser.MOST_BYTES", 100 * len(MESSAGE))
+    path = written(tmp_path / "run.mcap", 9, CompressionType.LZ4, finished=False)
+    own = chunk(lz4.frame.compress(count * MESSAGE), "lz4", count * len(MESSAGE))
+    path.write_bytes(path.read_bytes() + own)
+    parser = Parser(path)
+    assert sum(1 for _ in parser.entries()) == 9 + (count if count == 100 else 0)
+    assert parser.damaged == (count == 101)
 
 
 def test_a_record_of_any_length_is_not_read_whole(tmp_path: Path) -> None:
