@@ -601,3 +601,11 @@ def test_effects_at_a_glance_are_ranges_of_the_points(docs: SimpleNamespace) -> 
     lost = effect_of(rows[3:], {"scenario": "paper"})
     assert lost == "0 of 2 complete, the first diverges at 4.2 s"
     assert effect_of(rows, {"scenario": "resilient"}) == ""
+
+
+@pytest.mark.usefixtures("docs")
+def test_cells_of_experiments_are_those_of_their_files() -> None:
+    """A number that is zero is told, an absent one is empty."""
+    row = {"delay_s": 0.0, "seed": 0, "lost_s": None, "outcome": "completed"}
+    told = import_module("results_page")._as_text(row)
+    assert told == {"delay_s": "0.0", "seed": "0", "lost_s": "", "outcome": "completed"}
