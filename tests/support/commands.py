@@ -6,7 +6,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, chdir, closing, contextmanager
+from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 import psutil
@@ -86,6 +88,34 @@ def forks() -> Iterator[Callable[..., list[psutil.Process]]]:
                 process.kill()
             process.wait()
         close_fork_server()
+
+
+@dataclass(frozen=True, slots=True)
+class Forked:
+    """A command that a fork server has started, and the file with all that it prints."""
+
+    process: psutil.Process
+    output: Path
+
+    def end(self) -> tuple[int, str]:
+        """Wait for its end; return exit code and output."""
+        code = self.process.wait(PATIENCE_S * 2)
+        assert code is not None
+        return code, self.output.read_text(encoding="utf-8")
+
+
+@contextmanager
+def forked_commands() -> Iterator[Callable[..., Forked]]:
+    """Yield a function that starts a command in a folder by a fork server, the same for all."""
+    numbers = count()
+    with forks() as begin:
+
+        def one(*arguments: str | Path, cwd: Path) -> Forked:
+            with chdir(cwd):
+                (process,) = begin([*map(str, arguments)])
+            return Forked(process, cwd / f"process{next(numbers)}.txt")
+
+        yield one
 
 
 def settings(*changes: str) -> list[str]:

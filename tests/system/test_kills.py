@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import psutil
@@ -14,14 +15,13 @@ from rich.console import Console
 
 from tests.support.commands import (
     ENDLESS,
-    PATIENCE_S,
+    Forked,
     is_flying,
     processes_of,
     settings,
-    start,
-    transport,
     wait_for,
 )
+from tests.support.results import here
 from tests.support.runs import setup, ticks
 from transport.flight.local_processes import Child
 from transport.flight.run_execution import simulate
@@ -74,24 +74,31 @@ class Stops(Rods):
 """
 
 
-def take_off(tmp_path: Path, run: str, *changes: str) -> subprocess.Popen[str]:
+TakeOff = Callable[..., Forked]
+
+
+@pytest.fixture
+def take_off(forked: Callable[..., Forked], tmp_path: Path) -> TakeOff:
     """Start a run paced to real time and wait until it simulates."""
-    process = start(
-        "run", "paper", *settings(*ENDLESS, *changes), "--out", run, "--no-figures", cwd=tmp_path
-    )
-    assert wait_for(is_flying(tmp_path / run, TEAM)), process.communicate(timeout=10)
-    log = tmp_path / run / "run.mcap"
-    assert wait_for(lambda: log.exists() and log.stat().st_size > 100_000)
-    return process
+
+    def begin(run: str, *changes: str) -> Forked:
+        options = ["--out", run, "--no-figures"]
+        started = forked("run", "paper", *settings(*ENDLESS, *changes), *options, cwd=tmp_path)
+        assert wait_for(is_flying(tmp_path / run, TEAM)), started.output.read_text()
+        log = tmp_path / run / "run.mcap"
+        assert wait_for(lambda: log.exists() and log.stat().st_size > 100_000)
+        return started
+
+    return begin
 
 
-def test_a_process_told_to_end_leaves_at_once(tmp_path: Path) -> None:
+def test_a_process_told_to_end_leaves_at_once(take_off: TakeOff) -> None:
     """SIGTERM to one process while the run goes on: it is gone before any timeout, and named."""
-    process = take_off(tmp_path, "told", "clock.barrier_timeout_s=60.0")
+    run = take_off("told", "clock.barrier_timeout_s=60.0")
     os.kill(processes_of("told")["plant"], signal.SIGTERM)
-    _, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == LOST
-    assert "plant is gone" in errors
+    code, printed = run.end()
+    assert code == LOST
+    assert "plant is gone" in printed
     assert processes_of("told") == {}
 
 
@@ -133,38 +140,42 @@ def test_a_starved_process_is_not_missing(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_process_stopped_before_the_run_is_named(tmp_path: Path) -> None:
+def test_a_process_stopped_before_the_run_is_named(
+    forked: Callable[..., Forked], tmp_path: Path
+) -> None:
     """A plant that is stopped while the processes join.
 
     Exit code 4, the plant named, no process left.
     """
     (tmp_path / "own.py").write_text(STOPS, encoding="utf-8")
     options = settings("clock.join_timeout_s=8.0", "plant.engine=own:Stops")
-    process = start("run", "paper", *options, "--out", "join", "--no-figures", cwd=tmp_path)
-    _, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == LOST, errors
-    error = errors.splitlines()[-1]
+    started = forked("run", "paper", *options, "--out", "join", "--no-figures", cwd=tmp_path)
+    code, printed = started.end()
+    assert code == LOST, printed
+    (error,) = (line for line in printed.splitlines() if line.startswith("transport: "))
     assert "no sign of plant within 8 s" in error
     assert error.endswith("logs in join/logs")
     assert processes_of("join") == {}
 
 
 @pytest.mark.parametrize("victim", ["coordinator", "agent4"])
-def test_a_killed_process_ends_the_run_in_order(victim: str, tmp_path: Path) -> None:
+def test_a_killed_process_ends_the_run_in_order(
+    victim: str, take_off: TakeOff, tmp_path: Path
+) -> None:
     """SIGKILL of any process.
 
     Exit code 4, the victim named, the log complete up to then, no process left.
     """
     run = f"kill-{victim}"
-    process = take_off(tmp_path, run)
+    started = take_off(run)
     os.kill(processes_of(run)[victim], signal.SIGKILL)
-    _, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == LOST
-    error = errors.splitlines()[-1]
+    code, printed = started.end()
+    assert code == LOST
+    (error,) = (line for line in printed.splitlines() if line.startswith("transport: "))
     # The end of the victim comes first, then its effect and the folder of logs.
     assert error.startswith(f"transport: {victim} was killed by SIGKILL; so {victim} is gone")
     assert error.endswith(f"logs in {run}/logs")
-    assert "Traceback" not in errors
+    assert "Traceback" not in printed
     assert processes_of(run) == {}
     summary = json.loads((tmp_path / run / "summary.json").read_text())
     assert summary["outcome"] == "aborted"
@@ -175,49 +186,51 @@ def test_a_killed_process_ends_the_run_in_order(victim: str, tmp_path: Path) -> 
 @pytest.mark.parametrize(
     "number", [signal.SIGINT, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)]
 )
-def test_an_interrupted_run_is_reported(number: signal.Signals, tmp_path: Path) -> None:
+def test_an_interrupted_run_is_reported(
+    number: signal.Signals, take_off: TakeOff, tmp_path: Path
+) -> None:
     """Ctrl-C and a closed terminal end a run in order.
 
     Exit code 130, a report of what was flown, no process left.
     """
-    process = take_off(tmp_path, "interrupted")
-    process.send_signal(number)
-    output, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == INTERRUPTED, errors
-    assert "aborted" in output
-    assert "Traceback" not in errors
+    run = take_off("interrupted")
+    run.process.send_signal(number)
+    code, printed = run.end()
+    assert code == INTERRUPTED, printed
+    assert "aborted" in printed
+    assert "Traceback" not in printed
     assert processes_of("interrupted") == {}
     assert not read_log(tmp_path / "interrupted" / "run.mcap").cut
 
 
 @pytest.mark.slow
-def test_a_killed_harness_leaves_no_orphans(tmp_path: Path) -> None:
+def test_a_killed_harness_leaves_no_orphans(take_off: TakeOff, tmp_path: Path) -> None:
     """SIGKILL of `transport run` itself.
 
     Its processes notice and end; the log opens and can be reported.
     """
-    process = take_off(tmp_path, "orphans")
-    process.kill()
-    process.communicate(timeout=PATIENCE_S)
+    run = take_off("orphans")
+    run.process.kill()
+    run.end()
     assert wait_for(lambda: processes_of("orphans") == {}, timeout_s=20.0)
-    result = transport("plot", "orphans", "--format", "json", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
+    result = here("plot", tmp_path / "orphans", "--format", "json")
+    assert result.exit_code == 0, result.stderr
     summary = json.loads(result.stdout)
     assert summary["ticks"] > 5
     assert summary["log_cut"]
 
 
-def test_the_others_continue_if_configured(tmp_path: Path) -> None:
+def test_the_others_continue_if_configured(take_off: TakeOff, tmp_path: Path) -> None:
     """With `on_agent_loss = "continue"` the clock goes on without the killed agent, and the record names it."""
-    process = take_off(tmp_path, "continued", "clock.on_agent_loss=continue")
+    run = take_off("continued", "clock.on_agent_loss=continue")
     os.kill(processes_of("continued")["agent3"], signal.SIGKILL)
     assert wait_for(lambda: "agent3" not in processes_of("continued"))
     log = tmp_path / "continued" / "run.mcap"
     assert wait_for(lambda: any(roster.agents == (1, 2, 4) for roster in read_log(log).of(Roster)))
-    assert not wait_for(lambda: process.poll() is not None, timeout_s=0.8)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=PATIENCE_S)
-    assert "agent3 is gone" in errors
+    assert not wait_for(lambda: run.process.status() == psutil.STATUS_ZOMBIE, timeout_s=0.8)
+    run.process.send_signal(signal.SIGINT)
+    _, printed = run.end()
+    assert "agent3 is gone" in printed
     assert processes_of("continued") == {}
 
 

@@ -1,16 +1,17 @@
 """A run across real processes: complete, documented, reproducible, and equal to the in-memory run."""
 
 import json
-import subprocess
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import jsonschema
 import pytest
 
+import transport
 from tests.mpc.test_published_equations import PUBLISHED
 from tests.support import runs
-from tests.support.commands import SHORT, command, free_base, processes_of, settings, transport
+from tests.support.commands import SHORT, Forked, free_base, processes_of, settings
 from tests.support.troubles import ITERATIONS
 from transport.log.run_log import read_log
 from transport.protocol.wire.codec import encode
@@ -72,12 +73,12 @@ RADIO = "radio={offsets='random',computation_mean_s=0.02,background=0.3}"
 SAME_ALGORITHM = 0.02
 
 
-def run_json(folder: Path, *arguments: str) -> dict[str, Any]:
-    """Run a scenario and return the summary printed on standard output."""
+def run_json(forked: Callable[..., Forked], folder: Path, *arguments: str) -> dict[str, Any]:
+    """Run a scenario and return the summary, the last that it prints."""
     options = ["--out", folder.name, "--format", "json", "--no-figures"]
-    result = transport("run", *arguments, *options, cwd=folder.parent)
-    assert result.returncode == 0, result.stderr
-    summary: dict[str, Any] = json.loads(result.stdout)
+    code, printed = forked("run", *arguments, *options, cwd=folder.parent).end()
+    assert code == 0, printed
+    summary: dict[str, Any] = json.loads("{" + f"\n{printed}".partition("\n{")[2])
     jsonschema.validate(summary, SCHEMA)
     return summary
 
@@ -92,40 +93,40 @@ def reproducible(messages: list[Message]) -> dict[tuple[str, str], list[bytes]]:
     return streams
 
 
-@pytest.fixture(scope="module")
-def paper(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """Run the paper's whole maneuver; return its folder and summary."""
-    # Another worker's test may fly a "run" from the same current folder at this moment.
-    folder = tmp_path_factory.mktemp("paper") / "across-processes"
-    summary = run_json(folder, "paper")
-    assert processes_of(folder.name) == {}
-    return folder, summary
+def messages_of(folder: Path) -> list[Message]:
+    """Return what a run has recorded, without the recorder's own notes."""
+    recorded = [each.message for each in read_log(folder / "run.mcap").messages]
+    return [message for message in recorded if message.kind != "fault"]
 
 
 @pytest.mark.slow
-def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]) -> None:
-    """Section V: four agents, plant and coordinator complete 25 s.
+def test_the_papers_maneuver() -> None:
+    """Section V: four agents complete 25 s in memory, which processes equal bit for bit.
 
     Attitude within 2.5 deg, separation kept.
     """
-    folder, summary = paper
+    summary = transport.fly("paper", progress=False).summary
     assert summary["outcome"] == "completed"
-    assert summary["processes"] == 6
     assert summary["ticks"] == 500
     assert summary["attitude_max_deg"] <= 2.5
     assert summary["separation_min_m"] > 0.4
     assert summary["cost"]["mean"] == pytest.approx(PUBLISHED, rel=SAME_ALGORITHM)
     assert summary["solver"]["failures"] == 0
-    assert (
-        summary["messages"]["lost"]
-        == summary["messages"]["late"]
-        == summary["messages"]["rejected"]
-        == 0
-    )
 
-    memory = runs.recorded(runs.ready("paper"))
-    log = [recorded.message for recorded in read_log(folder / "run.mcap").messages]
-    assert reproducible(log) == reproducible(memory)
+
+@pytest.mark.slow
+def test_the_paper_across_processes(forked: Callable[..., Forked], tmp_path: Path) -> None:
+    """Section V as it is, shortened: six processes, no message lost or late, the bits of memory."""
+    # Another worker's test may fly a "run" from the same current folder at this moment.
+    folder = tmp_path / "across-processes"
+    summary = run_json(forked, folder, "paper", *settings(SHORT))
+    assert processes_of(folder.name) == {}
+    assert summary["processes"] == 6
+    assert summary["solver"]["failures"] == 0
+    counts = summary["messages"]
+    assert counts["lost"] == counts["late"] == counts["rejected"] == 0
+    memory = runs.recorded(runs.ready("paper", SHORT))
+    assert reproducible(messages_of(folder)) == reproducible(memory)
 
 
 @pytest.mark.parametrize(
@@ -165,26 +166,27 @@ def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]
         ),
     ],
 )
-def test_network_equals_memory(changes: tuple[str, ...], tmp_path: Path) -> None:
+def test_network_equals_memory(
+    changes: tuple[str, ...], forked: Callable[..., Forked], tmp_path: Path
+) -> None:
     """Every message except for the wall-clock times of reports is bitwise equal on the network and in memory."""
-    assert run_json(tmp_path / "run", "paper", *settings(SHORT, *changes))["rejections"] == []
+    folder = tmp_path / "run"
+    assert run_json(forked, folder, "paper", *settings(SHORT, *changes))["rejections"] == []
     memory = runs.recorded(runs.ready("paper", SHORT, *changes))
-    logged = [recorded.message for recorded in read_log(tmp_path / "run" / "run.mcap").messages]
-    log = [message for message in logged if message.kind != "fault"]  # the recorder's own notes
-    assert reproducible(log) == reproducible(memory)
+    assert reproducible(messages_of(folder)) == reproducible(memory)
 
 
-def test_processes_with_different_scenarios_refuse_each_other(tmp_path: Path) -> None:
+def test_processes_with_different_scenarios_refuse_each_other(
+    forked: Callable[..., Forked], tmp_path: Path
+) -> None:
     """An agent started with other settings is refused by name."""
     base = f"network.base_port={free_base()}"
     options = ["--run", "mixed", "--join-timeout", "20"]
-    plant = subprocess.Popen(
-        command("plant", *options, *settings(base)), cwd=tmp_path, stderr=subprocess.PIPE, text=True
-    )
-    other = transport(
+    plant = forked("plant", *options, *settings(base), cwd=tmp_path)
+    other = forked(
         "agent", "--id", "1", *options, *settings(base, "controller.horizon=30"), cwd=tmp_path
     )
-    _, plant_says = plant.communicate(timeout=60)
-    assert (other.returncode, plant.returncode) == (4, 4)
-    assert "plant runs another scenario" in other.stderr
+    (plant_code, plant_says), (code, says) = plant.end(), other.end()
+    assert (code, plant_code) == (4, 4)
+    assert "plant runs another scenario" in says
     assert "agent1 runs another scenario" in plant_says
