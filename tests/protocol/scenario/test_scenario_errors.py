@@ -128,6 +128,10 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ("links.loss=101", "expected less than or equal to 1, got 101"),
     ("controller.relaxation=2", "expected less than or equal to 1, got 2"),
     (
+        "plant.uav=[{id=1,thrust_factor=20}]",
+        "plant.uav.1.thrust_factor: expected less than or equal to 10, got 20",
+    ),
+    (
         "controller.weights.moments=[1,1,-1]",
         "controller.weights.moments.3: expected greater than 0, got -1",
     ),
@@ -556,6 +560,14 @@ def test_a_value_of_python_is_named_without_an_option() -> None:
 def test_a_value_of_several_lines_makes_no_second_line() -> None:
     """The error is one line, whatever the setting has."""
     assert refusal(PAPER, "name=a\nb").startswith("--set name=a b: string should match pattern")
+
+
+@pytest.mark.parametrize(("letters", "end"), [(75, "xxx: "), (76, "...: ")])
+def test_a_long_setting_is_cut(letters: int, end: str) -> None:
+    """Its first 80 characters are repeated, of a longer one 77 and three dots."""
+    problem = "string should match pattern"
+    repeated, _, _ = refusal(PAPER, "name=" + letters * "x").partition(problem)
+    assert repeated == f"--set name={72 * 'x'}{end}"
 
 
 def test_a_limit_that_hover_exceeds_blames_the_bodies() -> None:

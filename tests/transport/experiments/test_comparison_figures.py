@@ -9,6 +9,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from scipy import stats
 
 from transport.experiments.cases import cases_of
@@ -286,4 +287,8 @@ def test_ratios_about_one_have_most_of_the_axis(monkeypatch: pytest.MonkeyPatch)
             [[1.0, ratio] for ratio in (0.95, 1.05, 1.5, 2.0)]
         )
         assert at_105 - at_095 > at_2 - at_15 > 0.0
-        assert panel.get_ylim()[0] == 0.88
+        lowest, highest = panel.get_ylim()
+        (shade,) = (one for one in panel.patches if isinstance(one, Rectangle))
+        assert lowest == 0.88
+        # The shade is over the part with another scale.
+        assert [shade.get_y(), shade.get_y() + shade.get_height()] == [1.25, highest]
