@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -145,9 +146,7 @@ def _wrench(system: System, T: Array) -> _Wrench:
 
 def _continuous(system: System, T: Array, plant: Mismatch) -> tuple[Array, Array]:
     """Return x' = F x + G u of the actual bodies, with motor lag the actual inputs behind x."""
-    bodies = plant.system(system)
-    actual = hover(bodies)
-    linear = Model(bodies).linearise(actual.x, actual.u)
+    linear = _about_hover(system, replace(plant, lag_s=0.0, delay_s=0.0, spread_s=0.0, gain=1.0))
     F = T.T @ linear.A_c @ T
     G = plant.gain * (T.T @ linear.B_c)
 
@@ -155,6 +154,17 @@ def _continuous(system: System, T: Array, plant: Mismatch) -> tuple[Array, Array
     if plant.lag_s == 0.0:
         return F + G @ wrench.by_state, G @ wrench.by_command
     return _with_motors(F, G, wrench, plant.lag_s)
+
+
+@lru_cache(maxsize=8)
+def _about_hover(system: System, differences: Mismatch) -> Linearisation:
+    """Return the actual bodies about their hover.
+
+    A search of margins to delay, lag or gain has the same bodies each time.
+    """
+    bodies = differences.system(system)
+    actual = hover(bodies)
+    return Model(bodies).linearise(actual.x, actual.u)
 
 
 def _with_motors(F: Array, G: Array, wrench: _Wrench, lag_s: float) -> tuple[Array, Array]:
