@@ -77,22 +77,23 @@ def beyond_margins(
 
 
 @pytest.mark.parametrize(
-    ("now_s", "more_m"), [(2.5, REST_M), (3.5, REST_M), (4.5, REST_M), (4.7, 0.0)]
+    ("now_s", "more_m", "load_margin_m"),
+    [
+        (2.5, REST_M, LOAD_MARGIN_M),
+        (4.5, REST_M, LOAD_MARGIN_M),
+        (4.7, 0.0, LOAD_MARGIN_M),
+        (2.5, REST_M, 1.6),  # payload and rods keep the larger one
+    ],
 )
-def test_it_rests_at_the_last_place_that_keeps_its_distance(now_s: float, more_m: float) -> None:
+def test_it_rests_at_the_last_place_that_keeps_its_distance(
+    now_s: float, more_m: float, load_margin_m: float
+) -> None:
     """Whenever the wall is seen, and at the margins alone where that distance takes a hard braking."""
     run = flight()
-    target = rest(run, now_s)
+    target = rest(run, now_s, load_margin_m)
     speed_mps = 1.5
     resolution_m = speed_mps * (speed_mps / GENTLE_MPS2) / 2.0 / HALVINGS
-    assert more_m <= beyond_margins(run, now_s, target) <= more_m + resolution_m
-
-
-def test_a_rest_keeps_its_distance_of_payload_and_rods_too() -> None:
-    """Where their margin is the larger one, they are 0.3 m farther than it."""
-    run, now_s, margin_m = flight(), 2.5, 1.6
-    target = rest(run, now_s, margin_m)
-    assert REST_M <= beyond_margins(run, now_s, target, margin_m) <= REST_M + 0.05
+    assert more_m <= beyond_margins(run, now_s, target, load_margin_m) <= more_m + resolution_m
 
 
 def test_an_obstacle_is_that_of_the_message() -> None:
