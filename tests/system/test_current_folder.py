@@ -89,7 +89,15 @@ def test_a_run_in_odd_surroundings(tmp_path: Path) -> None:
     """A deleted current folder, the POSIX locale, a path beyond ASCII and a reader that leaves: it completes."""
     gone, out = tmp_path / "gone", tmp_path / "ünï 😀"
     gone.mkdir()
-    words = ["run", "paper", *settings(SHORT), "--out", str(out), "--no-figures"]
+    # One agent: without a current folder each process is a program of its own, with its own imports.
+    words = [
+        "run",
+        "paper",
+        *settings(SHORT, "agents.owned=[[1,2,3,4]]"),
+        "--out",
+        str(out),
+        "--no-figures",
+    ]
     program = f"import os, sys; os.rmdir({str(gone)!r}); os.execv(sys.executable, sys.argv[1:])"
     reading, writing = os.pipe()
     os.close(reading)

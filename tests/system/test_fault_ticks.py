@@ -1,11 +1,12 @@
 """Scripted faults of a lockstep run are due by ticks: the pace of the run and frozen processes change nothing."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
-from tests.support.commands import SHORT, processes_of, settings, transport
+from tests.support.commands import SHORT, Forked, processes_of, settings
 from transport.flight.memory import simulate
 from transport.log.run_log import read_log
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
@@ -67,11 +68,11 @@ def in_memory(*changes: str) -> Course:
     return course_of(messages)
 
 
-def with_processes(folder: Path, *changes: str) -> Course:
+def with_processes(forked: Callable[..., Forked], folder: Path, *changes: str) -> Course:
     """Return the course of the run with processes, which must be completed."""
     options = ["--out", "run", "--no-figures"]
-    result = transport("run", "resilient", *settings(*changes), *options, cwd=folder)
-    assert result.returncode == 0, result.stderr
+    code, printed = forked("run", "resilient", *settings(*changes), *options, cwd=folder).end()
+    assert code == 0, printed
     assert processes_of("run") == {}
     log = read_log(folder / "run" / "run.mcap")
     return course_of([entry.message for entry in log.messages])
@@ -84,10 +85,12 @@ def expected() -> Course:
 
 
 @pytest.mark.slow
-def test_a_host_slower_than_the_pace_changes_nothing(expected: Course, tmp_path: Path) -> None:
+def test_a_host_slower_than_the_pace_changes_nothing(
+    expected: Course, forked: Callable[..., Forked], tmp_path: Path
+) -> None:
     """Kill, restart, stop and continue act at their ticks with the same bits: a wall clock is ahead of the ticks."""
     pace = (BARRIER, "clock.speed=1000")
-    course = with_processes(tmp_path, SHORT, CONTINUE, *pace, f"faults.event=[{EVENTS}]")
+    course = with_processes(forked, tmp_path, SHORT, CONTINUE, *pace, f"faults.event=[{EVENTS}]")
     assert course == expected
 
 
@@ -98,7 +101,7 @@ def test_a_host_slower_than_the_pace_changes_nothing(expected: Course, tmp_path:
     ids=["coordinator", "plant"],
 )
 def test_no_fault_acts_while_no_tick_opens(
-    frozen: str, speed: float, expected: Course, tmp_path: Path
+    frozen: str, speed: float, expected: Course, forked: Callable[..., Forked], tmp_path: Path
 ) -> None:
     """While coordinator or plant is stopped for 0.9 s no other fault acts.
 
@@ -107,15 +110,19 @@ def test_no_fault_acts_while_no_tick_opens(
     """
     events = f"faults.event=[{EVENTS}{frozen}]"
     assert in_memory(SHORT, CONTINUE, events) == expected
-    course = with_processes(tmp_path, SHORT, CONTINUE, BARRIER, f"clock.speed={speed}", events)
+    course = with_processes(
+        forked, tmp_path, SHORT, CONTINUE, BARRIER, f"clock.speed={speed}", events
+    )
     assert course == expected
 
 
 @pytest.mark.slow
-def test_a_stop_longer_than_a_connection_lasts(tmp_path: Path) -> None:
+def test_a_stop_longer_than_a_connection_lasts(
+    forked: Callable[..., Forked], tmp_path: Path
+) -> None:
     """An agent stopped for 12 s of wall time loses its connections after 10 s, and returns at its tick."""
     hover = "maneuver.phase=[{name='hover',duration_s=4.0,displacement_m=[0,0,0]}]"
     events = "faults.event=[{at_s=0.5,target='agent2',do='stop'},{at_s=3.5,target='agent2',do='continue'}]"
     # The default timeout of the barrier: on a busy host an agent needs seconds for new connections.
     changes = (hover, CONTINUE, events)
-    assert with_processes(tmp_path, *changes, "clock.speed=0.25") == in_memory(*changes)
+    assert with_processes(forked, tmp_path, *changes, "clock.speed=0.25") == in_memory(*changes)

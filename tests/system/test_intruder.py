@@ -6,7 +6,7 @@ import pytest
 
 from tests.campaigns.wire import campaign
 
-MESSAGES, FEWEST, TICKS = 4000, 1000, 240
+MESSAGES, FEWEST, TICKS = 2500, 1000, 160
 
 
 @pytest.mark.slow

@@ -2,13 +2,14 @@
 
 import csv
 import json
+from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import pytest
 
-from tests.support.commands import processes_of, settings, transport
+from tests.support.commands import Forked, processes_of, settings
 from transport.log.run_log import read_log
 from transport.protocol.wire.messages import Tick
 
@@ -24,21 +25,20 @@ def hover(duration_s: float) -> str:
     return f"maneuver.phase=[{{name='hover',duration_s={duration_s},displacement_m=[0,0,0]}}]"
 
 
-def flown(folder: Path, *changes: str) -> dict[str, Any]:
+def flown(forked: Callable[..., Forked], folder: Path, *changes: str) -> dict[str, Any]:
     """Return the summary of a completed run with the shared control law, which tolerates delayed plans."""
-    result = transport(
-        "run", "resilient", *settings(*changes), "--out", "run", "--no-figures", cwd=folder
-    )
-    assert result.returncode == 0, result.stderr
+    options = ["--out", "run", "--no-figures"]
+    code, printed = forked("run", "resilient", *settings(*changes), *options, cwd=folder).end()
+    assert code == 0, printed
     assert processes_of("run") == {}
     summary: dict[str, Any] = json.loads((folder / "run" / "summary.json").read_text())
     return summary
 
 
 @pytest.mark.slow
-def test_twice_as_fast(tmp_path: Path) -> None:
+def test_twice_as_fast(forked: Callable[..., Forked], tmp_path: Path) -> None:
     """At speed 2 a run of 3 s takes 1.5 s of wall time, and the summary counts missed deadlines."""
-    summary = flown(tmp_path, hover(3.0), REALTIME, "clock.speed=2")
+    summary = flown(forked, tmp_path, hover(3.0), REALTIME, "clock.speed=2")
     assert (summary["outcome"], summary["ticks"]) == ("completed", 60)
     # Without a clock it would take a fifth of that. A busy machine may record the first tick late,
     # and the last one.
@@ -54,12 +54,12 @@ def test_twice_as_fast(tmp_path: Path) -> None:
     assert opened[-1].late_ns / 1e9 <= SLACK_S
 
 
-def test_delayed_plans_are_late(tmp_path: Path) -> None:
+def test_delayed_plans_are_late(forked: Callable[..., Forked], tmp_path: Path) -> None:
     """Over links with 120 ms delay plans are used at an age of three ticks, held back by each agent's own clock.
 
     At half speed a tick must be processed 40 ms late before a plan can be used one tick earlier.
     """
-    summary = flown(tmp_path, hover(1.5), REALTIME, "clock.speed=0.5", "links.delay_s=0.12")
+    summary = flown(forked, tmp_path, hover(1.5), REALTIME, "clock.speed=0.5", "links.delay_s=0.12")
     with (tmp_path / "run" / "steps.csv").open(newline="") as stream:
         ages = [int(row["plan_age_max"]) for row in csv.DictReader(stream) if int(row["tick"]) >= 5]
     assert median(ages) >= 3
@@ -67,16 +67,17 @@ def test_delayed_plans_are_late(tmp_path: Path) -> None:
     assert summary["messages"]["late"] > 0.5 * summary["messages"]["delivered"]
 
 
-def test_an_impossible_speed(tmp_path: Path) -> None:
+def test_an_impossible_speed(forked: Callable[..., Forked], tmp_path: Path) -> None:
     """With "abort" a sampling period of 1 ms, shorter than a step, ends the run with exit code 5."""
     changes = settings(
         hover(5.0), REALTIME, "clock.speed=50", "clock.on_overrun=abort", "clock.overrun_limit=2"
     )
-    result = transport("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=tmp_path)
-    assert result.returncode == OVERRUN, result.stderr
-    assert "missed the deadline of tick" in result.stderr
-    assert "missed in total, 2 allowed" in result.stderr
-    assert "Traceback" not in result.stderr
+    options = ["--out", "run", "--no-figures"]
+    code, printed = forked("run", "resilient", *changes, *options, cwd=tmp_path).end()
+    assert code == OVERRUN, printed
+    assert "missed the deadline of tick" in printed
+    assert "missed in total, 2 allowed" in printed
+    assert "Traceback" not in printed
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["outcome"], summary["exit_code"], summary["log_cut"]) == (
         "aborted",

@@ -5,13 +5,14 @@ Scripted faults occur at their ticks, runs survive them, and the record names th
 
 import json
 import shutil
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.support.commands import PATIENCE_S, SHORT, processes_of, settings, start, transport
+from tests.support.commands import SHORT, Forked, processes_of, settings
 from tests.support.troubles import FAULTS, HEAVY, ITERATIONS, NEXT_TICK
 from transport.flight.memory import simulate
 from transport.log.run_log import RunLog, read_log
@@ -37,15 +38,16 @@ def steps(folder: Path) -> list[list[str]]:
 
 
 @pytest.fixture(scope="module")
-def troubled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def troubled(forked: Callable[..., Forked], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a run with all faults at once.
 
     Impaired links, two iterations, a kill and a freeze.
     """
     folder = tmp_path_factory.mktemp("troubled")
     changes = settings(SHORT, HEAVY, ITERATIONS, NEXT_TICK, *FAULTS)
-    result = transport("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=folder)
-    assert result.returncode == 0, result.stderr
+    options = ["--out", "run", "--no-figures"]
+    code, printed = forked("run", "resilient", *changes, *options, cwd=folder).end()
+    assert code == 0, printed
     assert processes_of("run") == {}
     return folder / "run"
 
@@ -133,23 +135,24 @@ def test_a_return_is_a_new_start(troubled: Path) -> None:
     assert ("agent4", "restarted", "script") in notes
 
 
-def aborted(folder: Path, victim: str, do: str, *changes: str) -> dict[str, Any]:
+def aborted(
+    forked: Callable[..., Forked], folder: Path, victim: str, do: str, *changes: str
+) -> dict[str, Any]:
     """Return the summary of a run that a fault at t = 0.5 s ends; no process is left."""
     event = f"faults.event=[{{at_s=0.5,do='{do}',target='{victim}'}}]"
-    options = ["--out", victim, "--no-figures", "--format", "json"]
-    process = start("run", "resilient", *settings(SHORT, event, *changes), *options, cwd=folder)
-    output, errors = process.communicate(timeout=PATIENCE_S * 2)
-    assert process.returncode == LOST, errors
-    assert "Traceback" not in errors
+    words = [*settings(SHORT, event, *changes), "--out", victim, "--no-figures"]
+    code, printed = forked("run", "resilient", *words, cwd=folder).end()
+    assert code == LOST, printed
+    assert "Traceback" not in printed
     assert processes_of(victim) == {}
-    summary: dict[str, Any] = json.loads(output)
+    summary: dict[str, Any] = json.loads((folder / victim / "summary.json").read_text())
     assert (summary["outcome"], summary["exit_code"]) == ("aborted", LOST)
     return summary
 
 
-def test_a_run_needs_its_plant(tmp_path: Path) -> None:
+def test_a_run_needs_its_plant(forked: Callable[..., Forked], tmp_path: Path) -> None:
     """A run whose plant is killed by script at a tick ends there, regardless of `on_agent_loss`."""
-    summary = aborted(tmp_path, "plant", "kill", "clock.on_agent_loss=continue")
+    summary = aborted(forked, tmp_path, "plant", "kill", "clock.on_agent_loss=continue")
     assert summary["reason"] == "plant is gone"
     assert summary["log_cut"] is None
     (noted,) = (event for event in summary["faults"] if event["kind"] == "fault")
@@ -162,9 +165,9 @@ def test_a_run_needs_its_plant(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_frozen_coordinator(tmp_path: Path) -> None:
+def test_a_frozen_coordinator(forked: Callable[..., Forked], tmp_path: Path) -> None:
     """The network gives up a coordinator that is stopped for good at the end of its lease of 10 s."""
-    summary = aborted(tmp_path, "coordinator", "stop")
+    summary = aborted(forked, tmp_path, "coordinator", "stop")
     assert summary["reason"] == "coordinator is gone"
     # The last relay may still be in the stopped process: without it the plant does not integrate
     # the period of tick 9. The plant may have it and the recorder not: the summary names the gap.
@@ -174,21 +177,16 @@ def test_a_frozen_coordinator(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", ["lockstep", "realtime"])
-def test_a_coordinator_that_wakes_up(mode: str, tmp_path: Path) -> None:
+def test_a_coordinator_that_wakes_up(
+    mode: str, forked: Callable[..., Forked], tmp_path: Path
+) -> None:
     """A coordinator frozen for longer than the barrier timeout drops no agent for its own absence: the run goes on."""
     hover = "maneuver.phase=[{name='hover',duration_s=3.5,displacement_m=[0,0,0]}]"
     pace = (f"clock.mode={mode}", "clock.speed=1.0", "clock.barrier_timeout_s=2.0")
     event = "faults.event=[{at_s=0.3,do='stop',target='coordinator'},{at_s=3.0,do='continue',target='coordinator'}]"
-    result = transport(
-        "run",
-        "resilient",
-        *settings(hover, *pace, event),
-        "--out",
-        "run",
-        "--no-figures",
-        cwd=tmp_path,
-    )
-    assert result.returncode == 0, result.stderr
+    words = [*settings(hover, *pace, event), "--out", "run", "--no-figures"]
+    code, printed = forked("run", "resilient", *words, cwd=tmp_path).end()
+    assert code == 0, printed
     log = read_log(tmp_path / "run" / "run.mcap")
     assert [roster.reason for roster in log.of(Roster)] == ["all processes are ready"]
     opened_s = {tick: at / 1e9 for tick, at in log.received_ns(Tick).items()}
