@@ -7,8 +7,10 @@ from typer.testing import CliRunner
 
 import transport
 from transport.cli.main import app
+from transport.mpc.margins.sampled_loop import margins
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.teams.team_of_any_size import read_vehicle
+from transport.report.laws import team_loops
 
 READY = {"crazyflie": 0.02, "x500": 3.0, "racing": None}
 # A hover, and a leg in all directions.
@@ -44,9 +46,10 @@ def test_ready_vehicles_fly(vehicle: str) -> None:
 def test_motors_are_within_the_margin(vehicle: str) -> None:
     """The hover of each ready vehicle is stable with the motors of its file, known to its controllers or not."""
     scenario = transport.Scenario("resilient").resized(3, vehicle=vehicle, load_kg=READY[vehicle])
-    for margins in transport.margins(scenario).data["margins"].values():
-        lag = margins["lag_s"]
-        assert (lag["lower"] or 0.0) < scenario.plant.motors.lag_s < lag["upper"]
+    for loop in team_loops(scenario.setup, ()).values():
+        lag = margins(loop, ["lag_s"])["lag_s"]
+        assert lag.upper is not None
+        assert (lag.lower or 0.0) < scenario.plant.motors.lag_s < lag.upper
 
 
 def test_the_command_writes_a_scenario(tmp_path: Path) -> None:
