@@ -1,14 +1,14 @@
 """An active run, seen through ROS 2's conventions by an implementation that shares no code with this one."""
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.support.commands import free_base, settings, start, wait_for
+from tests.support.commands import Forked, free_base, settings, wait_for
 from tests.support.live_log import LiveLog
 from tests.support.same_flight import before, flight_bits, simulated_before
 from transport.cli.commands.ros2 import PacedStart
@@ -30,22 +30,19 @@ PATH, PATH_DEFINITION = (
 DOMAIN, SEEN = 7, 40  # poses, at 20 Hz
 # The tests end their runs.
 CLIMB = "maneuver.phase=[{name='climb',duration_s=120.0,displacement_m=[3.0,0.0,-5.0]}]"
+# The least work: two agents, short horizons.
+SMALL = ("agents.owned=[[1,2],[3,4]]", "controller.horizon=5")
 HOVER = "maneuver.phase=[{name='hover',duration_s=120.0,displacement_m=[0,0,0]}]"
 
 
 @pytest.fixture(scope="module")
-def sdk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+def sdk(forked: Callable[..., Forked], tmp_path_factory: pytest.TempPathFactory) -> Any:
     """The other implementation, with one session a process, and a router of this project in place of that of ROS 2."""
     module = pytest.importorskip("zenoh_ros2_sdk")
     module.port = free_base()
-    router = start(
-        "router", "--listen", f"tcp/127.0.0.1:{module.port}", cwd=tmp_path_factory.mktemp("router")
-    )
-    try:
-        yield module
-    finally:
-        router.terminate()
-        router.communicate(timeout=30)
+    endpoint = f"tcp/127.0.0.1:{module.port}"
+    forked("router", "--listen", endpoint, cwd=tmp_path_factory.mktemp("router"))
+    return module
 
 
 def described(kind: str, definition: str, others: dict[str, str]) -> tuple[str, str]:
@@ -122,16 +119,18 @@ def tokens(sdk: Any, subscriber: Any) -> list[str]:
 
 
 @pytest.mark.slow
-def test_a_run_is_seen_and_does_not_notice(sdk: Any, tmp_path: Path) -> None:
+def test_a_run_is_seen_and_does_not_notice(
+    sdk: Any, forked: Callable[..., Forked], tmp_path: Path
+) -> None:
     """Poses at 20 Hz and plans are seen.
 
     With a bridge, and one that is killed, the bits are those of a run alone.
     """
     poses: list[Any] = []
     plans: list[Any] = []
-    options = settings("clock.speed=1.0", CLIMB)
-    started = [start("run", "resilient", *options, "--out", "run", "--no-figures", cwd=tmp_path)]
-    run, log = started[0], LiveLog(tmp_path / "run" / "run.mcap")
+    options = settings("clock.speed=1.0", CLIMB, *SMALL)
+    run = forked("run", "resilient", *options, "--out", "run", "--no-figures", cwd=tmp_path)
+    bridges, log = list[Forked](), LiveLog(tmp_path / "run" / "run.mcap")
     kept = [
         subscribe(sdk, "/payload/pose", POSE, POSE_DEFINITION, DEFINITIONS, poses),
         subscribe(
@@ -142,20 +141,17 @@ def test_a_run_is_seen_and_does_not_notice(sdk: Any, tmp_path: Path) -> None:
         assert wait_for(lambda: len(log.of(PlantState)) > 0)
         for domain in (DOMAIN, DOMAIN + 1):
             bridge = ("--domain", str(domain), "--connect", f"tcp/127.0.0.1:{sdk.port}")
-            started.append(start("ros2", "--run", "run", *bridge, cwd=tmp_path))
+            bridges.append(forked("ros2", "--run", "run", *bridge, cwd=tmp_path))
         assert wait_for(lambda: len(poses) > 0)
         assert [len(tokens(sdk, subscriber)) for subscriber in kept] == [1, 1]
-        started[2].kill()
+        bridges[1].process.kill()
         assert wait_for(lambda: len(poses) >= SEEN)
-        run.send_signal(signal.SIGINT)
-        run.communicate(timeout=60)
-        assert started[1].wait(60) == 0
+        run.process.send_signal(signal.SIGINT)
+        run.end()
+        assert bridges[0].end()[0] == 0
     finally:
         for subscriber in kept:
             subscriber.close()
-        for process in started:
-            process.kill()
-            process.communicate()
     x = np.array([state.x for state in log.of(PlantState)])
     until = len(x) - 10
     alone = simulated_before(until, tmp_path / "run" / "scenario.toml", "clock.speed=1.0")
@@ -168,7 +164,7 @@ def test_a_run_is_seen_and_does_not_notice(sdk: Any, tmp_path: Path) -> None:
     assert (stamps_s[-1] - stamps_s[0]) / (seen[-1] - seen[0]) == pytest.approx(0.05, rel=0.1)
     assert {
         (pose.header.frame_id, len(plan.poses)) for pose, plan in zip(poses, plans, strict=False)
-    } == {("inertial", 21)}
+    } == {("inertial", 6)}
 
 
 @pytest.mark.slow
@@ -187,36 +183,28 @@ def test_stamps_are_times_of_the_wall_clock(*, waits: bool) -> None:
     assert start.stamp_ns(3) == begun_ns + 3 * period_ns + (waited_ns if waits else min(late_ns))
 
 
-def test_the_bridge_of_a_killed_run_ends(tmp_path: Path) -> None:
+def test_the_bridge_of_a_killed_run_ends(forked: Callable[..., Forked], tmp_path: Path) -> None:
     """The bridge ends with exit code 0 when the run is killed, whose log then has no end."""
     endpoint = f"tcp/127.0.0.1:{free_base()}"
-    router = start("router", "--listen", endpoint, cwd=tmp_path)
-    options = settings("clock.speed=1.0", HOVER)
-    run = start("run", "resilient", *options, "--out", "run", "--no-figures", cwd=tmp_path)
+    forked("router", "--listen", endpoint, cwd=tmp_path)
+    options = settings("clock.speed=1.0", HOVER, *SMALL)
+    run = forked("run", "resilient", *options, "--out", "run", "--no-figures", cwd=tmp_path)
     log = LiveLog(tmp_path / "run" / "run.mcap")
-    started = [router, run]
-    try:
-        assert wait_for(lambda: len(log.of(PlantState)) > 0)
-        bridge = start("ros2", "--run", "run", "--connect", endpoint, cwd=tmp_path)
-        started.append(bridge)
-        assert bridge.stderr is not None
-        assert "topics in domain" in bridge.stderr.readline()
-        run.kill()
-        assert bridge.wait(60) == 0
-    finally:
-        for process in started:
-            process.kill()
-            process.communicate()
+    assert wait_for(lambda: len(log.of(PlantState)) > 0)
+    bridge = forked("ros2", "--run", "run", "--connect", endpoint, cwd=tmp_path)
+    assert wait_for(lambda: "topics in domain" in bridge.output.read_text())
+    run.process.kill()
+    assert bridge.end()[0] == 0
 
 
 @pytest.mark.slow
-def test_targets_come_from_outside(sdk: Any, tmp_path: Path) -> None:
+def test_targets_come_from_outside(sdk: Any, forked: Callable[..., Forked], tmp_path: Path) -> None:
     """Targets of the other implementation are announced.
 
     A flood with NaN is refused, named, and changes no bit.
     """
-    options = settings("clock.speed=1.0", HOVER)
-    run = start("run", "precise", *options, "--out", "run", "--no-figures", cwd=tmp_path)
+    options = settings("clock.speed=1.0", HOVER, *SMALL)
+    run = forked("run", "precise", *options, "--out", "run", "--no-figures", cwd=tmp_path)
     log = LiveLog(tmp_path / "run" / "run.mcap")
     publisher = Publisher(sdk, sdk.port)
     send = publisher.send
@@ -224,10 +212,9 @@ def test_targets_come_from_outside(sdk: Any, tmp_path: Path) -> None:
     def targets() -> list[list[float]]:
         return [target.points[0].tolist() for target in log.of(Target)]
 
-    bridge = None
     try:
         assert wait_for(lambda: len(log.of(PlantState)) > 0)
-        bridge = start(
+        bridge = forked(
             "ros2",
             "--run",
             "run",
@@ -255,16 +242,13 @@ def test_targets_come_from_outside(sdk: Any, tmp_path: Path) -> None:
         assert targets()[-1] == [0.5, 0.5, -10.2]
         flooded = len(log.of(PlantState))
         assert wait_for(lambda: len(log.of(PlantState)) > flooded + 30)
-        run.send_signal(signal.SIGINT)
-        run.communicate(timeout=60)
-        _, errors = bridge.communicate(timeout=60)
-        assert bridge.returncode == 0
+        run.process.send_signal(signal.SIGINT)
+        run.end()
+        code, printed = bridge.end()
+        assert code == 0, printed
     finally:
         publisher.close()
-        for process in filter(None, [run, bridge]):
-            process.kill()
-            process.communicate()
-    assert "/target: expected a finite position" in errors or "expected the frame" in errors
+    assert "/target: expected a finite position" in printed or "expected the frame" in printed
     script = (
         f"{{at_s={t.tick * 0.05!r},points_m={t.points.tolist()},to={[*t.to]}}}"
         for t in log.of(Target)
@@ -273,5 +257,5 @@ def test_targets_come_from_outside(sdk: Any, tmp_path: Path) -> None:
     alone = simulated_before(
         until, tmp_path / "run" / "scenario.toml", f"maneuver.target=[{','.join(script)}]"
     )
-    assert len(flight_bits(alone)) == until * 5
+    assert len(flight_bits(alone)) == until * 3
     assert flight_bits(alone) == flight_bits(before(until, log.of(Message)))
