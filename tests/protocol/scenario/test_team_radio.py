@@ -10,7 +10,7 @@ import pytest
 from msgspec.structs import replace
 
 from tests.support.own_classes import Bulky
-from tests.support.runs import ALL, plan, recorded, setup, ticks
+from tests.support.runs import ALL, VEHICLE, plan, recorded, setup, ticks
 from transport.protocol.radio.channel_settings_and_state import ChannelParameters
 from transport.protocol.radio.frames import FrameResult
 from transport.protocol.radio.propagation import Propagation, noise_mw
@@ -300,6 +300,16 @@ def test_slots_are_for_the_agent_with_most_uavs(owned: tuple[tuple[int, ...], ..
     assert run.scenario.radio is not None
     expected = plan_length(run.run, run.scenario.radio, PlanShape.of(run.run))
     assert expected == max(len(encode(plan(run, agent, 300))) for agent in run.agents)
+
+
+def test_slots_hold_the_reports_of_sensors() -> None:
+    """With sensors of the vehicles a plan has corrections, and of four ticks 15 measurements, 4 inputs, a mark."""
+    run = setup(ticks(300), "radio={}", *VEHICLE)
+    assert run.scenario.radio is not None
+    own = plan(run, 1, 300)
+    longest = replace(own, uav_states=np.zeros((1, 4 * 20)), corrections=own.inputs)
+    expected = plan_length(run.run, run.scenario.radio, PlanShape.of(run.run))
+    assert expected == len(encode(longest))
 
 
 def test_slots_are_for_the_agent_with_the_longest_name() -> None:

@@ -173,6 +173,27 @@ def test_the_largest_chunk_that_is_read(
     assert parser.damaged == (count == 101)
 
 
+@pytest.mark.parametrize("less", [0, 1])
+def test_the_largest_record_and_summary_that_are_read(
+    tmp_path: Path, less: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They have the most bytes; of a longer record only the length is known."""
+    path = written(tmp_path / "run.mcap", 9, CompressionType.LZ4)
+    data = path.read_bytes()
+    (first, *_) = records(BytesIO(data), len(MCAP0_MAGIC))
+    assert first.body is not None
+    monkeypatch.setattr("transport.log.parser.MOST_BYTES", len(first.body) - less)
+    (again, *_) = records(BytesIO(data), len(MCAP0_MAGIC))
+    assert (again.body is None, again.end) == (bool(less), first.end)
+
+    monkeypatch.setattr("transport.log.parser.MOST_BYTES", len(data))
+    parser = Parser(path)
+    assert sum(1 for _ in parser.entries()) == 9
+    ends = {one.opcode: one.end for one in records(BytesIO(data), len(MCAP0_MAGIC))}
+    monkeypatch.setattr("transport.log.parser.MOST_BYTES", len(data) - ends[Opcode.DATA_END] - less)
+    assert parser.is_whole() is (not less)
+
+
 def test_a_record_of_any_length_is_not_read_whole(tmp_path: Path) -> None:
     """A sparse file with one record of terabytes is passed over: its length is checked before."""
     path = written(tmp_path / "run.mcap", 100, CompressionType.LZ4)
