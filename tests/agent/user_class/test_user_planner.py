@@ -7,6 +7,8 @@ import sys
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,7 +40,7 @@ from transport.model.arrays import Array
 from transport.plant.engines import checked_engine
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.messages import Measurement, Message, Note, Plan, StepReport
+from transport.protocol.wire.messages import MAX_DATA, Measurement, Message, Note, Plan, StepReport
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "docs" / "examples"
 
@@ -107,6 +109,50 @@ def test_a_class_cannot_write_into_the_arrays_of_its_run() -> None:
         name: one.flags.writeable for name, one in values.items() if isinstance(one, np.ndarray)
     }
     assert writeable == dict.fromkeys(("x_hover", "u_hover", "lower", "upper"), False)
+
+
+def test_a_class_knows_its_run() -> None:
+    """Length, delay and seed of the run; the reference, held at its end, in an array of its own."""
+    team = setup(SHORT, "clock.actuation=next_tick", "seed=5")
+    run = run_of(team.run, 2)
+    assert (run.ticks, run.delay, run.seed) == (team.ticks, 1, 5)
+    last = len(team.X_ref) - 1
+    for tick, row in ((3, 3), (last + 7, last)):
+        found = run.reference(tick)
+        np.testing.assert_array_equal(found, team.X_ref[row])
+        found[:] = 0.0
+        assert team.X_ref[row].any()
+
+
+def test_a_class_declares_data_and_asks_for_the_estimate_in_start() -> None:
+    """As many numbers as fit, one estimate however often it is asked for; neither after the start."""
+    run = run_of(setup(SHORT, "controller.prediction=closed_loop").run, 2)
+    with pytest.raises(ValueError, match="expected a shape of 1 to"):
+        run.share((MAX_DATA + 1,))
+    run.share(MAX_DATA)
+    assert run.data_shape == (MAX_DATA,)
+    estimate = run.estimator()
+    assert run.estimator() is estimate
+    run.started()
+    with pytest.raises(ValueError, match=r"run\.share: expected a call in start"):
+        run.share(1)
+    with pytest.raises(ValueError, match=r"run\.estimator: expected a call in start"):
+        run.estimator()
+
+
+def test_a_class_is_told_who_takes_part() -> None:
+    """Agents on the roster and UAVs without motors, released or not, in order."""
+    run = run_of(setup().run, 2)
+    received: Any = SimpleNamespace(
+        tick=7,
+        agents={8, 1},
+        off=frozenset({8, 1}),
+        released=frozenset({8}),
+        plans=[],
+        measurements=[],
+    )
+    run.begin(received, must_send=False)
+    assert (run.tick, run.agents, run.failed, run.must_send) == (7, (1, 8), (1, 8), False)
 
 
 def test_velocities_by_name() -> None:
