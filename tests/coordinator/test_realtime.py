@@ -1,6 +1,7 @@
 """The coordinator in real time: absolute deadlines, missed deadlines, lost and returning agents."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ import pytest
 from tests.support.coordinator_clock import CONTINUE, MS, START_NS, S, kinds, ready, started, tell
 from tests.support.nodes import CoordinatorNode
 from tests.support.runs import ALL, plan, plant_state, setup, ticks
+from transport.coordinator.when_ticks_open_and_close import Clock
+from transport.protocol.scenario.sections.lockstep_and_realtime_section import ClockSection
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Control, Message, Plan, PlantState, Roster, Tick
 
@@ -199,3 +202,94 @@ def test_a_frozen_plant_ends_the_run() -> None:
     assert (end.outcome, end.exit_code) == ("aborted", 4)
     assert end.reason == "plant has not answered since tick 0"
     assert due(1) + BARRIER_NS <= now_ns <= due(2) + BARRIER_NS
+
+
+def clock(**settings: Any) -> Clock:
+    """Return a clock in real time, at twice the speed, with a barrier timeout of 1 s."""
+    given = {"mode": "realtime", "speed": 2.0, "actuation": "next_tick", "barrier_timeout_s": 1.0}
+    return Clock(ClockSection(**{**given, **settings}), PERIOD_NS)
+
+
+def test_ticks_are_due_from_the_first_on_at_the_speed_of_the_run() -> None:
+    """From the instant that the vehicles were told, or else from that at which tick 0 opens."""
+    told, free = clock(), clock()
+    told.begin(START_NS)
+    for one in (told, free):
+        one.open(0, ALL, (), START_NS + 7)
+    assert (told.due_ns(4), free.due_ns(4)) == (START_NS + 100 * MS, START_NS + 100 * MS + 7)
+    past_ns = (-10 * S, -1, 0, 25 * MS - 1, 25 * MS, 40 * MS)
+    assert [told.newest(START_NS + ns) for ns in past_ns] == [-1, -1, 0, 0, 1, 1]
+    at_once = clock(mode="lockstep", speed=0.0)
+    at_once.begin(START_NS)
+    assert at_once.due_ns(9) == 0
+    # In lockstep alone the last tick closes with its last answer, and no deadline is missed.
+    paced = clock(mode="lockstep", speed=1.0, on_overrun="abort", overrun_limit=0)
+    paced.begin(START_NS)
+    for one, last, closes in ((paced, True, True), (paced, False, False), (told, True, False)):
+        assert one.is_time_to_close(3, set(), START_NS, last=last) is closes
+    assert paced.judge_overruns(3, {4}, START_NS + S) == ""
+
+
+def test_an_agent_is_silent_that_owes_an_answer_for_the_timeout() -> None:
+    """Since the oldest open tick, its late plan or its return; the plant since its own answer."""
+    one = clock()
+    one.begin(START_NS)
+    one.note_plant(START_NS + 3 * MS)
+    for tick in range(4):
+        one.open(tick, ALL, (), START_NS + tick * 25 * MS)
+    run = setup()
+    one.answer(plan(run, 2, 1), 3, START_NS + 80 * MS)  # late
+    one.answer(plan(run, 3, 3), 3, START_NS + 85 * MS)
+    one.open(4, ALL, (4,), START_NS + 100 * MS)
+
+    def silent(after_ns: int) -> set[int]:
+        return set(one.silent({*ALL}, set(), START_NS + S + after_ns))
+
+    assert [silent(ns) for ns in (-1, 0, 80 * MS - 1)] == [set(), {1}, {1}]
+    assert [silent(ns) for ns in (80 * MS, 100 * MS - 1, 100 * MS)] == [{1, 2}, {1, 2}, {*ALL}]
+    assert not one.plant_is_silent(START_NS + S + 3 * MS - 1)
+    assert one.plant_is_silent(START_NS + S + 3 * MS)
+    assert not clock(mode="lockstep").plant_is_silent(START_NS + 9 * S)
+
+
+@pytest.mark.parametrize(("late_ms", "is_away"), [(200, False), (201, True)])
+def test_an_absence_of_more_than_200_ms_is_excused_once_a_tick(
+    late_ms: int, *, is_away: bool
+) -> None:
+    """From the planned awakening, or the last one if that was later: all timeouts begin anew."""
+    one = clock()
+    one.begin(START_NS)
+    one.open(0, ALL, (), START_NS)
+    one.excuse_absence(0, START_NS, START_NS + 150 * MS)  # called, but not away
+    now_ns = START_NS + (150 + late_ms) * MS
+    one.excuse_absence(0, START_NS + 50 * MS, now_ns)
+    assert (one.expires_ns == now_ns + S) is is_away
+    assert (one.expires_ns == START_NS + S) is not is_away
+    assert set(one.silent({*ALL}, set(), START_NS + S)) == (set() if is_away else {*ALL})
+    assert one.plant_is_silent(now_ns + S - 1) is not is_away
+    one.excuse_absence(0, now_ns, now_ns + S)
+    assert (one.expires_ns == now_ns + 2 * S) is not is_away
+
+
+def test_missed_deadlines_end_a_run_beyond_what_is_allowed() -> None:
+    """Their number, of all agents, or how late a tick or a plan was."""
+    counted = clock(on_overrun="abort", overrun_limit=3)
+    counted.begin(START_NS)
+    assert counted.judge_overruns(0, {1, 2, 3}, START_NS) == ""
+    reason = counted.judge_overruns(1, {4}, START_NS)
+    assert (
+        reason == "agent4 missed the deadline of tick 1 at t = 0.10 s: 4 missed in total, 3 allowed"
+    )
+    run = setup()
+    for plan_late_ms, tick_late_ms, expected in (
+        (12, 10, "a plan before tick 5 was 0.012 s late, 0.01 s allowed"),
+        (3, 11, "tick 5 was 0.011 s late, 0.01 s allowed"),
+        (10, 10, ""),
+    ):
+        one = clock(on_overrun="abort", overrun_limit=3, overrun_limit_s=0.01)
+        one.begin(0)
+        one.open(4, ALL, (), 100 * MS)
+        one.answer(plan(run, 2, 3), 4, (100 + plan_late_ms) * MS)
+        one.answer(plan(run, 3, 4), 4, 101 * MS)
+        assert one.judge_overruns(4, set(), (125 + tick_late_ms) * MS) == expected
+        assert one.lateness_ns(4, 105 * MS) == (5 * MS, plan_late_ms * MS)
