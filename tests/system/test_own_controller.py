@@ -4,6 +4,7 @@ The same bits as in memory, and its failures in the report.
 """
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,7 @@ import numpy as np
 import pytest
 
 import transport
-from tests.support.commands import SHORT, settings
-from tests.support.commands import transport as command
+from tests.support.commands import SHORT, Forked, settings
 from tests.support.own_classes import Chain
 from transport.protocol.wire.errors_and_exit_codes import (
     EXIT_FAILED,
@@ -37,6 +37,19 @@ class Fails:
     def stop(self):
         raise OSError("cannot stop")
 """
+
+
+def flown(
+    forked: Callable[..., Forked], folder: Path, *options: str, out: str = "out"
+) -> tuple[int, str]:
+    """Fly the paper's run with processes from a folder; return exit code and output."""
+    return forked("run", "paper", *options, "--out", out, "--no-figures", cwd=folder).end()
+
+
+def summary_of(folder: Path) -> dict[str, Any]:
+    """Return the summary in a run's folder."""
+    found: dict[str, Any] = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    return found
 
 
 @pytest.mark.slow
@@ -84,28 +97,27 @@ def test_data_of_processes_have_the_same_bits(tmp_path: Path, iterations: int) -
 
 
 @pytest.mark.slow
-def test_a_failing_class_among_processes(tmp_path: Path) -> None:
+def test_a_failing_class_among_processes(forked: Callable[..., Forked], tmp_path: Path) -> None:
     """The run completes; summary and log name class, error, file and line.
 
     A class that is none is refused at once.
     """
     (tmp_path / "mine.py").write_text(FAILS, encoding="utf-8")
     options = settings(SHORT, "agents.controller=mine:Fails")
-    done = command(
-        "run", "paper", *options, "--out", "out", "--no-figures", "--format", "json", cwd=tmp_path
-    )
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
+    code, printed = flown(forked, tmp_path, *options)
+    assert code == 0, printed
+    summary = summary_of(tmp_path / "out")
     assert summary["solver"]["failures"] == 1
     what = "controller mine:Fails: {} raised OSError: {} (mine.py:{})"
     events = [event["what"] for event in summary["faults"]]
     assert f"agent3: {what.format('step', 'no solver', 9)}" in events
     assert sum(what.format("stop", "cannot stop", 12) in text for text in events) == 1
-    refused = command("validate", "paper", *settings("agents.controller=mine:Other"), cwd=tmp_path)
-    assert refused.returncode == EXIT_SCENARIO
+    refused = forked("validate", "paper", *settings("agents.controller=mine:Other"), cwd=tmp_path)
+    code, printed = refused.end()
+    assert code == EXIT_SCENARIO
     where = f"its import from {tmp_path} or the installed packages"
     expected = f"{where} raised AttributeError: module 'mine' has no attribute 'Other'"
-    assert refused.stderr == f"transport: --set agents.controller=mine:Other: {expected}\n"
+    assert printed == f"transport: --set agents.controller=mine:Other: {expected}\n"
 
 
 ALWAYS = """
@@ -122,23 +134,27 @@ class Always:
 
 
 @pytest.mark.slow
-def test_a_controller_that_never_works_is_no_success(tmp_path: Path) -> None:
+def test_a_controller_that_never_works_is_no_success(
+    forked: Callable[..., Forked], tmp_path: Path
+) -> None:
     """Exit code 7; first line, limits and events name all agents that failed."""
     agents = (2, 3)
     (tmp_path / "mine.py").write_text(ALWAYS.replace("{agents}", str(agents)), encoding="utf-8")
     options = settings(SHORT, "agents.controller=mine:Always")
-    done = command("run", "paper", *options, "--out", "out", "--no-figures", cwd=tmp_path)
-    assert done.returncode == EXIT_FAILED, done.stderr
+    code, printed = flown(forked, tmp_path, *options)
+    assert code == EXIT_FAILED, printed
 
-    first, *lines = done.stdout.splitlines()
+    lines = printed.splitlines()
+    (first,) = (line for line in lines if line.startswith("paper failed"))
     names = ", ".join(f"agent{agent}" for agent in agents)
     assert first.startswith(f"paper failed: {names} failed in 30 of 30 steps")
-    assert done.stderr.splitlines()[-1].startswith(f"transport: {names} failed in 30 of 30 steps")
+    (error,) = (line for line in lines if line.startswith("transport: "))
+    assert error.startswith(f"transport: {names} failed in 30 of 30 steps")
     (limits,) = (line for line in lines if line.split()[:1] == ["limits"])
     assert "held" not in limits
     assert f"{30 * len(agents)} steps without a controller" in limits
 
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    summary = summary_of(tmp_path / "out")
     assert (summary["outcome"], summary["exit_code"]) == ("failed", EXIT_FAILED)
     assert [one["agent"] for one in summary["solver"]["failed_agents"]] == list(agents)
     (notice,) = (event for event in summary["faults"] if event["kind"] == "notice")
@@ -162,27 +178,26 @@ class Slow:
 
 
 @pytest.mark.slow
-def test_a_class_that_is_too_slow(tmp_path: Path) -> None:
+def test_a_class_that_is_too_slow(forked: Callable[..., Forked], tmp_path: Path) -> None:
     """In lockstep the team waits as long as the barrier: exit code 4, with the agent in one line.
 
     In real time its plans miss their deadlines, which the summary counts.
     """
     (tmp_path / "mine.py").write_text(SLOW.replace("{sleep_s}", "6.0"), encoding="utf-8")
     options = settings(SHORT, "agents.controller=mine:Slow", "clock.barrier_timeout_s=2.0")
-    done = command("run", "paper", *options, "--out", "out", "--no-figures", cwd=tmp_path)
-    assert done.returncode == EXIT_UNREACHABLE
+    code, printed = flown(forked, tmp_path, *options)
+    assert code == EXIT_UNREACHABLE
     why = "agent3 did not answer tick 5 in time at t = 0.25 s"
-    # After processes that were killed.
-    assert done.stderr.splitlines()[-1] == f"transport: {why}; logs in out/logs"
-    assert done.stdout.startswith(f"paper aborted: {why}")
+    lines = printed.splitlines()
+    errors = [line for line in lines if line.startswith("transport: ")]
+    assert errors[-1] == f"transport: {why}; logs in out/logs"  # after processes that were killed
+    assert any(line.startswith(f"paper aborted: {why}") for line in lines)
 
     (tmp_path / "late.py").write_text(SLOW.replace("{sleep_s}", "0.2"), encoding="utf-8")
     realtime = ("clock.mode=realtime", "clock.actuation=next_tick", "clock.speed=1.0")
     options = settings(SHORT, "agents.controller=late:Slow", *realtime)
-    done = command(
-        "run", "paper", *options, "--out", "late", "--no-figures", "--format", "json", cwd=tmp_path
-    )
-    summary = json.loads(done.stdout)
+    flown(forked, tmp_path, *options, out="late")
+    summary = summary_of(tmp_path / "late")
     assert summary["outcome"] == "completed"
     assert summary["deadline"]["missed"] >= MISSED_PLANS
     assert summary["solver"]["failures"] == 0

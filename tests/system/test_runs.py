@@ -3,7 +3,7 @@
 import json
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,7 @@ from tests.support import attacker
 from tests.support.attacker import table
 from tests.support.commands import (
     PATIENCE_S,
-    command,
-    forks,
+    Forked,
     free_base,
     is_flying,
     settings,
@@ -133,28 +132,23 @@ def test_a_run_under_attack(tmp_path: Path) -> None:
 
 
 @contextmanager
-def routers(folder: Path, *each: Sequence[str]) -> Iterator[None]:
+def routers(forked: Callable[..., Forked], folder: Path, *each: Sequence[str]) -> Iterator[None]:
     """Run `transport router` with each list of arguments; each has to end with exit code 0."""
-    started: list[subprocess.Popen[str]] = []
-    try:
-        for arguments in each:
-            started.append(start("router", *arguments, cwd=folder))
-            err = started[-1].stderr
-            assert err is not None
-            assert "listening" in err.readline()
-        yield
-    finally:
-        for process in started:
-            process.terminate()
-        for process in started:
-            _, errors = process.communicate(timeout=PATIENCE_S)
-            assert process.returncode == 0, errors
+    started: list[Forked] = []
+    for arguments in each:
+        started.append(forked("router", *arguments, cwd=folder))
+        assert wait_for(lambda: "listening" in started[-1].output.read_text())
+    yield
+    for router in started:
+        router.process.terminate()
+    for router in started:
+        code, printed = router.end()
+        assert code == 0, printed
 
 
 @pytest.mark.slow
-def test_routers_on_both_sides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_routers_on_both_sides(forked: Callable[..., Forked], tmp_path: Path) -> None:
     """With coordinator, plant and recorder at one router and the agents at another, the run is bitwise the same."""
-    monkeypatch.chdir(tmp_path)
     base = free_base()
     here, there = f"tls/127.0.0.1:{base}", f"tls/127.0.0.1:{base + 1}"
     keys = f"network.keys={keyring('one')}"
@@ -163,6 +157,7 @@ def test_routers_on_both_sides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         "": settings(*BRIEF, keys, f"network.router={here}"),
     }
     with routers(
+        forked,
         tmp_path,
         ["--listen", here, "--set", keys],
         ["--listen", there, "--connect", here, "--set", keys],
@@ -173,13 +168,12 @@ def test_routers_on_both_sides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             ["plant", *own[""]],
             ["coordinator", *own[""], *observed],
         ]
-        with forks() as begin:
-            each = ("--scenario", "paper", "--incarnation", "0")
-            record = ["record", "--scenario", "paper", *own[""], "--out", "out", "--no-figures"]
-            started = begin(*([*role, *each] for role in roles), record)
-            codes = [process.wait(timeout=PATIENCE_S) for process in started]
-            outputs = [Path(f"process{i}.txt").read_text() for i in range(len(started))]
-    assert codes == [0] * len(started), outputs
+        each = ("--scenario", "paper", "--incarnation", "0")
+        record = ["record", "--scenario", "paper", *own[""], "--out", "out", "--no-figures"]
+        all_words = [*([*role, *each] for role in roles), record]
+        ended = [process.end() for process in [forked(*w, cwd=tmp_path) for w in all_words]]
+    codes, outputs = zip(*ended, strict=True)
+    assert codes == (0,) * len(ended), outputs
     assert table(tmp_path / "out") == calm(tmp_path / "calm", *BRIEF)
     assert all('"joined"' in text for text in outputs[:5])
 
@@ -223,18 +217,11 @@ def test_refused_before_anything_starts(
     assert not (tmp_path / "out").exists()
 
 
-def test_insecure_is_logged(tmp_path: Path) -> None:
+def test_insecure_is_logged(forked: Callable[..., Forked], tmp_path: Path) -> None:
     """With `network.insecure` a process listens on an open address and logs a warning."""
     base = free_base()
     changes = settings("network.host=0.0.0.0", "network.insecure=true", f"network.base_port={base}")
-    done = subprocess.run(
-        command("plant", *changes, "--join-timeout", "0.2"),
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-    assert done.returncode == 4  # no other process joined
-    first = json.loads(done.stderr.splitlines()[0])
+    code, printed = forked("plant", *changes, "--join-timeout", "0.2", cwd=tmp_path).end()
+    assert code == 4  # no other process joined
+    first = json.loads(printed.splitlines()[0])
     assert (first["event"], first["means"][:20]) == ("open", "any host with access")
