@@ -18,6 +18,13 @@ from transport.protocol.wire.messages import PlantState
 
 # Commands that reach the actuators 100 ms late: the UAVs swing into each other.
 LATE = {"links.actuation.delay_s": 0.1}
+# On this way they do.
+ASIDE = {
+    "maneuver.phase": [
+        {"name": "hover", "duration_s": 1.0, "displacement_m": [0.0, 0.0, 0.0]},
+        {"name": "translate", "duration_s": 5.0, "displacement_m": [2.5, 0.0, 0.0]},
+    ]
+}
 RUN = ready("resilient")
 RADIUS_M = 0.1
 ROUNDING = 1e-9
@@ -85,8 +92,9 @@ def test_what_touches_nothing() -> None:
 
 def test_a_collision_is_the_outcome() -> None:
     """The run goes on, or ends by a key, with the same contact and exit code either way."""
-    went_on = transport.fly("resilient", LATE, progress=False).summary
-    ended = transport.fly("resilient", LATE | {"plant.on_collision": "end"}, progress=False).summary
+    went_on = transport.fly("resilient", LATE | ASIDE, progress=False).summary
+    end = {"plant.on_collision": "end"}
+    ended = transport.fly("resilient", LATE | ASIDE | end, progress=False).summary
     collision = went_on["collision"]
     assert ended["collision"] == collision
     for summary in (went_on, ended):
@@ -94,7 +102,7 @@ def test_a_collision_is_the_outcome() -> None:
         one, other = collision["uavs"]
         assert summary["reason"].startswith(f"UAV{one} and UAV{other} collide")
     assert collision["distance_m"] == 2.0 * RADIUS_M
-    assert went_on["ticks"] == 500
+    assert went_on["ticks"] == 120
     # The period of the contact, and the tick whose state tells it.
     assert ended["ticks"] == int(collision["at_s"] / 0.05) + 2
 
