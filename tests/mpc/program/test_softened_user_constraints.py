@@ -62,7 +62,7 @@ def test_a_constraint_that_no_plan_meets_is_violated_least(relation: str) -> Non
 
 def test_an_equality_that_several_agents_cannot_meet_costs_no_step() -> None:
     """A speed of climb that a hover lacks: each step has a plan, and the team stays level."""
-    summary = _softened("v0[2] == -0.1", ticks=60)
+    summary = _softened("v0[2] == -0.1", ticks=30)
     assert summary["attitude_max_deg"] < 1.0
 
 
