@@ -488,7 +488,7 @@ def test_garbage_is_collected_between_steps_alone(
 def test_a_process_says_who_can_read_its_messages(
     bus: StubBus, listen: list[str], who: str | None, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Without keys any process that reaches an address where it listens can; nobody where it does not."""
+    """Without keys any process that reaches an address where it listens can; none where it does not."""
     bus.while_waiting = lambda: bus.inbox.put(end_of_run(0))
     place = Place(run="here", endpoints=Endpoints(listen=listen, connect=[]))
     assert run_node(StubNode(), place, runs.setup().rules, OTHERS) == 0

@@ -770,7 +770,7 @@ def test_a_value_that_does_not_go_with_another_key(name: str, settings: str, exp
 )
 def test_a_value_that_just_goes_with_the_others_is_taken(settings: str) -> None:
     """The last ones before those that are refused above."""
-    read_scenario(PAPER, settings.split())
+    assert read_scenario(PAPER, settings.split()) != read_scenario(PAPER)
 
 
 @pytest.mark.parametrize(("setting", "problem"), WRONG_SETTINGS)
