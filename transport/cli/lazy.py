@@ -17,6 +17,8 @@ from typing import Annotated, Any, ClassVar, get_origin
 import typer
 from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 
+from transport.flight.signals import deferred_interrupts
+
 _PLAIN: dict[str, Any] = {
     "add_completion": False,
     "pretty_exceptions_enable": False,
@@ -50,7 +52,8 @@ def load(module: str) -> Any:
     """
     gc.disable()
     try:
-        return import_module(module)
+        with deferred_interrupts():
+            return import_module(module)
     finally:
         gc.freeze()
         gc.enable()

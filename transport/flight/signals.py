@@ -23,6 +23,9 @@ _AGAIN_S = 0.005
 _command_pid = 0
 # Signals that were raised and not taken yet, in the order of their arrival.
 _pending: list[signal.Signals] = []
+# Steps that no interrupt may end, and the signals that came meanwhile.
+_uninterrupted = 0
+_deferred: list[signal.Signals] = []
 
 
 class Interrupt(KeyboardInterrupt):
@@ -64,6 +67,22 @@ def take_interrupt() -> bool:
     return is_interrupted
 
 
+@contextmanager
+def deferred_interrupts() -> Iterator[None]:
+    """Raise a signal that comes meanwhile at the end.
+
+    For imports: compiled modules may not survive an exception within theirs.
+    """
+    global _uninterrupted
+    _uninterrupted += 1
+    try:
+        yield
+    finally:
+        _uninterrupted -= 1
+        if _deferred and not _uninterrupted:
+            signal.raise_signal(_deferred.pop())
+
+
 def leave_interrupts_to_python() -> None:
     """Restore Python's own Ctrl-C, for a debugger, which drops the exception and goes on."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -73,6 +92,9 @@ def _raise(number: int, _: FrameType | None) -> None:
     if os.getpid() != _command_pid:  # a forked helper of the command has nothing to wind up
         os._exit(EXIT_INTERRUPTED)
     name = signal.Signals(number)
+    if _uninterrupted:
+        _deferred.append(name)
+        return
     _pending.append(name)
     raise Interrupt(name.name)
 

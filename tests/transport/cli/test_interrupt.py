@@ -18,6 +18,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.support import runs
+from transport.cli.lazy import load
 from transport.cli.main import app
 from transport.flight import memory
 from transport.flight.run_execution import Finished
@@ -209,6 +210,23 @@ def test_a_dropped_interrupt_is_raised_again(
         receive()
         threading.Event().wait(PATIENCE_S)
     assert capsys.readouterr().err == ""
+
+
+@as_a_command
+def test_an_import_is_interrupted_behind_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Compiled modules import others while they are imported, and crash where these raise."""
+    (tmp_path / "signalled.py").write_text(
+        "import signal; signal.raise_signal(15); IS_WHOLE = True"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    raise_interrupts()
+    with interrupted():
+        load("signalled")
+    assert sys.modules.pop("signalled").IS_WHOLE
+    with interrupted():
+        signal.raise_signal(signal.SIGTERM)
 
 
 @as_a_command
