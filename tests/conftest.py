@@ -191,9 +191,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             return len(FIRST), 0.0  # others in real time come first, not at the same time
         if item.path.stem in FIRST:
             return FIRST.index(item.path.stem), 0.0
-        if (
-            "system" in item.path.parts
-        ):  # tests that start processes wait much: several at once use the processors
+        # Tests of processes and drivers wait much: several at once use the processors.
+        if {"system", "vehicle"} & set(item.path.parts):
             return len(FIRST), place.get(item.path, 0.0)
         return len(FIRST) + (1 if item.path in slow else 2), place.get(item.path, 0.0)
 
