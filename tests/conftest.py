@@ -45,6 +45,8 @@ FIRST = (
     "test_mujoco",
     "test_worst",
 )
+# Tests of processes, drivers and pages wait much.
+WAITING = ("tests/system/", "tests/vehicle/", "tests/transport/viewer/")
 # A test of a minute in real time, mostly waiting: a worker takes it apart from the others of its file.
 APART = ("test_each_failure_is_handled",)
 
@@ -151,12 +153,30 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Return the scheduler of `--dist loadfile`, with the tests of `APART` by themselves."""
+    """Return the scheduler of `--dist loadfile`, with the tests of `APART` by themselves.
+
+    While there are others, one worker computes: where all wait, the processors are idle.
+    """
     from xdist.scheduler import LoadFileScheduling  # type: ignore[import-untyped]
 
     class ByFile(LoadFileScheduling):  # type: ignore[misc]
         def _split_scope(self, nodeid: str) -> str:
             return nodeid if nodeid.endswith(APART) else super()._split_scope(nodeid)
+
+        def _assign_work_unit(self, node: Any) -> None:
+            others = [files for worker, files in self.assigned_work.items() if worker is not node]
+            if len(others) > 1 and all(map(is_waiting, others)):
+                computing = [file for file in self.workqueue if not file.startswith(WAITING)]
+                if computing:
+                    self.workqueue.move_to_end(computing[0], last=False)
+            super()._assign_work_unit(node)
+
+    def is_waiting(files: dict[str, dict[str, bool]]) -> bool:
+        """Return whether a worker has a file of tests that wait, which has not ended."""
+        return any(
+            file.startswith(WAITING) and not all(are_ended.values())
+            for file, are_ended in files.items()
+        )
 
     return ByFile(config, log) if config.getoption("dist") == "loadfile" else None
 
@@ -179,21 +199,24 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
     A long one at the end would leave a worker idle.
 
-    Files whose tests compute for long come beside those of processes, which wait. Their order is drawn by
-    the time of `--slow-until`, so that a slow machine does not skip the same tests each time.
+    Files whose tests compute for long come behind those of processes, beside which one worker computes.
+    Their order is drawn by the time of `--slow-until`, so that a slow machine does not skip the same tests
+    each time. Files without slow tests come by their length.
     """
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     drawn = random.Random(config.getoption("--slow-until"))  # noqa: S311
     place = {path: drawn.random() for path in sorted(slow)}
+    lengths = {path: path.stat().st_size for path in {item.path for item in items}}
 
     def rank(item: pytest.Item) -> tuple[int, float]:
         if item.name in APART:
             return len(FIRST), 0.0  # others in real time come first, not at the same time
         if item.path.stem in FIRST:
             return FIRST.index(item.path.stem), 0.0
-        # Tests of processes and drivers wait much: several at once use the processors.
-        if {"system", "vehicle"} & set(item.path.parts):
+        if item.nodeid.startswith(WAITING):
             return len(FIRST), place.get(item.path, 0.0)
-        return len(FIRST) + (1 if item.path in slow else 2), place.get(item.path, 0.0)
+        if item.path in slow:
+            return len(FIRST) + 1, place[item.path]
+        return len(FIRST) + 2, -lengths[item.path]
 
     items.sort(key=rank)
