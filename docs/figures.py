@@ -49,8 +49,8 @@ TABLES = {**_EXPERIMENTS, **_OF_PAGES}
 
 # Time of a step with the Kalman filter over one without, about.
 _FILTER = 4.0
-# Most work of a table that takes turns, on average: half a run of the paper's maneuver by four UAVs.
-_TURN = 82_000.0
+# Most work of a table that takes turns, on average: a third of a run of the paper's maneuver by four UAVs.
+_TURN = 55_000.0
 
 
 class Task(NamedTuple):

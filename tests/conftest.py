@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -129,9 +130,10 @@ def _import_own_share(config: pytest.Config) -> None:
 def _own_modules_forgotten(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Forget modules that a test has imported from its folder, as each user has a process for them."""
     folder = str(tmp_path_factory.getbasetemp())
-    before = set(sys.modules)
+    newest = next(reversed(sys.modules))
     yield
-    for name in sys.modules.keys() - before:
+    # Without a comparison of all modules: 0.2 ms for each of thousands of tests.
+    for name in list(takewhile(newest.__ne__, reversed(sys.modules))):
         if (getattr(sys.modules[name], "__file__", None) or "").startswith(folder):
             del sys.modules[name]
 

@@ -123,7 +123,7 @@ def functions(N: int, rates: bool = False, drag: bool = False) -> dict[str, ca.F
     return _loaded(Kind(N, rates, drag), library(N, rates, drag))
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def _loaded(kind: Kind, path: Path | None) -> dict[str, ca.Function]:
     """Return the functions in a library, and those that it lacks as built by CasADi."""
     compiled: dict[str, ca.Function] = {}
@@ -205,7 +205,6 @@ def _source(function: ca.Function) -> str:
     return str(generator.dump())
 
 
-@lru_cache(maxsize=2)
 def _build(N: int, rates: bool, drag: bool) -> dict[str, ca.Function]:
     """Return all functions of N UAVs as CasADi evaluates them."""
     s = Symbols.of(N, rates, drag)

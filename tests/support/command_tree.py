@@ -2,18 +2,17 @@
 
 from collections.abc import Iterator, Sequence
 
-import typer
 from typer.core import TyperCommand, TyperGroup
 
 from transport.cli.lazy import LazyGroup
-from transport.cli.main import app
+from transport.cli.main import command
 
 Command = TyperCommand | TyperGroup
 
 
 def root() -> LazyGroup:
     """Return the command line as users have it."""
-    group = typer.main.get_command(app)
+    group = command()
     assert isinstance(group, LazyGroup)
     return group
 
@@ -43,5 +42,5 @@ def command_of(words: Sequence[str]) -> tuple[Command, list[str], list[str]]:
 def every_command(group: TyperGroup) -> Iterator[Command]:
     """Yield a group and all commands below it."""
     yield group
-    for command in below(group).values():
-        yield from every_command(command) if isinstance(command, TyperGroup) else (command,)
+    for one in below(group).values():
+        yield from every_command(one) if isinstance(one, TyperGroup) else (one,)

@@ -4,6 +4,7 @@ import ast
 import inspect
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from math import inf
 from typing import Any, get_args, get_origin
@@ -116,7 +117,8 @@ def _has_entries(annotation: Any) -> bool:
     return any(_has_entries(argument) for argument in get_args(annotation))
 
 
-def fields(section: type[BaseModel]) -> dict[str, FieldInfo]:
+@cache
+def fields(section: type[BaseModel]) -> Mapping[str, FieldInfo]:
     """Return all keys and sections below a section by dotted key, without numbers of list entries."""
     return {_joined(path, key): field for path, key, _, field in walk(section)}
 
