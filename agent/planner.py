@@ -8,7 +8,7 @@ from transport.agent.received import Received
 from transport.model.physics.obstacles import Obstacle
 from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import Message, Plan
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 PROJECT = "mpc"  # the controller of the project
 

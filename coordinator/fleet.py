@@ -14,7 +14,7 @@ from transport.model.arrays import Array
 from transport.protocol.admission.told_changes import ToldChanges
 from transport.protocol.scenario.sections.vehicles_section import VehiclesSection
 from transport.protocol.wire.messages import Schedule, VehicleStatus
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 # Time between two words to the vehicles before tick 0, and from the decision to tick 0, ns.
 _EVERY_NS = 200_000_000

@@ -14,7 +14,7 @@ from transport.protocol.scenario.sections.scenario_errors import RequestError
 from transport.protocol.wire.message_form import MAX_TARGETS, MAX_TEXT
 from transport.protocol.wire.messages import LinkChange, Message, Roster, Target, VehicleStatus
 from transport.protocol.wire.names import PLANT
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 
 class Changes:

@@ -44,7 +44,7 @@ from transport.protocol.wire.messages import (
     VehicleStatus,
 )
 from transport.protocol.wire.names import COORDINATOR, PLANT, agent_names, vehicle_name
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 # Outcomes of runs that are not aborted, by exit code; a run with another code was aborted.
 _OUTCOMES = {

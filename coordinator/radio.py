@@ -7,7 +7,7 @@ from collections.abc import Set as AbstractSet
 from transport.coordinator.team_view import Radio
 from transport.model.arrays import Array
 from transport.protocol.wire.messages import Airtime, Plan, PlantState
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 _STATES_KEPT = 3
 

@@ -8,7 +8,7 @@ from transport.protocol.scenario.faults.faults_by_tick import failures
 from transport.protocol.scenario.setup.run_rules import RunRules
 from transport.protocol.wire.messages import Message, Roster
 from transport.protocol.wire.names import agent_name, agent_names
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 
 class TeamRoster:

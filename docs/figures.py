@@ -25,8 +25,8 @@ from measured_pages import PAGES
 from results_page import EXPERIMENTS, figures_of_runs
 from results_page import measured as experiment
 from rich.console import Console
-from table_builder import Table
-from table_builder import measured as page_table
+from table_rows_and_cells import Table
+from table_rows_and_cells import measured as page_table
 from tables import ROOT, place, put
 
 from transport.experiments.cases import Case

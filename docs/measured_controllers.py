@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
-from table_builder import (
+from table_rows_and_cells import (
     CABLES,
     COST,
     ESTIMATE,

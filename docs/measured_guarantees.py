@@ -1,7 +1,7 @@
 """Measured tables of docs/record/guarantees.md: networks, deaths, returns, outages of sensors, failed UAVs."""
 
 import numpy as np
-from table_builder import (
+from table_rows_and_cells import (
     ATTITUDE,
     COST,
     Run,

@@ -1,7 +1,7 @@
 """Measured tables of each page, which `make figures` renews.
 
 The modules `measured_*.py` have first the runs of their tables as settings of ready scenarios, then the tables. A
-table stands in its page between the markers of its name, and `docs/table_builder.py` has its parts:
+table stands in its page between the markers of its name, and `docs/table_rows_and_cells.py` has its parts:
 
     Run       a scenario, its settings, the number of UAVs and of seeds
     cell      a number of the summary, its format, and a factor to the unit shown (m to cm: 100)

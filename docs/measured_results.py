@@ -6,7 +6,7 @@ from functools import partial
 from itertools import product
 
 import numpy as np
-from table_builder import (
+from table_rows_and_cells import (
     COST,
     ESTIMATE,
     HEAVIER,

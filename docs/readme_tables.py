@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from measured_results import AGILE, RESULTS
-from table_builder import interval, values
+from table_rows_and_cells import interval, values
 from tables import completed_of, table
 
 from transport.experiments.information_experiment import ALL, RULES

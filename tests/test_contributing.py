@@ -103,7 +103,7 @@ MESSAGE = """
 from transport.protocol.wire.codec import decode, encode
 from transport.protocol.wire.messages import Battery, MessageError
 from transport.protocol.wire.key_expressions import Keys, matches
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 from tests.support.messages import sample
 
 keys = Keys("run")

@@ -24,7 +24,7 @@ OTHER_COMMIT = "of another day"
 def docs(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """The modules of the folder docs."""
     monkeypatch.syspath_prepend(ROOT / "docs")
-    names = ("figures", "kept", "table_builder")
+    names = ("figures", "kept", "table_rows_and_cells")
     return SimpleNamespace(**{name: import_module(name) for name in names})
 
 
@@ -37,13 +37,15 @@ def short(docs: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     page = tmp_path / "page.md"
     page.write_text("<!-- short -->\n\n<!-- end of short -->\n")
     runs = {
-        "paper": docs.table_builder.Run("paper", SHORT),
-        "late": docs.table_builder.Run("paper", (*SHORT, "links.delay_s=0.2")),
+        "paper": docs.table_rows_and_cells.Run("paper", SHORT),
+        "late": docs.table_rows_and_cells.Run("paper", (*SHORT, "links.delay_s=0.2")),
     }
-    columns = {"result": docs.table_builder.outcome, "cost": docs.table_builder.COST}
-    table = docs.table_builder.listed("short", "", runs, columns)
+    columns = {"result": docs.table_rows_and_cells.outcome, "cost": docs.table_rows_and_cells.COST}
+    table = docs.table_rows_and_cells.listed("short", "", runs, columns)
     one = replace(
-        docs.table_builder.measured("record/measured.md", table), document=page, is_timed=True
+        docs.table_rows_and_cells.measured("record/measured.md", table),
+        document=page,
+        is_timed=True,
     )
     kept_runs = docs.figures.complete(one, docs.figures.missing(one, {}))
     docs.figures.put(page, "short", docs.figures.text_of(one, kept_runs))
@@ -237,7 +239,7 @@ def test_results_are_of_this_code_by_commit_and_versions(docs: SimpleNamespace) 
 
 def test_cells_are_of_completed_runs(docs: SimpleNamespace) -> None:
     """In their unit, over all seeds; a cell of a grid is that of its own run, empty without one."""
-    program = docs.table_builder
+    program = docs.table_rows_and_cells
 
     def result(outcome: str, rms_m: float) -> Result:
         return Result(
@@ -267,7 +269,7 @@ def test_cells_are_of_completed_runs(docs: SimpleNamespace) -> None:
 
 def test_rows_share_runs_and_say_what_they_are(docs: SimpleNamespace) -> None:
     """A run of two rows is simulated once, with each of its seeds; a cell may have none. Zero is a number."""
-    program = docs.table_builder
+    program = docs.table_rows_and_cells
     one = program.Run("paper", ("seed=1",))
     two = program.Run("paper", ("links.loss=0.5",), uavs=3, seeds=2)
     assert (one.point().team, two.point().team) == (None, (3, 1))
@@ -291,7 +293,7 @@ def test_further_numbers_are_those_of_the_last_tick(
     docs: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of the UAV that is farthest from its reference; cables and walls are those of a run that has some."""
-    program = docs.table_builder
+    program = docs.table_rows_and_cells
     errors_m = np.zeros((3, 2, 3))
     errors_m[0] = 9.0
     errors_m[-1, 1] = [3.0, 0.0, 4.0]

@@ -24,7 +24,7 @@ from transport.mpc.law.laws_of_uavs_alone import AloneTeam
 from transport.mpc.law.present_law import Regulation
 from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import STAGES, Measurement, Message, Plan
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 ALONE = "alone"  # the name of this controller in a scenario
 

@@ -33,7 +33,7 @@ from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import Message, Plan, Target
 from transport.protocol.wire.names import agent_name
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 _ROUNDING_TICKS = 1e-6  # of a time over the sampling period
 

@@ -35,7 +35,7 @@ from transport.mpc.program.constraints.softened_user_constraints import softened
 from transport.mpc.program.quadratic_program import unsolved
 from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import Message, Plan, StepReport
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 # Solver in the reports of steps without a QP: all UAVs of the agent act wholly alone.
 _ALONE = "alone"

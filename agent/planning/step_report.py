@@ -9,7 +9,7 @@ from transport.agent.received import Received
 from transport.model.arrays import Array
 from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.messages import STAGES, Note, Plan, StepReport
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 # Stages counted as computation, not waiting or publishing.
 COMPUTATION = ("estimate", "linearise", "discretise", "condense", "solve")

@@ -30,7 +30,7 @@ from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.scenario.user_class.user_errors import OwnClassError
 from transport.protocol.wire.messages import STAGES, Measurement, Message, Note, Plan
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 _NO_DATA = np.zeros(0)
 _UNCHANGED = (

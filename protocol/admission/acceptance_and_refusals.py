@@ -36,7 +36,8 @@ from transport.protocol.wire.names import (
     role_of,
     vehicle_name,
 )
-from transport.protocol.wire.node_interface import Outbox, RunShape
+from transport.protocol.wire.node_interface import RunShape
+from transport.protocol.wire.outbox import Outbox
 
 # Time between two batches of `Rejected` messages, ns.
 _EVERY_NS = 1_000_000_000

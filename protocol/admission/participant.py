@@ -28,7 +28,7 @@ from transport.protocol.wire.names import (
     role_of,
     vehicle_name,
 )
-from transport.protocol.wire.node_interface import Outbox, end_without_coordinator
+from transport.protocol.wire.outbox import Outbox, end_without_coordinator
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

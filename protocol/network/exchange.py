@@ -11,7 +11,8 @@ from transport.protocol.wire.bundles import Answer, Bundle, Instant, Record, Rel
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.names import AGENT, COORDINATOR, PLANT
-from transport.protocol.wire.node_interface import Outbox, RunShape
+from transport.protocol.wire.node_interface import RunShape
+from transport.protocol.wire.outbox import Outbox
 
 Put = Callable[[str, bytes], None]  # sends an encoded message under a key
 Entry = tuple[str, bytes]  # key without the prefix of the run, encoded message

@@ -15,7 +15,7 @@ from transport.agent.planning.followed_path import FollowedPath
 from transport.agent.received import Received
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Airtime, Message, Plan
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 RUN = setup()
 NOW_NS = 77

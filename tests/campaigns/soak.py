@@ -26,7 +26,7 @@ import psutil
 
 from benchmarks.runs import BenchmarkError
 from tests.support.commands import processes_of
-from transport.flight import live
+from transport.flight import active_runs
 
 # Share of the time left out, in which caches fill.
 _WARM_UP = 0.1
@@ -168,12 +168,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _sampled(run: subprocess.Popen[bytes], folder: Path, every_s: float) -> dict[str, Record]:
     """Sample the processes of a run while it is active."""
     deadline = time.monotonic() + _PATIENCE_S
-    while live.read(folder) is None:
+    while active_runs.read(folder) is None:
         if run.poll() is not None or time.monotonic() > deadline:
             raise BenchmarkError(f"the run does not begin: {_last_line(folder)}")
         time.sleep(0.1)
     logs = folder / "logs"
-    while live.read(folder) is not None and not all(
+    while active_runs.read(folder) is not None and not all(
         '"joined"' in log.read_text() for log in logs.glob("*.log")
     ):
         time.sleep(0.1)
@@ -183,7 +183,7 @@ def _sampled(run: subprocess.Popen[bytes], folder: Path, every_s: float) -> dict
     time.sleep(_STANDSTILL_S)
     run.send_signal(signal.SIGCONT)
     records: dict[str, Record] = {}
-    while live.read(folder) is not None:
+    while active_runs.read(folder) is not None:
         for name, process in {"recorder": run.pid, **processes_of(folder.name)}.items():
             memory_bytes = _anonymous_bytes(process)
             with suppress(psutil.Error):  # the process has just ended

@@ -30,7 +30,7 @@ from tests.system.test_ros2 import DOMAIN, Publisher
 from transport.analysis.cost_and_tracking_metrics import SETTLED_S
 from transport.analysis.replay.replay_difference import Comparison
 from transport.analysis.replay.replay_of_agent import Replay
-from transport.flight import live
+from transport.flight import active_runs
 from transport.log.run_folder import open_run
 from transport.protocol.wire.messages import PlantState, Target
 
@@ -96,7 +96,7 @@ def flown(way: str, late: bool, gusts: bool, folder: Path) -> tuple[list[float],
     )
     try:
         address = page_of(run) if way == "viewer" else ""
-        assert wait_for(lambda: live.read(folder) is not None)
+        assert wait_for(lambda: active_runs.read(folder) is not None)
         log = LiveLog(folder / "run.mcap")
         assert wait_for(lambda: bool(log.of(PlantState)))
         with by(way, folder, address) as give:

@@ -29,7 +29,7 @@ from transport.protocol.wire.messages import (
     Tick,
     VehicleStatus,
 )
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 SCENARIO = Path(__file__).resolve().parents[2] / "scenarios" / "flight.toml"
 MS, S = 10**6, 10**9

@@ -15,7 +15,7 @@ from transport.protocol.wire.codec import encode
 from transport.protocol.wire.message_form import MAX_TARGETS
 from transport.protocol.wire.messages import Message, Roster, Target
 from transport.protocol.wire.names import agent_name
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 LAND = {"land": True}
 

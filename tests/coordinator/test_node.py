@@ -18,7 +18,7 @@ from transport.coordinator.outcome import Verdict
 from transport.coordinator.roster import TeamRoster
 from transport.protocol.wire.messages import UNREPORTED, Airtime, Control, Roster, Tick
 from transport.protocol.wire.names import agent_name
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 PACED = "clock.speed=1"
 

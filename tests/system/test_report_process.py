@@ -10,7 +10,7 @@ import pytest
 from tests.support import runs
 from tests.support.commands import command_of, wait_for
 from tests.support.logs import record_run
-from transport.cli.local_run import ReportProcess
+from transport.cli.report_process import ReportProcess
 from transport.report.report import write_report
 
 pytestmark = pytest.mark.skipif(
@@ -46,7 +46,7 @@ def test_ends_with_its_parent(tmp_path: Path) -> None:
     """A process that stands by ends when its parent is killed."""
     record_run(runs.setup(runs.SHORT), tmp_path)  # without a run it would end by itself
     code = (
-        "import time\nfrom pathlib import Path\nfrom transport.cli.local_run import ReportProcess\n"
+        "import time\nfrom pathlib import Path\nfrom transport.cli.report_process import ReportProcess\n"
         "reporter = ReportProcess(Path())\nreporter.prepare()\nprint(reporter._child.process.pid, flush=True)\n"
         "time.sleep(60)\n"
     )

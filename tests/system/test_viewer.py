@@ -29,8 +29,8 @@ from tests.support.browser import (
 from tests.support.commands import PATIENCE_S, command, start, wait_for
 from tests.support.logs import record_run
 from transport.cli.main import app
-from transport.flight import live
-from transport.flight.live import LiveRun
+from transport.flight import active_runs
+from transport.flight.active_runs import LiveRun
 from transport.flight.run_execution import simulate as run_processes
 from transport.log.run_folder import setup_of
 from transport.log.run_log import LogTail, read_log
@@ -131,7 +131,7 @@ def test_without_a_page_a_live_run_has_no_frame_but_the_last(
     data, log = (recorded / "run.mcap").read_bytes(), tmp_path / "run.mcap"
     log.write_bytes(data[: round(CUT * len(data))])
     builder = SceneBuilder(setup_of(recorded), RunHistory(setup_of(recorded)))
-    # The id stands for `transport run`; the viewer itself, unlike `live.read`, does not look for it.
+    # The id stands for `transport run`; the viewer itself, unlike `active_runs.read`, does not look for it.
     running = LiveRun(run="nowhere", endpoints={}, pid=os.getpid())
 
     def updated_tick() -> int | None:
@@ -168,7 +168,7 @@ def test_a_run_waits_until_its_viewer_is_ready(tmp_path: Path) -> None:
     seen: list[bool] = []
 
     def ready() -> None:
-        assert live.read(tmp_path / "run") is not None  # a viewer can open the run
+        assert active_runs.read(tmp_path / "run") is not None  # a viewer can open the run
         time.sleep(1.0)
         seen.append(any(True for _ in LogTail(tmp_path / "run" / "run.mcap").read()))
 

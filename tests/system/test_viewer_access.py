@@ -18,7 +18,7 @@ from tests.support import runs
 from tests.support.browser import Page, connected_pages, unpacked
 from tests.support.commands import PATIENCE_S, wait_for
 from tests.support.logs import record_run
-from transport.flight.live import LiveRun
+from transport.flight.active_runs import LiveRun
 from transport.log.run_log import LogTail
 from transport.scene.history import RunHistory
 from transport.scene.scene_at_tick import SceneBuilder
@@ -38,7 +38,7 @@ def sent(monkeypatch: pytest.MonkeyPatch) -> Sent:
         requests.append((kind, content))
         return {"tick": 0}
 
-    monkeypatch.setattr("transport.flight.live.request", request)
+    monkeypatch.setattr("transport.flight.active_runs.request", request)
     return requests
 
 

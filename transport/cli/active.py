@@ -9,7 +9,7 @@ from typer import Option
 
 from transport.cli.options import RUNS
 from transport.cli.output import fail
-from transport.flight import live
+from transport.flight import active_runs
 from transport.protocol.wire.key_expressions import Keys
 
 RunOption = Annotated[
@@ -39,20 +39,20 @@ KeysOption = Annotated[
 ]
 
 
-def find_active(run: str | None, advice: str) -> tuple[Path, live.LiveRun]:
+def find_active(run: str | None, advice: str) -> tuple[Path, active_runs.LiveRun]:
     """Return folder and addresses of an active run; or end the command with advice.
 
     By default that is the most recent one in runs/, or else of this user in any folder, which is
     told on standard error.
     """
     if run is None:
-        newest = live.newest_folder(RUNS)
+        newest = active_runs.newest_folder(RUNS)
         folders = [] if newest is None else [newest]
     else:
         folders = [Path(run), RUNS / run]
 
-    active = next((folder for folder in folders if live.read(folder) is not None), None)
-    addresses = None if active is None else live.read(active)
+    active = next((folder for folder in folders if active_runs.read(folder) is not None), None)
+    addresses = None if active is None else active_runs.read(active)
     if active is None or addresses is None:
         fail(f"no active run in {run or f'{RUNS}/ or elsewhere'}; {advice}")
 
@@ -74,7 +74,7 @@ class ActiveRunOption:
         if self.connect:
             if not (self.run and Keys.allows(self.run)):
                 fail(f"--run: expected the name of a run with --connect, got {self.run!r}")
-            return live.request(self.run, self.connect, name, what, arguments, self.keys)
+            return active_runs.request(self.run, self.connect, name, what, arguments, self.keys)
 
         advice = "name its folder with --run, or its endpoints with --connect"
         _, active = find_active(self.run, advice)

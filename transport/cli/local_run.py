@@ -1,12 +1,8 @@
 """One run on this machine as a user sees it: viewer, processes, record and report."""
 
-import os
-import signal
-import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Self
 
 import typer
 from rich.console import Console
@@ -14,18 +10,13 @@ from rich.console import Console
 from transport.cli.lazy import load
 from transport.cli.options import RUNS
 from transport.cli.output import Format, fail
-from transport.flight.local_processes import Child, ToStart, start_children
+from transport.cli.report_process import ReportProcess
 from transport.flight.run_execution import simulate
 from transport.log.run_folder import new_folder
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.errors_and_exit_codes import EXIT_INTERRUPTED
 from transport.viewer.server import require_viser
 from transport.viewer.viewer_process import ViewerBeside
-
-# Time after which a process that does not end is given up and killed, s.
-_LONGEST_S = 120.0
-# Time that killing takes at most, s.
-_KILLED_S = 1.0
 
 
 def run_and_report(
@@ -85,55 +76,3 @@ def _interrupts_told(folder: Path) -> Iterator[None]:
         kept = f"kept {log}, report it with: transport plot {folder}"
         text = kept if log.exists() else "nothing is recorded"
         fail(f"interrupted; {text}", EXIT_INTERRUPTED)
-
-
-class ReportProcess:
-    """Forked `transport plot` of one run folder that waits for the end of the run.
-
-    Leaving the context ends it. It may fork in turn, to draw on several cores, which this process
-    with its threads may not.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._child: Child | None = None
-        self._reports = False
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._end()
-
-    def prepare(self) -> None:
-        """Start the process, where processes are forked."""
-        if sys.platform == "linux":  # if it fails, the report is made once more, and errors told
-            arguments = ["plot", str(self._folder.absolute()), "--no-svg"]
-            wanted = ToStart("report", arguments, Path(os.devnull))
-            [self._child] = start_children([wanted], standby=True)
-
-    def begin(self) -> None:
-        """Let the process report, if there is one."""
-        self._reports = self._child is not None and self._child.go()
-
-    def report(self) -> bool:
-        """Wait for the end of the process; return whether it has written the report.
-
-        If not, it has ended as well: it must not write the same files as the caller, who makes the
-        report instead.
-        """
-        if self._child is None or not self._reports:
-            return False
-        code = self._child.wait(_LONGEST_S)
-        self._end()
-        return code == 0
-
-    def _end(self) -> None:
-        """Kill the process and those that draw for it."""
-        if self._child is None:
-            return
-
-        with suppress(ProcessLookupError):
-            os.killpg(self._child.process.pid, signal.SIGKILL)
-        self._child.wait(_KILLED_S)
-        self._child.close()

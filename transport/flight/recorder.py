@@ -32,7 +32,7 @@ from transport.protocol.wire.codec import Header, decode, encode
 from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.key_expressions import RECORDER, Keys
 from transport.protocol.wire.names import COORDINATOR, agent_name
-from transport.protocol.wire.node_interface import Outbox, end_without_coordinator
+from transport.protocol.wire.outbox import Outbox, end_without_coordinator
 
 # Kinds of messages that the recorder reads; of the others it reads the header. One that is read is
 # recorded if it passes the gate, the others as they came.

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from transport.flight import live
+from transport.flight import active_runs
 from transport.flight.fault_script import FaultScript
 from transport.flight.local_processes import (
     Harness,
@@ -208,10 +208,12 @@ def _marked_active(folder: Path, addresses: _Addresses) -> Iterator[None]:
     """Mark a run as active while the context is open, so that viewers and requests find it."""
     try:
         endpoints = addresses.asked_at()
-        live.write(folder, live.LiveRun(addresses.run, endpoints, os.getpid(), addresses.keys))
+        active_runs.write(
+            folder, active_runs.LiveRun(addresses.run, endpoints, os.getpid(), addresses.keys)
+        )
         yield
     finally:
-        live.remove(folder)
+        active_runs.remove(folder)
 
 
 def _invitation(name: str, addresses: _Addresses, digest: str) -> str:

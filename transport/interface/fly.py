@@ -10,7 +10,7 @@ from typing import Any, Unpack
 import tomli_w
 from rich.console import Console
 
-from transport.flight import live, memory
+from transport.flight import active_runs, memory
 from transport.flight.progress import RunProgress, compile_models
 from transport.flight.run_files import checked, run_header
 from transport.interface.recorded_run import Run
@@ -130,7 +130,7 @@ def load(folder: "str | PathLike[str]") -> Run:
 class ActiveRun:
     """A run that is active on this machine, in its run folder `folder`."""
 
-    def __init__(self, folder: Path, there: live.LiveRun) -> None:
+    def __init__(self, folder: Path, there: active_runs.LiveRun) -> None:
         self.folder = folder
         self._live = there
 
@@ -202,7 +202,7 @@ class ActiveRun:
 
         Raises: TransportError: the folder has another active run by now, or none.
         """
-        if live.read(self.folder) != self._live:
+        if active_runs.read(self.folder) != self._live:
             raise TransportError(f"the run in {self.folder} has ended")
         return self._live.ask(COORDINATOR, "target", given)
 
@@ -212,8 +212,8 @@ def active(folder: "str | PathLike[str] | None" = None) -> ActiveRun:
 
     Raises: ArgumentError: there is none.
     """
-    run_folder = live.newest_folder(RUNS) if folder is None else Path(folder)
-    running = None if run_folder is None else live.read(run_folder)
+    run_folder = active_runs.newest_folder(RUNS) if folder is None else Path(folder)
+    running = None if run_folder is None else active_runs.read(run_folder)
     if run_folder is None or running is None:
         raise ArgumentError(f"no active run in {RUNS if folder is None else folder}")
     return ActiveRun(run_folder, running)

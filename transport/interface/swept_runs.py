@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from transport.experiments import sweep as experiment_sweep
 from transport.experiments.cases import Case, Point, cases_of_point, check
-from transport.experiments.declaration import Experiment, axis
+from transport.experiments.declaration import Experiment
+from transport.experiments.figures.axes_and_units import axis
 from transport.experiments.figures.experiment_figures import fill
 from transport.experiments.result_tables import TITLE, WIDTH, table_of
 from transport.experiments.statistics import PointStatistics

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from transport.flight.live import Commands
+from transport.flight.active_runs import Commands
 from transport.protocol.scenario.links.delay_jitter_and_loss import Link
 from transport.protocol.scenario.links.link_changes import LinkChanges, split_groups
 from transport.protocol.scenario.sections.link_sections import LinkSection

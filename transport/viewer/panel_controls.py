@@ -3,7 +3,7 @@
 from functools import partial
 from typing import Any
 
-from transport.flight.live import Commands
+from transport.flight.active_runs import Commands
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import agent_name
 from transport.scene.drawn_paths_links_and_thrust import LAYERS

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from transport.flight.live import Commands
+from transport.flight.active_runs import Commands
 from transport.model.arrays import Array
 from transport.protocol.wire.names import agent_name
 from transport.scene.scene_at_tick import Scene, SceneBuilder

@@ -15,8 +15,8 @@ from contextlib import redirect_stdout, suppress
 from pathlib import Path
 from typing import Any, Self
 
-from transport.flight.live import Commands, LiveRun
-from transport.flight.live import read as read_live_run
+from transport.flight.active_runs import Commands, LiveRun
+from transport.flight.active_runs import read as read_live_run
 from transport.log.run_folder import open_run, setup_of
 from transport.log.run_log import LogTail
 from transport.scene.drawn_paths_links_and_thrust import Drawing

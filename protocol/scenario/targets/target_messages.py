@@ -14,7 +14,7 @@ from transport.protocol.scenario.targets.target_timing import spline, straight
 from transport.protocol.wire import messages
 from transport.protocol.wire.message_form import MAX_TARGETS
 from transport.protocol.wire.names import COORDINATOR
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 
 def target_of(message: messages.Target, period_s: float, *, has_ground: bool) -> PathTarget:

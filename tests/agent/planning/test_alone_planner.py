@@ -21,7 +21,7 @@ from transport.protocol.scenario.sections.scenario_errors import requested
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.targets.target_checks import target_fields
 from transport.protocol.wire.messages import STAGES, Measurement, Plan, StepReport, Target
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 AGENT = 2
 ROUNDING = 1e-12

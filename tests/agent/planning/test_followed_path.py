@@ -20,7 +20,7 @@ from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.messages import Note, Plan, Target
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 SHORT_HORIZON = "controller.horizon=5"
 ALL = frozenset({1, 2, 3, 4})

@@ -16,7 +16,7 @@ from transport.model.state import input_indices
 from transport.mpc.alone.alone_law import steps_alone
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import STAGES, Note, Plan, StepReport
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 SETTINGS = (
     "controller.horizon=5",

@@ -21,7 +21,7 @@ from transport.protocol.wire.messages import (
     Target,
     VehicleStatus,
 )
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 RUN = setup("controller.horizon=5", ticks(60))
 KEYS = Keys(RUN.scenario.name)

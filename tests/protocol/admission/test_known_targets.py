@@ -21,7 +21,7 @@ from transport.protocol.scenario.targets.target_checks import target_fields
 from transport.protocol.wire.codec import decode
 from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import Target
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 HOVER = "maneuver.phase=[{name='hover',duration_s=20,displacement_m=[0,0,0]}]"
 RUN = runs.ready("resilient", HOVER)

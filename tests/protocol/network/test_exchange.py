@@ -9,7 +9,7 @@ from transport.protocol.wire.bundles import Answer, Bundle, Relay
 from transport.protocol.wire.codec import decode, encode
 from transport.protocol.wire.key_expressions import Keys
 from transport.protocol.wire.messages import Message
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 RUN = runs.ready("resilient")
 KEYS = Keys("run")

@@ -44,7 +44,7 @@ from transport.protocol.wire.messages import (
     VehicleStatus,
 )
 from transport.protocol.wire.names import COORDINATOR
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 # Timeout on a busy machine for actions of milliseconds, s.
 PATIENCE_S = 20.0

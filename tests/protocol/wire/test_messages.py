@@ -46,7 +46,7 @@ from transport.protocol.wire.messages import (
     Tick,
     VehicleStatus,
 )
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 SEED = 20240611
 RANDOM_MESSAGES = 6_000  # of each sort; a second in all

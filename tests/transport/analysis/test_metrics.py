@@ -52,7 +52,7 @@ from transport.protocol.wire.messages import (
     Rejected,
     Target,
 )
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 from transport.report.summary_table import summary_table
 from transport.report.summary_texts import limits_text, plans_text
 

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from transport.cli.main import app
-from transport.flight import live
+from transport.flight import active_runs
 
 # Ends of a request that is accepted.
 ANSWER = {"tick": 12, "t_s": 0.6, "reached_s": 4.0, "ends_s": 5.0, "point_m": [3.0, -4.0, 0.0]}
@@ -28,7 +28,7 @@ def sent(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, Any]]:
         requests.append((name, what, given))
         return ANSWER
 
-    monkeypatch.setattr(live, "request", accept)
+    monkeypatch.setattr(active_runs, "request", accept)
     return requests
 
 

@@ -25,8 +25,9 @@ from transport.experiments.arena.arena_algorithms import (
     Entry,
     entered,
 )
+from transport.experiments.arena.arena_measures import judged
 from transport.experiments.arena.arena_report import ArenaResult
-from transport.experiments.arena.arena_runs import FROM_GOAL, VIOLATION, _point, arena, axes, judged
+from transport.experiments.arena.arena_runs import FROM_GOAL, VIOLATION, _point, arena, axes
 from transport.experiments.arena.arena_tasks_and_networks import (
     NETWORK_TEXTS,
     NETWORKS,
@@ -48,7 +49,7 @@ from transport.protocol.scenario.sections.scenario_errors import requested
 from transport.protocol.scenario.sections.schema import ControllerSection, Scenario
 from transport.protocol.scenario.targets.target_checks import target_fields
 from transport.protocol.wire.messages import MAX_DATA, Target
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 # 0.6 s, long enough for costs that differ.
 SHORT = (

@@ -21,7 +21,8 @@ from tests.support.runs import ticks
 from transport.cli.commands.experiment import EXPERIMENTS
 from transport.experiments import information_experiment, weather_experiment
 from transport.experiments.cases import ExperimentError, Point, cases_of
-from transport.experiments.declaration import Experiment, axis
+from transport.experiments.declaration import Experiment
+from transport.experiments.figures.axes_and_units import axis
 from transport.experiments.information_experiment import away
 from transport.experiments.network_experiments import JITTER, NETWORKS
 from transport.log.run_log import RunLog

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from transport.experiments.cases import Point
-from transport.experiments.declaration import Axis
+from transport.experiments.figures.axes_and_units import Axis
 from transport.experiments.figures.colour_scale import scale_of
 from transport.experiments.figures.figure_arena import CellLayout, draw_arena, draw_measure
 from transport.experiments.figures.figure_maps import draw_maps

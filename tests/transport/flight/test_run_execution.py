@@ -11,7 +11,7 @@ from rich.console import Console
 
 from tests.support import runs
 from tests.support.commands import free_base
-from transport.flight import live, run_execution
+from transport.flight import active_runs, run_execution
 from transport.flight.local_processes import Harness
 from transport.flight.run_execution import observe
 from transport.flight.run_files import RunError
@@ -172,12 +172,12 @@ def test_a_run_is_marked_while_it_is_active(tmp_path: Path) -> None:
     connects = Endpoints(listen=[], connect=["tcp/127.0.0.1:3"])
     addresses = run_execution._Addresses(run="r1", processes={"plant": listens}, recorder=connects)
     with run_execution._marked_active(tmp_path, addresses):
-        marked = live.read(tmp_path)
+        marked = active_runs.read(tmp_path)
         assert marked is not None
         assert (marked.run, marked.pid, marked.keys) == ("r1", os.getpid(), "")
         assert marked.endpoints == {"plant": "tcp/127.0.0.1:1", "recorder": "tcp/127.0.0.1:3"}
-        assert live.newest_folder(tmp_path.parent) == tmp_path
-    assert live.read(tmp_path) is None
+        assert active_runs.newest_folder(tmp_path.parent) == tmp_path
+    assert active_runs.read(tmp_path) is None
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from transport.protocol.scenario.sections.scenario_errors import (
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.targets.target_checks import target_fields
 from transport.protocol.wire.messages import Measurement, Message, Request, Roster, Target
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 REACHED_M = 0.05
 HOVER = "maneuver.phase=[{name='hover',duration_s=%g,displacement_m=[0,0,0]}]"

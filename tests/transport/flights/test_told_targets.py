@@ -35,7 +35,7 @@ from transport.protocol.scenario.teams.team_of_any_size import Team, given_value
 from transport.protocol.wire.codec import decode, encode
 from transport.protocol.wire.errors_and_exit_codes import MessageError
 from transport.protocol.wire.messages import Message, Note, Plan, PlantState, Target
-from transport.protocol.wire.node_interface import Outbox
+from transport.protocol.wire.outbox import Outbox
 
 HOVER = "maneuver.phase=[{name='hover',duration_s=%g,displacement_m=[0,0,0]}]"
 TOLD_S, TOLD_TICK = 1.0, 20

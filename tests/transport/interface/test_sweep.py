@@ -13,7 +13,8 @@ import pytest
 
 import transport
 from transport.experiments.cases import Case, Point
-from transport.experiments.declaration import Experiment, axis
+from transport.experiments.declaration import Experiment
+from transport.experiments.figures.axes_and_units import axis
 from transport.experiments.run_numbers import NUMBERS
 from transport.experiments.simulation import ERROR, Result
 from transport.experiments.sweep import Swept

@@ -26,7 +26,7 @@ from tests.support import runs
 from tests.support.browser import connected_pages
 from tests.support.commands import PATIENCE_S, wait_for
 from tests.support.logs import record_run
-from transport.flight.live import LiveRun
+from transport.flight.active_runs import LiveRun
 from transport.log.run_log import LogTail
 from transport.protocol.scenario.links.link_changes import PERFECT
 from transport.protocol.wire.messages import LinkChange

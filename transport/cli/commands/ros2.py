@@ -17,8 +17,8 @@ from typer import Option
 
 from transport.cli.active import RunOption, find_active
 from transport.cli.output import blame
-from transport.flight.live import Commands
-from transport.flight.live import read as read_live_run
+from transport.flight.active_runs import Commands
+from transport.flight.active_runs import read as read_live_run
 from transport.log.run_folder import setup_of
 from transport.log.run_log import LogTail
 from transport.protocol.network.rmw_zenoh import RosNode

@@ -17,7 +17,7 @@ from typer import Option
 from transport.cli.active import RunOption, find_active
 from transport.cli.options import run_folder
 from transport.cli.output import Format, fail, rows, show
-from transport.flight import live
+from transport.flight import active_runs
 from transport.log.run_folder import setup_of
 from transport.log.run_log import LogTail
 from transport.model.state import StateView
@@ -238,11 +238,11 @@ def top(
     watch = Watch(setup_of(folder))
     tail = LogTail(log)
     name = folder.resolve().name
-    is_marked = live.read(folder) is not None  # a run started by hand is not
+    is_marked = active_runs.read(folder) is not None  # a run started by hand is not
 
     def goes_on() -> bool:
         """Return whether the log may still grow: a marked run that has ended removes its mark."""
-        return not tail.ended and (live.read(folder) is not None) == is_marked
+        return not tail.ended and (active_runs.read(folder) is not None) == is_marked
 
     with Live(auto_refresh=False, transient=True) as screen:
         while not once and goes_on():

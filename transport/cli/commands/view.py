@@ -11,7 +11,7 @@ from typer import Option
 
 from transport.cli.options import FormatOption, HostOption, PortOption, RunArgument, run_folder
 from transport.cli.output import Format
-from transport.flight.live import read as read_live_run
+from transport.flight.active_runs import read as read_live_run
 from transport.flight.signals import take_interrupt
 from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE
 from transport.viewer.viewer import LOG, open_viewer

@@ -1,12 +1,15 @@
 """Measures of the arena, each with its number, its unit and its title; there is no score."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from transport.experiments.arena.arena_algorithms import REFERENCE
-from transport.experiments.arena.arena_runs import VIOLATION
+from transport.experiments.arena.arena_runs import FROM_GOAL, VIOLATION
+from transport.experiments.simulation import Result
 from transport.experiments.statistics import COST_RATIO, PointStatistics
 
+_ARRIVED_M = 0.5
+MISSED = "missed"  # outcome of a run to its end in which the payload does not arrive
 MISSING = "-"  # text of a number that a point does not have
 
 
@@ -73,3 +76,13 @@ MEASURES: Mapping[str, ArenaAxis] = {
         drawn="step, ms",
     ),
 }
+
+
+def judged(result: Result) -> Result:
+    """Return the result of a run, with the outcome `MISSED` where the payload does not arrive."""
+    from_goal_m = result.numbers.get(FROM_GOAL)
+    if result.outcome != "completed" or from_goal_m is None or from_goal_m <= _ARRIVED_M:
+        return result
+    return replace(
+        result, outcome=MISSED, reason=f"the payload ends {from_goal_m:.2f} m from its goal"
+    )

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-from transport.experiments.arena.arena_measures import MEASURES, MISSING
-from transport.experiments.arena.arena_runs import NAME, ArenaRuns, judged
+from transport.experiments.arena.arena_measures import MEASURES, MISSING, judged
+from transport.experiments.arena.arena_runs import NAME, ArenaRuns
 from transport.experiments.arena.arena_tasks_and_networks import (
     NETWORK_TEXTS,
     NETWORKS,

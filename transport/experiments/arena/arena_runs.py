@@ -1,7 +1,7 @@
 """The arena: every algorithm on every task and network, measured along separate axes."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,6 @@ from transport.experiments.arena.arena_tasks_and_networks import NETWORKS, PERFE
 from transport.experiments.cases import Case, Point, cases_of_point, check, refused
 from transport.experiments.declaration import Experiment
 from transport.experiments.run_numbers import resource_use
-from transport.experiments.simulation import Result
 from transport.log.run_log import RunLog
 from transport.model.state import R0
 from transport.protocol.scenario.scenario_file import find_scenario
@@ -30,8 +29,6 @@ VIOLATION = "own_violation_max"
 FAILED = "failed_steps_share"
 # Distance of the payload from its goal at the end, of tasks in which only one agent knows the goal or the way, m.
 FROM_GOAL = "from_goal_m"
-_ARRIVED_M = 0.5
-MISSED = "missed"  # outcome of a run to its end in which the payload does not arrive
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,13 +161,3 @@ def _from_goal_m(setup: Setup, log: RunLog) -> float | None:
     payload_I = [one.x[R0] for one in log.of(PlantState)]
     last = round(SWING_S / setup.settings.sampling_period_s)
     return float(np.linalg.norm(np.mean(payload_I[-last:], axis=0) - goal_I))
-
-
-def judged(result: Result) -> Result:
-    """Return the result of a run, with the outcome `MISSED` where the payload does not arrive."""
-    from_goal_m = result.numbers.get(FROM_GOAL)
-    if result.outcome != "completed" or from_goal_m is None or from_goal_m <= _ARRIVED_M:
-        return result
-    return replace(
-        result, outcome=MISSED, reason=f"the payload ends {from_goal_m:.2f} m from its goal"
-    )

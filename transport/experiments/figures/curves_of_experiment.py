@@ -3,7 +3,8 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from transport.experiments.declaration import NONE, Experiment, axis
+from transport.experiments.declaration import NONE, Experiment
+from transport.experiments.figures.axes_and_units import axis
 from transport.experiments.statistics import PointStatistics, values_of
 from transport.report.figures.style import MARKER, Look, looks_of
 

@@ -6,7 +6,8 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from transport.experiments.declaration import Experiment, axis
+from transport.experiments.declaration import Experiment
+from transport.experiments.figures.axes_and_units import axis
 from transport.experiments.figures.figure_arena import draw_arena
 from transport.experiments.figures.figure_curves import draw_curves
 from transport.experiments.figures.figure_maps import draw_maps

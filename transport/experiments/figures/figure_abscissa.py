@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullLocator
 
-from transport.experiments.declaration import Axis, Experiment, axis
+from transport.experiments.declaration import Experiment
+from transport.experiments.figures.axes_and_units import Axis, axis
 from transport.experiments.statistics import PointStatistics, values_of
 
 # More values than this get round ticks instead of one each, and no line between them.

@@ -10,7 +10,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from transport.experiments.declaration import Axis
+from transport.experiments.figures.axes_and_units import Axis
 from transport.experiments.figures.colour_scale import draw_colour_bar, scale_of
 from transport.experiments.statistics import PointStatistics, values_of
 from transport.model.arrays import Array

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import ScaledTranslation
 
-from transport.experiments.declaration import Axis, axis
+from transport.experiments.figures.axes_and_units import Axis, axis
 from transport.experiments.statistics import PointStatistics, values_of
 from transport.report.figures.column import Room, column_panels, head, text_width_in
 from transport.report.figures.style import (

@@ -13,8 +13,8 @@ import pytest
 
 import transport
 from tests.support.commands import wait_for
-from transport.flight import live
-from transport.flight.live import LiveRun
+from transport.flight import active_runs
+from transport.flight.active_runs import LiveRun
 from transport.interface.setting_arguments import ArgumentError
 from transport.protocol.scenario.links.link_changes import PERFECT
 from transport.protocol.wire.errors_and_exit_codes import TransportError
@@ -28,13 +28,13 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     """A run is active from `write` to `remove`."""
     folder = tmp_path / "run"
     folder.mkdir()
-    live.write(folder, HERE)
-    assert live.read(folder) == HERE
-    assert live.newest_folder(tmp_path) == folder
-    live.remove(folder)
-    live.remove(folder)
-    assert live.read(folder) is None
-    assert live.newest_folder(tmp_path) is None
+    active_runs.write(folder, HERE)
+    assert active_runs.read(folder) == HERE
+    assert active_runs.newest_folder(tmp_path) == folder
+    active_runs.remove(folder)
+    active_runs.remove(folder)
+    assert active_runs.read(folder) is None
+    assert active_runs.newest_folder(tmp_path) is None
     assert list(folder.iterdir()) == []
 
 
@@ -42,16 +42,16 @@ def test_the_file_of_a_killed_run_is_ignored(tmp_path: Path) -> None:
     """A run whose process is gone is not active."""
     ended = subprocess.Popen(["true"])
     ended.wait()
-    live.write(tmp_path, LiveRun(HERE.run, HERE.endpoints, ended.pid))
-    assert live.read(tmp_path) is None
+    active_runs.write(tmp_path, LiveRun(HERE.run, HERE.endpoints, ended.pid))
+    assert active_runs.read(tmp_path) is None
 
 
 def test_a_process_that_nobody_has_waited_for_has_ended(tmp_path: Path) -> None:
     """It still has its id and an entry in the table of processes."""
     ended = subprocess.Popen(["true"])
-    live.write(tmp_path, LiveRun(HERE.run, HERE.endpoints, ended.pid))
+    active_runs.write(tmp_path, LiveRun(HERE.run, HERE.endpoints, ended.pid))
     assert wait_for(lambda: psutil.Process(ended.pid).status() == psutil.STATUS_ZOMBIE)
-    assert live.read(tmp_path) is None
+    assert active_runs.read(tmp_path) is None
     ended.wait()
 
 
@@ -61,16 +61,16 @@ def test_the_newest_run_below_a_folder_goes_before_those_elsewhere(tmp_path: Pat
     for name, at_s in began_s.items():
         folder = tmp_path / name
         folder.mkdir(parents=True)
-        live.write(folder, HERE)
+        active_runs.write(folder, HERE)
         os.utime(folder / "live.json", (at_s, at_s))
     parent = tmp_path / "runs"
     (parent / "latest").symlink_to("new")
     (parent / "foreign").symlink_to(tmp_path / "elsewhere" / "run")
-    assert live.newest_folder(parent) == parent / "new"
+    assert active_runs.newest_folder(parent) == parent / "new"
 
     for name in ("old", "new"):
-        live.remove(parent / name)
-    assert live.newest_folder(parent) == tmp_path / "elsewhere" / "run"
+        active_runs.remove(parent / name)
+    assert active_runs.newest_folder(parent) == tmp_path / "elsewhere" / "run"
 
 
 def test_a_process_is_asked_at_its_own_endpoint_with_the_keys_of_the_run(
@@ -83,7 +83,7 @@ def test_a_process_is_asked_at_its_own_endpoint_with_the_keys_of_the_run(
         asked.append(given)
         return {}
 
-    monkeypatch.setattr(live, "request", request)
+    monkeypatch.setattr(active_runs, "request", request)
     keyed = LiveRun(HERE.run, HERE.endpoints, HERE.pid, "/own")
     keyed.ask("agent1", "health", {})
     keyed.ask("coordinator", "status", {}, Path("given"))
@@ -99,9 +99,9 @@ def test_a_process_is_asked_at_its_own_endpoint_with_the_keys_of_the_run(
 def test_a_run_that_has_ended_says_so(tmp_path: Path) -> None:
     """Requests to it name the run, not the keys that went with it, also where a new run has its folder."""
     run = LiveRun(HERE.run, HERE.endpoints, HERE.pid, str(tmp_path / "keys"))
-    live.write(tmp_path, run)
+    active_runs.write(tmp_path, run)
     active = transport.active(tmp_path)
-    live.remove(tmp_path)
+    active_runs.remove(tmp_path)
     for _ in range(2):
         requests: tuple[Callable[[], object], ...] = (
             lambda: active.target(0.0, 0.0, -10.0),
@@ -111,7 +111,7 @@ def test_a_run_that_has_ended_says_so(tmp_path: Path) -> None:
         for request in requests:
             with pytest.raises(TransportError, match=f"the run in {tmp_path} has ended"):
                 request()
-        live.write(tmp_path, LiveRun("another", HERE.endpoints, HERE.pid))
+        active_runs.write(tmp_path, LiveRun("another", HERE.endpoints, HERE.pid))
 
     ended = subprocess.Popen(["true"])
     ended.wait()
@@ -131,7 +131,7 @@ def test_an_active_run_is_asked_for_what_is_given(
         return {"tick": 7}
 
     monkeypatch.setattr(LiveRun, "ask", ask)
-    live.write(tmp_path, HERE)
+    active_runs.write(tmp_path, HERE)
     active = transport.active(tmp_path)
     timed, untimed = tmp_path / "timed.csv", tmp_path / "untimed.csv"
     timed.write_text("t,x,y,z\n0,1,2,-3\n4,5,6,-7\n", encoding="ascii")
@@ -221,7 +221,7 @@ def test_an_active_run_is_asked_for_what_is_given(
     ],
 )
 def test_commands_of_a_page_are_requests_whose_results_are_told(
-    command: Callable[[live.Commands], None],
+    command: Callable[[active_runs.Commands], None],
     request_: tuple[str, str, Any],
     answer: Mapping[str, Any] | TransportError,
     result: str,
@@ -238,7 +238,7 @@ def test_commands_of_a_page_are_requests_whose_results_are_told(
         return answer
 
     monkeypatch.setattr(LiveRun, "ask", ask)
-    command(live.Commands(HERE, lambda *given: told.put(given)))
+    command(active_runs.Commands(HERE, lambda *given: told.put(given)))
     assert told.get(timeout=20.0) == (result, isinstance(answer, TransportError))
     assert asked == [request_]
 
@@ -259,14 +259,14 @@ def test_commands_of_a_page_are_requests_whose_results_are_told(
 def test_other_content_is_ignored(content: bytes, tmp_path: Path) -> None:
     """A file that does not describe a run is none of an active run."""
     (tmp_path / "live.json").write_bytes(content)
-    assert live.read(tmp_path) is None
+    assert active_runs.read(tmp_path) is None
 
 
 def test_a_folder_that_vanishes_is_no_active_run(tmp_path: Path) -> None:
     """A folder that is removed while active runs are looked for is passed over."""
     for name in ("kept", "vanishing"):
         (tmp_path / name).mkdir()
-        live.write(tmp_path / name, HERE)
+        active_runs.write(tmp_path / name, HERE)
 
     class Vanishing(type(tmp_path)):  # type: ignore[misc]
         """Path whose folder named "vanishing" is gone once its file has been read."""
@@ -279,6 +279,6 @@ def test_a_folder_that_vanishes_is_no_active_run(tmp_path: Path) -> None:
         def exists(self) -> bool:
             return True
 
-    newest = live.newest_folder(Vanishing(tmp_path))
+    newest = active_runs.newest_folder(Vanishing(tmp_path))
     assert newest is not None
     assert newest.name == "kept"

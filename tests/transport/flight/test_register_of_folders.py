@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from transport.flight import live, registry
-from transport.flight.live import LiveRun
+from transport.flight import active_runs, register_of_folders
+from transport.flight.active_runs import LiveRun
 
 HERE = LiveRun("hover", {"coordinator": "tcp/127.0.0.1:7447"}, os.getpid())
 
@@ -14,14 +14,14 @@ HERE = LiveRun("hover", {"coordinator": "tcp/127.0.0.1:7447"}, os.getpid())
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return the path of a register of this test, which does not exist yet."""
-    monkeypatch.setenv(registry.PLACE, str(tmp_path / "register"))
+    monkeypatch.setenv(register_of_folders.PLACE, str(tmp_path / "register"))
     return tmp_path / "register"
 
 
 def begun(folder: Path, at_s: float) -> Path:
     """Return a run folder whose run became active at a time."""
     folder.mkdir(parents=True)
-    live.write(folder, HERE)
+    active_runs.write(folder, HERE)
     os.utime(folder / "live.json", (at_s, at_s))
     return folder
 
@@ -32,15 +32,15 @@ def test_the_newest_run_of_any_folder_is_found(tmp_path: Path) -> None:
     runs = tmp_path / "runs"
     older = begun(tmp_path / "a" / "older", 1e9)
     newer = begun(tmp_path / "b" / "newer", 2e9)
-    assert live.newest_folder(runs) == newer
-    live.remove(newer)
-    assert live.newest_folder(runs) == older
+    assert active_runs.newest_folder(runs) == newer
+    active_runs.remove(newer)
+    assert active_runs.newest_folder(runs) == older
     below = begun(runs / "below", 0.5e9)
-    assert live.newest_folder(runs) == below
-    live.remove(below)
-    live.remove(older)
-    assert live.newest_folder(runs) is None
-    assert registry.folders() == []
+    assert active_runs.newest_folder(runs) == below
+    active_runs.remove(below)
+    active_runs.remove(older)
+    assert active_runs.newest_folder(runs) is None
+    assert register_of_folders.folders() == []
 
 
 @pytest.mark.usefixtures("place")
@@ -49,24 +49,24 @@ def test_a_folder_that_has_gone_is_no_active_run(tmp_path: Path) -> None:
     folder = begun(tmp_path / "gone", 1e9)
     (folder / "live.json").unlink()
     folder.rmdir()
-    assert registry.folders() == [folder]
-    assert live.newest_folder(tmp_path / "runs") is None
+    assert register_of_folders.folders() == [folder]
+    assert active_runs.newest_folder(tmp_path / "runs") is None
 
 
 def test_a_register_that_others_can_change_is_not_used(tmp_path: Path, place: Path) -> None:
     """Neither one with rights for others nor a link to a folder is read or written."""
     place.mkdir(mode=0o700)
     elsewhere = begun(tmp_path / "run", 1e9)
-    assert live.newest_folder(tmp_path / "runs") == elsewhere
+    assert active_runs.newest_folder(tmp_path / "runs") == elsewhere
 
     place.chmod(0o755)
-    assert live.newest_folder(tmp_path / "runs") is None
+    assert active_runs.newest_folder(tmp_path / "runs") is None
 
     place.chmod(0o700)
     place.rename(tmp_path / "moved")
     place.symlink_to(tmp_path / "moved", target_is_directory=True)
-    assert live.newest_folder(tmp_path / "runs") is None
-    registry.remove(elsewhere)
+    assert active_runs.newest_folder(tmp_path / "runs") is None
+    register_of_folders.remove(elsewhere)
     assert len(list((tmp_path / "moved").iterdir())) == 1
 
 
@@ -74,7 +74,7 @@ def test_without_a_place_a_run_is_active_in_its_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A register that cannot be made changes nothing else: the run is found by its folder."""
-    monkeypatch.setenv(registry.PLACE, "/dev/null/register")
+    monkeypatch.setenv(register_of_folders.PLACE, "/dev/null/register")
     folder = begun(tmp_path / "run", 1e9)
-    assert live.read(folder) == HERE
-    assert live.newest_folder(tmp_path / "runs") is None
+    assert active_runs.read(folder) == HERE
+    assert active_runs.newest_folder(tmp_path / "runs") is None

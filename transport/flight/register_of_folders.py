@@ -1,7 +1,7 @@
 """Register of this user's active runs on this machine, wherever their folders are.
 
 A folder in the temporary one that only this user can read holds a link to each run folder. A run
-that was killed leaves its link, so a link alone says nothing: `transport.flight.live` decides.
+that was killed leaves its link, so a link alone says nothing: `transport.flight.active_runs` decides.
 """
 
 import hashlib
