@@ -25,8 +25,8 @@ from transport.experiments.weather_experiment import FORCES, SENSORS
 from transport.experiments.workers import Workers
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.search.candidate import Base, Candidate
-from transport.search.drawn_events import Death, DrawnSilence, Event
 from transport.search.evaluation import SearchProblem
+from transport.search.kinds_of_events import Death, DrawnSilence, Event
 from transport.search.objective import SearchObjective
 from transport.search.search import Evaluations, Search, flying, random_search
 from transport.search.search_options import SearchOptions, search

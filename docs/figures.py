@@ -33,7 +33,7 @@ from transport.experiments.cases import Case
 from transport.experiments.simulation import ERROR, Result, simulate
 from transport.experiments.workers import map_on_cores
 from transport.flight.progress import compile_models
-from transport.protocol.scenario.sections.run_size import most_workers, size_of
+from transport.protocol.scenario.sections.limits_on_size import most_workers, size_of
 
 # Declarations by name: a table is planned only when it is needed, as that reads its scenarios.
 _EXPERIMENTS: Mapping[str, Callable[[], Measured]] = {

@@ -38,7 +38,7 @@ from typing import Any
 import zenoh
 
 from transport.protocol.admission.acceptance_and_refusals import Accepted, Gate
-from transport.protocol.network.bus_events import (
+from transport.protocol.network.bus_events_and_clock import (
     Arrival,
     BusEvent,
     BusOptions,

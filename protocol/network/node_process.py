@@ -16,7 +16,7 @@ import threadpoolctl
 
 from transport.protocol.admission.acceptance_and_refusals import Gate, Sample
 from transport.protocol.network.bus import Bus
-from transport.protocol.network.bus_events import BusOptions, Departed, Interrupted, Place
+from transport.protocol.network.bus_events_and_clock import BusOptions, Departed, Interrupted, Place
 from transport.protocol.network.endpoints import first_exposed
 from transport.protocol.network.exchange import Exchange, exchange_of
 from transport.protocol.network.parent_and_environment import PARENT_PIPE, ending_signals

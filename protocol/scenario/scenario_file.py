@@ -10,7 +10,7 @@ from typing import Any
 from transport.protocol.scenario.checks.relations import check_relations
 from transport.protocol.scenario.files.bounded_reading import TooLargeError, read_text
 from transport.protocol.scenario.files.named_files import anchored
-from transport.protocol.scenario.sections.run_size import check_size
+from transport.protocol.scenario.sections.limits_on_size import check_size
 from transport.protocol.scenario.sections.scenario_errors import (
     PythonSetting,
     ScenarioError,

@@ -29,7 +29,11 @@ from tests.support.mutations import mutated
 from transport.cli.commands.scenario import validate
 from transport.flight.memory import simulate
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
-from transport.protocol.scenario.sections.run_size import MOST_AGENT_STEPS, MOST_ENTRIES, size_of
+from transport.protocol.scenario.sections.limits_on_size import (
+    MOST_AGENT_STEPS,
+    MOST_ENTRIES,
+    size_of,
+)
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message, PlantState
 

@@ -13,7 +13,7 @@ from transport.experiments.weather_experiment import SENSORS
 from transport.flight.memory import simulate
 from transport.model import state
 from transport.model.arrays import Array
-from transport.protocol.network.bus_events import Place
+from transport.protocol.network.bus_events_and_clock import Place
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.setup.run_setup import Setup

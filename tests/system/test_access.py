@@ -16,7 +16,7 @@ from tests.support.messages import sample
 from tests.support.runs import setup
 from transport.protocol.admission.acceptance_and_refusals import Gate
 from transport.protocol.network.bus import Bus
-from transport.protocol.network.bus_events import BusOptions, Place
+from transport.protocol.network.bus_events_and_clock import BusOptions, Place
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.security import Security, access_control
 from transport.protocol.wire.bundles import BUNDLES

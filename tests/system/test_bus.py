@@ -18,7 +18,7 @@ from tests.support.commands import free_base
 from tests.support.runs import setup
 from transport.protocol.admission.acceptance_and_refusals import Gate
 from transport.protocol.network.bus import LINGER_S, Bus
-from transport.protocol.network.bus_events import BusOptions, Departed, Place
+from transport.protocol.network.bus_events_and_clock import BusOptions, Departed, Place
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.requests_and_answers import Reach, ask
 from transport.protocol.network.session import BusError

@@ -18,7 +18,7 @@ from transport.protocol.scenario.scenario_file import (
     read_scenario,
     with_settings,
 )
-from transport.protocol.scenario.sections.run_size import check_size
+from transport.protocol.scenario.sections.limits_on_size import check_size
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.teams.team_of_any_size import Team, given_values, resized

@@ -15,7 +15,7 @@ from typing import TypeVar
 
 from transport.experiments.cases import Case, ExperimentError, refused
 from transport.experiments.simulation import Result, simulate
-from transport.protocol.scenario.sections.run_size import most_workers
+from transport.protocol.scenario.sections.limits_on_size import most_workers
 from transport.protocol.wire.errors_and_exit_codes import EXIT_UNREACHABLE
 
 Item = TypeVar("Item")

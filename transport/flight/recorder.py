@@ -16,7 +16,7 @@ from transport.protocol.admission.acceptance_and_refusals import Gate, Sample
 from transport.protocol.admission.participant import check_target
 from transport.protocol.admission.plausibility import check_plausible
 from transport.protocol.network.bus import Bus
-from transport.protocol.network.bus_events import (
+from transport.protocol.network.bus_events_and_clock import (
     Arrival,
     BusOptions,
     Departed,

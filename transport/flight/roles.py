@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from transport.coordinator.node import CoordinatorNode
 from transport.coordinator.team_view import TeamView
 from transport.plant.plant_run import HiddenObstacle, PlantRun
-from transport.protocol.scenario.sections.run_size import maneuver_ticks
+from transport.protocol.scenario.sections.limits_on_size import maneuver_ticks
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.targets.target_messages import TargetTiming, scripted
 

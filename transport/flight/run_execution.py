@@ -30,7 +30,7 @@ from transport.flight.run_files import (
 )
 from transport.flight.run_watch import RunWatch
 from transport.log.writer import LogWriter
-from transport.protocol.network.bus_events import Place
+from transport.protocol.network.bus_events_and_clock import Place
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.mesh import mesh, process_names
 from transport.protocol.network.security import Security

@@ -9,7 +9,7 @@ from transport.protocol.scenario.scenario_file import validate
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.teams.team_of_any_size import FEWEST, Team, resized
-from transport.search.drawn_events import Death, DrawnSilence, Event
+from transport.search.kinds_of_events import Death, DrawnSilence, Event
 from transport.search.silent_links import changes_of_links
 
 

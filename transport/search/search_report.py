@@ -23,8 +23,8 @@ from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.messages import Message
 from transport.report.figures.column import column_panels
 from transport.report.figures.style import RC, save
-from transport.search.drawn_events import Death, DrawnSilence, Event, TargetEvent
 from transport.search.evaluation import CaseVerdict
+from transport.search.kinds_of_events import Death, DrawnSilence, Event, TargetEvent
 from transport.search.search import Minimal, SearchCase, SearchResult
 
 SCENARIO, FIGURE, SUMMARY = "minimal.toml", "minimal.png", "summary.json"

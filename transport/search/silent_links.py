@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from transport.protocol.scenario.links.delay_jitter_and_loss import Link
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.wire.names import agent_name
-from transport.search.drawn_events import DrawnSilence, Tree
+from transport.search.kinds_of_events import DrawnSilence, Tree
 
 Pair = tuple[int, int]  # sender and receiver, agents
 

@@ -16,7 +16,7 @@ from transport.protocol.scenario.scenario_file import read_tree
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError, validated
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.search.candidate import Candidate
-from transport.search.drawn_events import (
+from transport.search.kinds_of_events import (
     Death,
     DrawnSilence,
     DrawnTeam,

@@ -16,9 +16,9 @@ from transport.protocol.scenario.checks.maneuver_and_obstacle_relations import (
     phase_problems,
 )
 from transport.protocol.scenario.faults.fault_relations import Problems, fault_problems
+from transport.protocol.scenario.sections.limits_on_size import ticks_of
 from transport.protocol.scenario.sections.lockstep_and_realtime_section import first_tick
 from transport.protocol.scenario.sections.plant_sections import MujocoSection
-from transport.protocol.scenario.sections.run_size import ticks_of
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.sections.schema import Scenario
 

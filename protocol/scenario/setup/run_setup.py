@@ -31,7 +31,7 @@ from transport.protocol.scenario.checks.reference_limits import (
 )
 from transport.protocol.scenario.faults.faults_by_tick import Fault, failures
 from transport.protocol.scenario.faults.faults_from_sections import scripted
-from transport.protocol.scenario.sections.run_size import ticks_of
+from transport.protocol.scenario.sections.limits_on_size import ticks_of
 from transport.protocol.scenario.sections.scenario_errors import HoverError, ScenarioError
 from transport.protocol.scenario.sections.schema import ControllerSection, Scenario
 from transport.protocol.scenario.setup.acting_alone import check_design, hands_over, may_act_alone

@@ -11,9 +11,9 @@ from transport.model.path.target_and_stop import LOAD_S, PathTarget
 from transport.model.physics.parameters import resting_height
 from transport.protocol.scenario.checks.feasibility import ON_GROUND_M
 from transport.protocol.scenario.checks.obstacle_margins import first_blocked
+from transport.protocol.scenario.sections.limits_on_size import maneuver_ticks
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.path_instants import curve_instants, maneuver_instants
-from transport.protocol.scenario.sections.run_size import maneuver_ticks
 from transport.protocol.scenario.sections.scenario_errors import RequestError
 from transport.protocol.scenario.targets.planned_run import PlannedRun
 from transport.protocol.scenario.targets.target_timing import (

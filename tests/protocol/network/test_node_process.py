@@ -17,7 +17,7 @@ import pytest
 
 from tests.support import runs
 from transport.protocol.admission.acceptance_and_refusals import Gate
-from transport.protocol.network.bus_events import (
+from transport.protocol.network.bus_events_and_clock import (
     Arrival,
     BusEvent,
     BusOptions,

@@ -2,7 +2,7 @@
 
 from itertools import count
 
-from transport.protocol.network.bus_events import SteadyClock
+from transport.protocol.network.bus_events_and_clock import SteadyClock
 
 SECOND_NS = 10**9
 

@@ -13,7 +13,7 @@ from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.teams.drawn_team import DRAWN, NOISE, drawn, put_drawn_vehicles
 from transport.search.candidate import Base, Candidate
-from transport.search.drawn_events import DrawnSilence, DrawnTeam
+from transport.search.kinds_of_events import DrawnSilence, DrawnTeam
 
 SEEDS = range(20)
 # Of these the first draw with a hover has a rod with less than a fifth of the mean tension: it is left out.

@@ -16,7 +16,7 @@ from transport.flight.recorder import Recorder
 from transport.log.run_log import read_log
 from transport.log.writer import LogWriter
 from transport.protocol.admission.acceptance_and_refusals import Sample
-from transport.protocol.network.bus_events import Arrival, Departed
+from transport.protocol.network.bus_events_and_clock import Arrival, Departed
 from transport.protocol.network.session import BusError
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.bundles import Record

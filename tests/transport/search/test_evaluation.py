@@ -5,8 +5,8 @@ import pytest
 from tests.support.runs import SCENARIOS, SHORT
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.search.candidate import Base, Candidate
-from transport.search.drawn_events import Gusts
 from transport.search.evaluation import REFUSED, Evaluation, SearchProblem
+from transport.search.kinds_of_events import Gusts
 from transport.search.objective import SearchObjective
 
 FILE = SCENARIOS / "resilient.toml"

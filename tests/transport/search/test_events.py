@@ -17,7 +17,7 @@ from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.search.candidate import Base, Candidate
-from transport.search.drawn_events import (
+from transport.search.kinds_of_events import (
     Death,
     DrawnSilence,
     DrawnTeam,

@@ -28,8 +28,8 @@ from transport.protocol.scenario.scenario_file import read_scenario
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.search.candidate import Base, Candidate
-from transport.search.drawn_events import Death, DrawnSilence, Gusts
 from transport.search.evaluation import REFUSED, CaseVerdict, Evaluation, SearchProblem
+from transport.search.kinds_of_events import Death, DrawnSilence, Gusts
 from transport.search.objective import SearchObjective
 from transport.search.optimiser import BATCH, Optimiser, SearchLayout
 from transport.search.search import Evaluations, Search, SearchCase, SearchResult, random_search

@@ -15,8 +15,8 @@ from transport.analysis.series import series_of
 from transport.flight.run_files import machine
 from transport.protocol.scenario.scenario_file import read_scenario
 from transport.search.candidate import Base, Candidate
-from transport.search.drawn_events import Death, DrawnSilence, Event, Gusts, TargetEvent
 from transport.search.evaluation import CaseVerdict, Evaluation, SearchProblem
+from transport.search.kinds_of_events import Death, DrawnSilence, Event, Gusts, TargetEvent
 from transport.search.objective import SearchObjective
 from transport.search.search import Minimal, SearchCase, SearchResult
 from transport.search.search_report import (

@@ -37,7 +37,7 @@ from transport.experiments.sweep import Results, Swept, sweep
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.run_files import machine
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
-from transport.protocol.scenario.sections.run_size import ADMITTED, most_workers
+from transport.protocol.scenario.sections.limits_on_size import ADMITTED, most_workers
 from transport.protocol.scenario.sections.schema import Scenario
 
 # The five modules are imported for their effect: each declares its experiments in `EXPERIMENTS`.

@@ -21,7 +21,7 @@ from transport.model.state import INPUTS
 from transport.protocol.scenario.checks.relations import after_the_end
 from transport.protocol.scenario.files.atomic_writing import write_whole
 from transport.protocol.scenario.radio.radio_parameters import slot_lengths
-from transport.protocol.scenario.sections.run_size import check_size, size_of
+from transport.protocol.scenario.sections.limits_on_size import check_size, size_of
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.acting_alone import lacks
 from transport.protocol.scenario.setup.run_setup import Setup

@@ -32,7 +32,7 @@ from transport.cli.options import (
 )
 from transport.cli.output import Format, blame, fail
 from transport.model.kernels.casadi_functions import needs_compilation
-from transport.protocol.network.bus_events import Place, wall_offset_ns
+from transport.protocol.network.bus_events_and_clock import Place, wall_offset_ns
 from transport.protocol.network.endpoints import Endpoints
 from transport.protocol.network.mesh import endpoints_of, process_names, security_of
 from transport.protocol.network.node_process import Journal, run_node

@@ -6,7 +6,7 @@ from transport.mpc.program.constraints import constraints_of
 from transport.mpc.program.constraints.stack import Stack
 from transport.mpc.program.decision import Decision
 from transport.protocol.scenario.scenario_file import ScenarioError, find_scenario, read_scenario
-from transport.protocol.scenario.sections.run_size import most_workers, size_of
+from transport.protocol.scenario.sections.limits_on_size import most_workers, size_of
 from transport.protocol.scenario.sections.schema import Scenario
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.scenario.teams.team_of_any_size import Team, resized
