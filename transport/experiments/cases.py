@@ -122,7 +122,7 @@ def cases_of(
 
     A deterministic point has one seed. The settings are applied before those of the points. Runs have
     further numbers by `more`; with `resource_use` all are repeated. With `allow_large` runs may
-    exceed the limits of `protocol.scenario.sections.run_size`. Points that have been simulated before are not
+    exceed the limits of `protocol.scenario.sections.limits_on_size`. Points that have been simulated before are not
     set up, which takes a second for a large team.
 
     Raises: ScenarioError: a point that cannot be simulated, naming file, field, expected, got.
