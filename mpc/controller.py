@@ -21,11 +21,11 @@ from transport.model.state import LARGEST
 from transport.mpc.law.present_law import Regulation
 from transport.mpc.program.constraints.softened_user_constraints import Softening
 from transport.mpc.program.constraints.user_constraints import OwnInputs, OwnStates
+from transport.mpc.program.corrections_along_reference import Course, CourseProgram
 from transport.mpc.program.decision import Decision
 from transport.mpc.program.feedback_law import FeedbackLaw
 from transport.mpc.program.horizon_and_terminal_cost import CostToGo
 from transport.mpc.program.prediction import Linear, Prediction, convolve
-from transport.mpc.program.program_along_reference import Course, CourseProgram
 from transport.mpc.program.qp_solvers import solve
 from transport.mpc.program.qp_with_slacks import Program
 from transport.mpc.program.quadratic_program import QP, Solution, unsolved

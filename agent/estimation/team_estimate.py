@@ -20,8 +20,8 @@ from transport.mpc.alone.alone_law import AloneLaw
 from transport.mpc.alone.uav_motion import Setpoint
 from transport.mpc.controller import Controller
 from transport.mpc.law.laws_of_uavs_alone import AloneTeam
+from transport.mpc.program.corrections_along_reference import Course
 from transport.mpc.program.prediction import Prediction
-from transport.mpc.program.program_along_reference import Course
 from transport.protocol.scenario.setup.team_run import TeamRun
 
 _NO_UAVS: frozenset[int] = frozenset()

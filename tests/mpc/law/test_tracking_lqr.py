@@ -25,7 +25,7 @@ from transport.model.state import R0, V0, StateView, input_slice, uav_slice
 from transport.mpc.controller import Controller, StepResult
 from transport.mpc.law.reconfiguration import recursion_of
 from transport.mpc.law.tracking_lqr import GAINS_PER_PERIOD
-from transport.mpc.program.program_along_reference import Course
+from transport.mpc.program.corrections_along_reference import Course
 from transport.mpc.program.rollout import Actuation, rollout
 from transport.mpc.program.trajectory import Signals
 from transport.mpc.reference import Sampled
