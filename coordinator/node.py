@@ -457,7 +457,7 @@ class CoordinatorNode:
     def _tick_message(self, tick: int, now_ns: int) -> Tick:
         """Return the message that opens a tick: roster in force, answers to the tick before.
 
-        In lockstep its bundle carries these plans (`protocol.network.exchange`).
+        In lockstep its bundle carries these plans (`protocol.network.exchange_in_bundles`).
         """
         late_ns, overrun_ns = self._clock.lateness_ns(tick, now_ns)
         answered = self._open.answered

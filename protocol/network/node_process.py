@@ -18,7 +18,7 @@ from transport.protocol.admission.acceptance_and_refusals import Gate, Sample
 from transport.protocol.network.bus import Bus
 from transport.protocol.network.bus_events_and_clock import BusOptions, Departed, Interrupted, Place
 from transport.protocol.network.endpoints import first_exposed
-from transport.protocol.network.exchange import Exchange, exchange_of
+from transport.protocol.network.exchange_in_bundles import Exchange, exchange_of
 from transport.protocol.network.parent_and_environment import PARENT_PIPE, ending_signals
 from transport.protocol.scenario.faults.faults_by_tick import Fault, due
 from transport.protocol.scenario.setup.run_rules import RunRules

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import msgspec
 import psutil
 
-from transport.flight import register_of_folders
+from transport.flight import register_of_active_runs
 from transport.model.arrays import Array
 from transport.protocol.network.requests_and_answers import Reach, ask
 from transport.protocol.network.security import Security
@@ -56,12 +56,12 @@ def write(folder: Path, run: LiveRun) -> None:
     """
     with suppress(OSError):
         write_whole(folder / _FILE, msgspec.json.encode(run))
-    register_of_folders.add(folder)
+    register_of_active_runs.add(folder)
 
 
 def remove(folder: Path) -> None:
     """Mark the run of a folder as ended."""
-    register_of_folders.remove(folder)
+    register_of_active_runs.remove(folder)
     with suppress(OSError):
         (folder / _FILE).unlink()
 
@@ -93,7 +93,7 @@ def newest_folder(parent: Path) -> Path | None:
     Without one below it is the most recent of this user anywhere.
     """
     below = [path for path in parent.glob("*") if not path.is_symlink()]
-    return _newest(below) or _newest(register_of_folders.folders())
+    return _newest(below) or _newest(register_of_active_runs.folders())
 
 
 def _newest(folders: Iterable[Path]) -> Path | None:

@@ -200,10 +200,10 @@ class Setup:
         """Yield the obstacle whose margins the reference does not keep, between instants too."""
         first = blocked(self.reference, self.run.obstacles, self.system)
         if first is not None:
-            known, problem = first
+            number, problem = first
             sections = enumerate(self.scenario.obstacle, start=1)
             numbers = [number for number, section in sections if section.seen_within_m is None]
-            yield f"obstacle.{numbers[known - 1]}", f"{problem}; {_REMEDY}"
+            yield f"obstacle.{numbers[number - 1]}", f"{problem}; {_REMEDY}"
 
     @property
     def rules(self) -> RunRules:

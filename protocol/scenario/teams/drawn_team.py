@@ -64,7 +64,8 @@ class DrawnRanges:
 
 DRAWN = DrawnRanges()
 
-# Streams of random numbers of a seed: bodies, flight and all that follows; drag, which came later.
+# Streams of random numbers of a seed: bodies, flight and all that follows; drag, which came later. Whatever
+# comes later needs its own, as results name teams by their seeds.
 _ALL_BUT_DRAG = 65
 _DRAG = 66
 # Durations of the maneuver, s: hover, the leg, and the rest in which it has to settle.

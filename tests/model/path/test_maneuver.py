@@ -83,6 +83,15 @@ def test_every_profile_ends_where_the_phases_add_up(profile: Profile) -> None:
     assert not v[[0, 2, 3]].any()
 
 
+def test_the_formation_changes_from_row_to_row_of_its_phase() -> None:
+    """Each row ends at its share of the phase, wherever in the maneuver that begins."""
+    rows = [[0.25, 1.0, 2.0], [1.0, 3.0, 4.0]]
+    phase = Phase(name="go", duration_s=8.0, displacement_I=[3.0, 0.0, 0.0], formation=rows)
+    first, second = phase.formation_steps(start_s=3.0)
+    assert (first.begin_s, first.span_s, [*first.sizes]) == (3.0, 2.0, [1.0, 2.0])
+    assert (second.begin_s, second.span_s, [*second.sizes]) == (5.0, 6.0, [3.0, 4.0])
+
+
 @pytest.mark.parametrize("profile", PROFILES)
 def test_velocity_is_the_derivative_of_the_path(profile: Profile) -> None:
     """Inside the phases v = dr/dt, by central differences; a step stands still there."""

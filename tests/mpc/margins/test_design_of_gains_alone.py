@@ -1,9 +1,11 @@
 """The law of UAVs alone is designed for its team (docs/equations.md (31h))."""
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from transport.model.arrays import Array
 from transport.model.linear.discretisation import zero_order_hold
 from transport.model.linear.linearisation import Model
 from transport.mpc.alone.alone_law import AloneLaw
+from transport.mpc.margins import design_of_gains_alone
 from transport.mpc.margins.actual_plant import Mismatch
 from transport.mpc.margins.design_of_gains_alone import (
     DECAY_PER_S,
@@ -22,7 +25,7 @@ from transport.mpc.margins.design_of_gains_alone import (
     TeamAlone,
 )
 from transport.mpc.margins.sampled_loop import GROWTH
-from transport.mpc.settings_period_horizon_weights import AloneGains
+from transport.mpc.settings_period_horizon_weights import AloneGains, ControllerSettings
 from transport.protocol.scenario.scenario_file import find_scenario, read_scenario
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.sections.schema import Scenario
@@ -46,6 +49,7 @@ SOFT = 7042  # needs the soft family
 UNHELD = 9032  # decays, without margins
 OF_RATES = 8  # holds alone with the gains of rings, but not in mixtures with the team's law
 SLOWEST = 9  # deviations grow if one of its UAVs acts alone among others on half the gains
+WEAK = {"thrust_N": (0.0, 12.0)}
 FASTEST = 3.5  # of the gains alone, nearly as much as the sampling period allows
 
 
@@ -119,9 +123,54 @@ def test_the_design_follows_from_values() -> None:
     setup = team(0)
     fresh = Setup.of(setup.scenario, "again")
     assert fresh.alone == setup.alone
-    again = replace(setup.team_alone(next_tick=False), ages=(1,) * 5)
-    assert isinstance(again.design().gains, AloneGains)
-    assert setup.team_alone(next_tick=setup.scenario.clock.next_tick).design() == setup.alone
+    kept = setup.team_alone(next_tick=setup.scenario.clock.next_tick)
+    assert kept.design() == setup.alone
+
+
+def changed(of: TeamAlone, **values: Any) -> ControllerSettings:
+    """Return the settings of a team with other values."""
+    return of.settings.model_copy(update=values)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda alone: {"system": replace(alone.system, uavs=alone.system.uavs[:3])},
+        lambda alone: {"settings": changed(alone, sampling_period_s=0.1)},
+        lambda alone: {"settings": changed(alone, motor_lag_s=0.1)},
+        lambda alone: {"settings": changed(alone, alone=AloneGains(attitude_rads=2.0))},
+        lambda alone: {
+            "settings": changed(alone, limits=alone.settings.limits.model_copy(update=WEAK))
+        },
+        lambda alone: {"next_tick": not alone.next_tick},
+        lambda alone: {"ages": (3,) * alone.system.N},
+        lambda alone: {"team_gain": 0.5 * alone.team_gain},
+        lambda alone: {"remaining": (alone.system,)},
+    ],
+    ids=[
+        "system",
+        "period",
+        "lag",
+        "gains",
+        "limits",
+        "next_tick",
+        "ages",
+        "team_gain",
+        "remaining",
+    ],
+)
+def test_teams_that_differ_in_anything_are_designed_apart(
+    change: Callable[[TeamAlone], dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No team has the design that is kept for another."""
+    setup = runs.ready("precise")
+    alone = setup.team_alone(next_tick=False)
+    designed: list[TeamAlone] = []
+    monkeypatch.setattr(TeamAlone, "_designed", lambda team: designed.append(team))
+    monkeypatch.setattr(design_of_gains_alone, "_DESIGNS", {})
+    for one in (alone, alone, replace(alone, **change(alone))):
+        one.design()
+    assert len(designed) == 2
 
 
 def test_those_left_after_a_release_are_held_too() -> None:

@@ -543,8 +543,15 @@ def test_layers_and_released_uavs_are_hidden(live: Viewer, builder: SceneBuilder
 def test_a_released_uav_needs_no_room(live: Viewer, builder: SceneBuilder) -> None:
     """The view of the team has room for the payload, and for each UAV on its rod with its arrow."""
     assert len(live.view3d._team_points()) == 1 + 2 * 4
-    live.view3d.shown = replace(builder.at(LAST), released=(2,))
-    assert len(live.view3d._team_points()) == 1 + 2 * 3
+    live.view3d.look_at(team=True)
+    live.view3d.show(replace(builder.at(LAST), released=(2,)))
+    room_I = live.view3d._team_points()
+    assert len(room_I) == 1 + 2 * 3
+    # Each where it is drawn: the world is moved by the middle of all.
+    scene = live.view3d.shown
+    assert scene is not None
+    bodies_I = np.vstack([scene.payload_I, np.delete(scene.uavs_I, 1, axis=0)])
+    np.testing.assert_allclose(room_I[:4], bodies_I + live.view3d._world.position, atol=NEAR_M)
 
 
 def test_a_page_that_connects_late_shows_the_team(live: Viewer, builder: SceneBuilder) -> None:

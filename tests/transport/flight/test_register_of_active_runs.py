@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from transport.flight import active_runs, register_of_folders
+from transport.flight import active_runs, register_of_active_runs
 from transport.flight.active_runs import LiveRun
 
 HERE = LiveRun("hover", {"coordinator": "tcp/127.0.0.1:7447"}, os.getpid())
@@ -14,7 +14,7 @@ HERE = LiveRun("hover", {"coordinator": "tcp/127.0.0.1:7447"}, os.getpid())
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return the path of a register of this test, which does not exist yet."""
-    monkeypatch.setenv(register_of_folders.PLACE, str(tmp_path / "register"))
+    monkeypatch.setenv(register_of_active_runs.PLACE, str(tmp_path / "register"))
     return tmp_path / "register"
 
 
@@ -40,7 +40,7 @@ def test_the_newest_run_of_any_folder_is_found(tmp_path: Path) -> None:
     active_runs.remove(below)
     active_runs.remove(older)
     assert active_runs.newest_folder(runs) is None
-    assert register_of_folders.folders() == []
+    assert register_of_active_runs.folders() == []
 
 
 @pytest.mark.usefixtures("place")
@@ -49,7 +49,7 @@ def test_a_folder_that_has_gone_is_no_active_run(tmp_path: Path) -> None:
     folder = begun(tmp_path / "gone", 1e9)
     (folder / "live.json").unlink()
     folder.rmdir()
-    assert register_of_folders.folders() == [folder]
+    assert register_of_active_runs.folders() == [folder]
     assert active_runs.newest_folder(tmp_path / "runs") is None
 
 
@@ -66,7 +66,7 @@ def test_a_register_that_others_can_change_is_not_used(tmp_path: Path, place: Pa
     place.rename(tmp_path / "moved")
     place.symlink_to(tmp_path / "moved", target_is_directory=True)
     assert active_runs.newest_folder(tmp_path / "runs") is None
-    register_of_folders.remove(elsewhere)
+    register_of_active_runs.remove(elsewhere)
     assert len(list((tmp_path / "moved").iterdir())) == 1
 
 
@@ -74,7 +74,7 @@ def test_without_a_place_a_run_is_active_in_its_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A register that cannot be made changes nothing else: the run is found by its folder."""
-    monkeypatch.setenv(register_of_folders.PLACE, "/dev/null/register")
+    monkeypatch.setenv(register_of_active_runs.PLACE, "/dev/null/register")
     folder = begun(tmp_path / "run", 1e9)
     assert active_runs.read(folder) == HERE
     assert active_runs.newest_folder(tmp_path / "runs") is None

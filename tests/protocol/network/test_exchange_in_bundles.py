@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from tests.support import log_messages, runs
-from transport.protocol.network.exchange import exchange_of
+from transport.protocol.network.exchange_in_bundles import exchange_of
 from transport.protocol.wire.bundles import Answer, Bundle, Relay
 from transport.protocol.wire.codec import decode, encode
 from transport.protocol.wire.key_expressions import Keys
