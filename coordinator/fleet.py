@@ -129,7 +129,7 @@ class Fleet:
         return self._misplaced()
 
     def _misplaced(self) -> str:
-        """Return which distance between two UAVs does not fit the rods at hover, empty if all do."""
+        """Return which distance of two UAVs, or of one from its place, does not fit a hover; empty if all do."""
         wanted = self._places_I
         for one, other in combinations(range(len(wanted)), 2):
             expected_m = float(np.linalg.norm(wanted[one] - wanted[other]))

@@ -123,6 +123,7 @@ class Engine:
         self.failure = ""
         self.tensions: Array = np.zeros(0)
         self._section = setup.section
+        # About the actual centre of the payload; states from and to outside are about the assumed one.
         self._x: Array = about(setup.run.initial_state(), system.payload.centre)
         try:
             self._make = _engine_class(self._section.engine)
@@ -139,7 +140,7 @@ class Engine:
         self.restart(setup.run.initial_state(), self._system)
 
     def restart(self, x: Array, system: System) -> None:
-        """Continue from a state, (n,); with other bodies by a new object."""
+        """Continue from a state about the assumed centre, (n,); with other bodies by a new object."""
         self._x = about(x, system.payload.centre)
         with self._failing():
             if system is self._system:

@@ -99,7 +99,7 @@ class Program:
 
         self._announced = None
         if law is None or along is None:
-            self._closed_loop = None
+            self._closed_loop = None  # the next A and B may have changed since it was made
         else:
             # The closed loop is kept from one trajectory to the next with the same A, B and K.
             if dynamics_changed:

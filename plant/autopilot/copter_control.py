@@ -36,7 +36,7 @@ _NONE: Vector = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class CopterEstimate:
-    """What the autopilot takes for its motion, in its own frame, SI."""
+    """What the autopilot takes for its motion, in its own frame with z down, SI."""
 
     position: Vector
     velocity: Vector

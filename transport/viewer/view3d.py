@@ -116,7 +116,7 @@ class View3D:
             client.camera.look_at = camera.look_at_I
 
     def _move_world(self) -> None:
-        """Move the world so that the team is in its place, if it is to be followed."""
+        """Move the world so that the middle of all UAVs is in its place, if the team is to be followed."""
         position_I = np.zeros(3)
         if self._follows and self.shown is not None:
             position_I = self._anchor_I - self.shown.uavs_I.mean(axis=0)
