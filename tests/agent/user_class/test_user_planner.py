@@ -4,11 +4,11 @@ Found, called with what its links have delivered, checked in all it returns.
 """
 
 import sys
-from collections.abc import Sequence
-from dataclasses import fields
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -30,23 +30,39 @@ from tests.support.runs import (
     roster,
     setup,
 )
+from tests.support.runs import plan as plan_of
+from transport.agent.received import Received
+from transport.agent.user_class.returned_values import Step
 from transport.agent.user_class.run_for_user import Run, run_of
 from transport.agent.user_class.user_controllers import checked_controller
+from transport.agent.user_class.user_planner import OwnPlanner, OwnStep
 from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.summary_assembly import summarise
 from transport.flight.memory import simulate
 from transport.flight.roles import plant_run
 from transport.model.arrays import Array
+from transport.model.state import IS_KNOWN, REPORTED, REPORTS, SENSED_VALUES
 from transport.plant.engines import checked_engine
 from transport.protocol.scenario.sections.scenario_errors import ScenarioError
 from transport.protocol.scenario.setup.run_setup import Setup
-from transport.protocol.wire.messages import MAX_DATA, Measurement, Message, Note, Plan, StepReport
+from transport.protocol.wire.messages import (
+    MAX_DATA,
+    STAGES,
+    Measurement,
+    Message,
+    Note,
+    Plan,
+    StepReport,
+)
+from transport.protocol.wire.outbox import Outbox
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "docs" / "examples"
 
 # The payload's largest attitude with the examples, deg: half of what a diverging flight passes
 # within a second.
 LEVEL_DEG = 8.0
+
+MS = 10**6
 
 # What a step returns, and why that is a failure.
 IMPORT = "its import from {folder} or the installed packages raised "
@@ -544,3 +560,291 @@ def test_a_mixed_team_flies() -> None:
         difference_m = np.linalg.norm(x[:, :3] - np.array([one.x for one in whole])[:, :3], axis=1)
         assert difference_m.max() < 0.05
         assert np.degrees(np.abs(x[:, 6:9])).max() < 2.5
+
+
+class Scripted:
+    """A controller whose answers a test gives, by tick and exchange; it declares data of a shape."""
+
+    shape: ClassVar[tuple[int, ...] | None] = None
+    stopped: ClassVar[list["Scripted"]] = []
+
+    def start(self, run: Run) -> None:
+        """Declare the data."""
+        self.run = run
+        if self.shape is not None:
+            run.share(self.shape)
+
+    def step(self, measurement: Measurement, messages: Sequence[Plan]) -> object:
+        """Return the answer of the test."""
+        return self.answer(self.run.tick, 0)
+
+    def negotiate(self, iteration: int, messages: Sequence[Plan]) -> object:
+        """Return the answer of the test."""
+        return self.answer(self.run.tick, iteration)
+
+    def answer(self, tick: int, iteration: int) -> object:
+        """Return inputs that differ from tick to tick."""
+        return (1.0 + 0.01 * tick) * np.ones(4)
+
+    def stop(self) -> None:
+        """Be remembered as stopped."""
+        self.stopped.append(self)
+
+
+SCRIPTED = f"agents.controller={__name__}:Scripted"
+
+
+class Steps:
+    """The planner of agent 3 with a scripted class, a step at a time."""
+
+    def __init__(self, *settings: str, stopwatch: Callable[[], int] = lambda: 0) -> None:
+        self.run = setup(SHORT, SCRIPTED, *settings)
+        # Each input of the team's hover is another one.
+        hover = replace(self.run.run.hover, u=np.arange(16.0))
+        team = replace(self.run.run.team, hover=hover)
+        self.planner = OwnPlanner(replace(self.run.run, team=team), 3, stopwatch)
+        self.out = Outbox("agent3", 1)
+
+    def begin(
+        self,
+        tick: int,
+        *,
+        measured: Sequence[int] | None = None,
+        plans: Sequence[Plan] = (),
+        version: int = 1,
+        started_ns: int = 0,
+    ) -> OwnStep:
+        """Begin a tick with measurements of some ticks, by default its own, each at another place."""
+        own = measurement(self.run, 3, tick, version=version)
+        at_0 = np.zeros((1, 15)) if self.run.run.sensors.vehicle else own.uav_states
+        ticks = [tick] if measured is None else measured
+        came = [structs.replace(own, tick=k, uav_states=at_0 + k) for k in ticks]
+        return self.planner.begin(
+            Received(
+                measurement=own,
+                measurements=came,
+                plans=plans,
+                lost=0,
+                measurements_lost=0,
+                agents={1, 2, 3, 4},
+                off=frozenset(),
+                released=frozenset(),
+                failed_since=0,
+                ticks_since_start=tick,
+                started_ns=started_ns,
+            )
+        )
+
+    def plan(self, step: OwnStep) -> tuple[Plan, StepReport | None, list[str]]:
+        """Return the plan of a call, and of the last one the report after it, and the notes' problems before."""
+        messages = self.planner.plan(step, self.out, 7 * MS)
+        *notes, plan, report = [*messages, None] if step.negotiation else messages
+        assert isinstance(plan, Plan)
+        assert report is None or isinstance(report, StepReport)
+        problems = [note.problem for note in notes if isinstance(note, Note)]
+        assert len(problems) == len(notes)
+        return plan, report, problems
+
+    def tick(self, tick: int, **arrivals: Any) -> tuple[Plan, StepReport, list[str]]:
+        """Return plan, report and problems of a tick without negotiation."""
+        plan, report, problems = self.plan(self.begin(tick, **arrivals))
+        assert report is not None
+        return plan, report, problems
+
+
+def test_times_of_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All calls of a tick are its solve; the time between two steps is waiting, that of publishing is told."""
+    clock = SimpleNamespace(ns=0)
+
+    def stopwatch() -> int:
+        clock.ns += MS
+        return int(clock.ns)
+
+    def answer(_self: Scripted, _tick: int, iteration: int) -> Array:
+        clock.ns += (50 if iteration == 0 else 20) * MS
+        return np.ones(4)
+
+    monkeypatch.setattr(Scripted, "answer", answer)
+    steps = Steps("controller.negotiation_iterations=2", stopwatch=stopwatch)
+    for tick in range(2):
+        idle_ns = clock.ns
+        clock.ns += 30 * MS
+        step = steps.begin(tick, started_ns=clock.ns)
+        started_ns = clock.ns - 2 * MS
+        steps.plan(step)
+        clock.ns += 100 * MS  # the others' proposals come
+        steps.planner.adopt(step, ())
+        _, report, _ = steps.plan(step)
+        assert report is not None
+        times_ms = dict(zip(STAGES, report.times_ms, strict=True))
+        assert times_ms["estimate"] == 1.0
+        assert times_ms["solve"] == (50 + 1) + (20 + 1)
+        assert times_ms["publish"] == 7.0
+        idle_since_ns = idle_ns if tick else MS
+        assert times_ms["wait"] == (started_ns - idle_since_ns) / MS
+        # To the report, after which the stopwatch is read once more.
+        assert times_ms["total"] == (clock.ns - MS - started_ns) / MS
+
+
+def test_ages_are_those_of_the_newest() -> None:
+    """Of plan and state of each agent, and of the measurement; -1 before any; older ones that are late are not used."""
+    steps = Steps()
+
+    def of_agent_2(tick: int, stale: int = 0) -> Plan:
+        return structs.replace(plan_of(steps.run, 2, tick), stale=stale)
+
+    rows = [
+        ([], [], -1, -1, -1),
+        ([4, 3], [of_agent_2(4, stale=3)], 6 - 4, 6 - (4 - 3), 6 - 4),
+        ([5, 2], [of_agent_2(5), of_agent_2(2)], 7 - 5, 7 - 5, 7 - 5),
+    ]
+    for tick, (measured, plans, state_age, plan_age, age) in enumerate(rows, start=5):
+        sent, report, problems = steps.tick(tick, measured=measured, plans=plans)
+        assert (report.peers, problems) == ((1, 2, 4), [])
+        assert report.state_ages == (-1, state_age, -1)
+        assert report.plan_ages == (-1, plan_age, -1)
+        assert report.measurement_age == age
+        if age < 0:  # hover of its own UAV, the third of the team, before it is called
+            np.testing.assert_array_equal(sent.inputs, [[8.0, 9.0, 10.0, 11.0]])
+        else:
+            shift = sent.uav_states - measurement(steps.run, 3, 0).uav_states
+            np.testing.assert_allclose(shift, tick - age)
+
+
+def test_sensors_are_told_as_often_as_a_plan_repeats_them() -> None:
+    """A plan has those of its tick and of the ticks before, the newest first, whenever they come."""
+    steps = Steps(*VEHICLE)
+    for tick in range(2 * REPORTS):
+        # Every second one comes with the next.
+        sent, _, _ = steps.tick(tick, measured=[tick - 1, tick] if tick % 2 else [])
+    rows = sent.uav_states.reshape(REPORTS, REPORTED)
+    assert (rows[:, IS_KNOWN] == 1.0).all()
+    newest, *earlier = rows[:, SENSED_VALUES]
+    for age, values in enumerate(earlier, start=1):
+        np.testing.assert_allclose(values, newest - age)
+
+
+def test_what_must_be_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first plan under a roster, the first after a target, and all proposals, whatever the class wants."""
+    monkeypatch.setattr(Scripted, "answer", lambda *_: Step(inputs=np.ones(4), send=False))
+    steps = Steps("controller.negotiation_iterations=2")
+
+    def shared(tick: int, version: int = 1) -> tuple[bool, bool]:
+        step = steps.begin(tick, version=version)
+        proposal, _, _ = steps.plan(step)
+        steps.planner.adopt(step, ())
+        return proposal.shared, steps.plan(step)[0].shared
+
+    found = [shared(0), shared(1)]
+    steps.planner.follow(steps.run.run)
+    found += [shared(2), shared(3), shared(4, version=2), shared(5, version=2)]
+    assert found == [(True, True), (True, False)] * 3
+
+
+def test_calls_in_a_tick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exchanges are counted from 1; after a failure the class is not called again at that tick."""
+    calls: list[tuple[int, int]] = []
+
+    def answer(_self: Scripted, tick: int, iteration: int) -> Array:
+        calls.append((tick, iteration))
+        if tick == 1:
+            raise RuntimeError("no air")
+        return np.ones(4)
+
+    monkeypatch.setattr(Scripted, "answer", answer)
+    steps = Steps("controller.negotiation_iterations=3")
+    for tick in range(2):
+        step = steps.begin(tick)
+        for _ in range(2):
+            steps.plan(step)
+            steps.planner.adopt(step, ())
+        _, report, problems = steps.plan(step)
+        assert report is not None
+        assert (report.status, len(problems)) == [("solved", 0), ("numerical", 1)][tick]
+    assert calls == [(0, 0), (0, 1), (0, 2), (1, 0)]
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"), [(None, "no data"), ((2, 3), "data of shape (2, 3)")]
+)
+def test_refused_data_are_told_once(
+    shape: tuple[int, ...] | None, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At whichever exchange they come; a plan without data is used as it is, and one with as many as declared."""
+
+    def answer(*_: object) -> Step:
+        return Step(inputs=np.ones(4), data=None if shape is None else np.zeros(shape))
+
+    monkeypatch.setattr(Scripted, "shape", shape)
+    monkeypatch.setattr(Scripted, "answer", answer)
+    steps = Steps("controller.negotiation_iterations=3")
+    numbers = 0 if shape is None else 6
+    assert steps.planner.data_numbers == numbers
+
+    def of(agent: int, count: int) -> Plan:
+        return structs.replace(plan_of(steps.run, agent, 0), data=np.arange(float(count)))
+
+    step = steps.begin(1, plans=[of(1, 0), of(2, numbers), of(4, 4)])
+    for _ in range(2):
+        steps.plan(step)
+        steps.planner.adopt(step, [of(1, 0), of(2, numbers), of(4, 5)])
+        assert [one.data.shape for one in step.plans] == [(0,), shape or (0,), (0,)]
+    _, _, problems = steps.plan(step)
+    name = f"controller {__name__}:Scripted"
+    assert problems == [
+        f"{name}: plan of agent4: expected {expected}, got {count} numbers" for count in (4, 5)
+    ]
+
+
+def test_repeated_inputs_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In plan, report and note, 0.4 s after the first of them, since when the plan is not fresh."""
+    monkeypatch.setattr(Scripted, "answer", lambda *_: np.ones(4))
+    steps = Steps()
+    first, suspicious = 2, 2 + round(0.4 / 0.05) + 1
+    for tick in range(first, suspicious + 2):
+        sent, report, problems = steps.tick(tick)
+        is_told = tick >= suspicious
+        assert sent.status == report.status == ("unchanged" if is_told else "solved")
+        assert sent.stale == (tick - first if is_told else 0)
+        assert [": the inputs have been the same for" in one for one in problems] == [
+            True
+        ] * is_told
+
+
+def test_a_failure_shifts_the_plan_by_the_ticks_since(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ticks that the agent has missed pass too."""
+    rows = np.outer([1.0, 1.1, 1.2, 1.3], [20.0, 0.0, 0.0, 0.0])
+
+    def answer(_self: Scripted, tick: int, _iteration: int) -> Array:
+        if tick > 4:
+            raise RuntimeError("no air")
+        return rows
+
+    monkeypatch.setattr(Scripted, "answer", answer)
+    steps = Steps("clock.actuation=next_tick")
+    steps.tick(4)
+    sent, _, _ = steps.tick(6)
+    assert (sent.start_tick, sent.stale) == (7, 2)
+    np.testing.assert_array_equal(sent.inputs, rows[[2, 3, 3, 3]])
+
+
+def test_an_object_ends_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The old one when an agent starts anew, the other at the end of the run, where a failure is told."""
+    monkeypatch.setattr(Scripted, "stopped", [])
+    steps = Steps()
+    steps.planner.restart()
+    assert len(Scripted.stopped) == 1
+    assert steps.planner.end(9, steps.out) == steps.planner.end(9, steps.out) == []
+    assert len({*map(id, Scripted.stopped)}) == len(Scripted.stopped) == 2
+
+    def stop(_: Scripted) -> None:
+        raise RuntimeError("still open")
+
+    monkeypatch.setattr(Scripted, "stop", stop)
+    steps.planner.restart()
+    (note,) = steps.planner.end(9, steps.out)
+    assert isinstance(note, Note)
+    assert note.problem.startswith(
+        f"controller {__name__}:Scripted: stop raised RuntimeError: still"
+    )
+    assert steps.planner.end(9, steps.out) == []

@@ -238,6 +238,8 @@ def test_a_target_is_read(frame: str) -> None:
         (stamped("map", (0, 0, 0)) + b"\0" * 8, "expected a PoseStamped"),
         (stamped("map", (0, 0, 0))[:12] + b"\xff" * 4, "expected a PoseStamped"),
         (stamped("map", (0, float("nan"), 0)), "finite"),
+        (stamped("", (float("inf"), 0, 0)), "finite"),
+        (stamped("inertial", (0, 0, -float("inf"))), "finite"),
         (stamped("odom", (0, 0, 0)), "expected the frame inertial or map, got 'odom'"),
         (stamped("x" * 99, (0, 0, 0)), f"got '{'x' * 40}'$"),  # as much of it as fits a line
     ],
