@@ -599,6 +599,12 @@ def test_the_newest_started_plan_counts() -> None:
     assert found[1][0] == 24.0
     assert plans.at(12.99) is not None
     assert plans.at(13.0) is None
+    # Rows that repeat older inputs count from these, and those of a short plan end with it.
+    for plan, steps in ((changed(make(4), stale=5), 3), (make(4, steps=2), 2)):
+        plans = Plans(played=8)
+        plans.add(plan, 0)
+        assert plans.at(5.0 + steps - 0.01) is not None
+        assert plans.at(5.0 + steps) is None
 
 
 def test_before_tick_0_it_looks_fifty_times_a_second_and_tells_five_times() -> None:
@@ -680,6 +686,8 @@ def test_instants_that_have_passed_are_left_out() -> None:
     late_s = {status.tick: status.late_s for status in run.statuses()}
     assert (late_s[3], late_s[5]) == (0.0, 0.0)
     assert late_s[6] == pytest.approx(0.262 - 11 / 60, abs=1e-6)
+    run.until(0.36)
+    assert run.statuses()[-1].late_s == 0.0
 
 
 @pytest.mark.parametrize(("arrives_s", "latency_s"), [(0.02, 0.0), (0.06, 1 / 15 - 0.06)])
@@ -709,7 +717,8 @@ def test_setpoints_tell_by_which_knowledge_they_are() -> None:
 
 
 @pytest.mark.parametrize(
-    ("lands", "at_s", "asked"), [(True, 9.0, "land"), (True, 2.0, "hold"), (False, 9.0, "hold")]
+    ("lands", "at_s", "asked"),
+    [(True, 7.55, "land"), (True, 7.5, "hold"), (False, 9.0, "hold")],
 )
 def test_a_team_that_has_landed_may_be_ended(lands: bool, at_s: float, asked: str) -> None:
     """An end without success is in order once the team is at rest on the ground; a second end changes nothing."""
@@ -722,6 +731,45 @@ def test_a_team_that_has_landed_may_be_ended(lands: bool, at_s: float, asked: st
     assert run.autopilot.asked == [asked]
     run.tell(run.roster(2, released=(UAV,)))
     assert run.autopilot.asked == [asked]
+
+
+def test_a_further_target_follows_the_ones_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its own law knows them all, and the newest one says whether the team lands."""
+    known: list[int] = []
+    follow = OwnLaw.follow
+
+    def watched(law: OwnLaw, run: Any) -> None:
+        known.append(len(run.maneuver.targets))
+        follow(law, run)
+
+    monkeypatch.setattr(OwnLaw, "follow", watched)
+    run = Flight("vehicles.at_end=land")
+    run.begin()
+    run.until(0.5)
+    run.tell(run.target())
+    run.until(2.0)
+    run.tell(
+        changed(run.target(lands=True), tick=41, number=2, approach_s=1.0, approach_ramp_s=0.5)
+    )
+    assert known == [1, 2]
+    run.until(6.0)
+    run.tell(run.end("aborted"))
+    assert run.autopilot.asked == ["land"]
+
+
+def test_instants_told_just_before_tick_0_and_setpoints_between_ticks() -> None:
+    """Tick 0 has its setpoint at its instant, and a tick between two setpoints its measurement."""
+    run = Flight("vehicles.setpoint_hz=50.0")
+    run.now_ns += 7 * MS
+    run.node.poll(run.now_ns)  # one each 20 ms from now on: the next would be 7 ms after tick 0
+    run.until(-0.005)
+    run.begin()
+    run.until(0.16)
+    assert [at - START_NS for at, *_ in run.autopilot.commands[:3]] == [0, 20 * MS, 40 * MS]
+    sent_ms = [
+        (one.sent_ns - WALL_NS - START_NS) / MS for one in run.statuses() if one.phase == "flying"
+    ]
+    assert sent_ms == [0, 50, 100, 150]
 
 
 def test_after_the_last_tick_it_holds_its_hover() -> None:

@@ -16,7 +16,12 @@ from transport.flight.recorder import Recorder
 from transport.log.run_log import read_log
 from transport.log.writer import LogWriter
 from transport.protocol.admission.acceptance_and_refusals import Sample
-from transport.protocol.network.bus_events_and_clock import Arrival, Departed
+from transport.protocol.network.bus_events_and_clock import (
+    Arrival,
+    BusOptions,
+    Departed,
+    Interrupted,
+)
 from transport.protocol.network.session import BusError
 from transport.protocol.scenario.setup.run_setup import Setup
 from transport.protocol.wire.bundles import Record
@@ -41,7 +46,7 @@ SILENCE = None
 
 FLIGHT = runs.ready("flight")  # goes on without its coordinator
 
-Event = Message | Sample | Presence | Request | Departed | None
+Event = Message | Sample | Presence | Request | Departed | Interrupted | None
 
 
 class ScriptedBus:
@@ -122,6 +127,66 @@ def test_a_coordinator_that_stays_away_ends_the_record(tmp_path: Path, flight: l
     ]
     assert isinstance(end, Control)
     assert (end.outcome, end.reason) == ("aborted", "coordinator is gone")
+
+
+def test_in_a_pause_all_messages_are_in_the_file(tmp_path: Path, flight: list[Event]) -> None:
+    """After 0.02 s without a message; then it waits for ever, and without a pause nothing is written earlier."""
+    in_file: list[bool] = []
+
+    class Watched(ScriptedBus):
+        def next(self, timeout_s: float | None) -> Arrival | None:
+            in_file.append(recorder.writer.is_up_to_date)
+            return super().next(timeout_s)
+
+    bus = Watched([runs.tick(0), SILENCE, runs.tick(1), runs.tick(2), runs.end(2), *GONE])
+    recorder = recorder_of(tmp_path, bus)
+    recorder.start(PROCESSES)
+    recorder.join()
+    recorder.close()
+    waits = [*zip(bus.timeouts_s, in_file, strict=True)]
+    assert waits[:5] == [(None, True), (0.02, False), (None, True), (0.02, False), (0.02, False)]
+
+
+def test_an_end_without_the_last_messages(tmp_path: Path, flight: list[Event]) -> None:
+    """Before any state the run ends at tick 0; one that is stopped has no end; last words end the wait at once."""
+    last_words = [*map(Departed, PROCESSES)]
+    scripts: dict[str, list[Any]] = {
+        "early": [*GONE, SILENCE],
+        "stopped": [*flight[:5], Interrupted("enough")],
+        "whole": [*flight, *last_words, runs.plant_state(RUN, 5)],
+    }
+    found = {}
+    for name, script in scripts.items():
+        folder = tmp_path / name
+        folder.mkdir()
+        found[name] = recorded(folder, ScriptedBus(script))
+    (end,) = found["early"]
+    assert isinstance(end, Control)
+    assert end.tick == 0
+    assert len(found["stopped"]) == 5
+    assert len(found["whole"]) == len(flight)
+
+
+@pytest.mark.parametrize(("speed", "gather_s"), [(0.0, 0.03), (1.0, 0.01)])
+def test_messages_are_gathered_for_less_than_a_tick_in_real_time(
+    speed: float, gather_s: float, tmp_path: Path
+) -> None:
+    """Longer where ticks follow each other as fast as they can; a message keeps its own time of arrival."""
+    options: list[BusOptions] = []
+
+    def bus_of(*given: Any) -> Any:
+        options.append(given[-1])
+        return ScriptedBus([])
+
+    run = setup(f"clock.speed={speed}")
+    log = tmp_path / "run.mcap"
+    writer = LogWriter(log, with_scenario(HEADER, run), period_ns=run.period_ns)
+    recorder = Recorder(run, runs.place(run.scenario.name), writer, bus_of=bus_of)
+    recorder.receive(runs.tick(0), 12345)
+    recorder.receive(sample(runs.tick(1), run=run), 23456)
+    recorder.close()
+    assert [one.gather_s for one in options] == [gather_s]
+    assert [entry.received_ns for entry in read_log(log).messages] == [12345, 23456]
 
 
 def test_it_waits_for_the_last_messages_of_the_processes_that_are_there(
@@ -255,6 +320,11 @@ def test_a_state_that_cannot_be_is_none(tmp_path: Path) -> None:
     assert shown.tick == 3
     recorder.receive(sample(forged))
     assert recorder.plant_state is None
+    beyond = encode(replace(state, tick=RUN.ticks))
+    recorder.receive(
+        sample(catalogue.sample(Record, tick=5, keys=("plant_state",), parts=(beyond,)))
+    )
+    assert recorder.plant_state is None
     recorder.close()
 
 
@@ -265,8 +335,9 @@ def test_a_target_changes_the_run(tmp_path: Path) -> None:
         Target, tick=5, number=1, points=np.array([[0.5, 0.0, -10.0]]), times=np.zeros(1), way_s=0.0,
         way_ramp_s=0.0,
     )  # fmt: skip
-    recorder.receive(target)
-    assert len(recorder.setup.maneuver.targets) == 1
+    for message in (target, target, replace(target, number=3)):  # one again, one after a gap
+        recorder.receive(message)
+        assert len(recorder.setup.maneuver.targets) == 1
     recorder.close()
 
 
