@@ -1,20 +1,26 @@
 """What an agent's estimate of its team takes from rosters, failures and targets."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from msgspec import structs
 
 from tests.support import runs
+from transport.agent.estimation.predicted_motion import Failure
 from transport.agent.estimation.team_estimate import Expected, TeamEstimate
 from transport.agent.received import Received
+from transport.model import state
 from transport.model.arrays import Array
+from transport.model.physics.hover import released_state
 from transport.mpc.controller import Controller
+from transport.mpc.law.laws_of_uavs_alone import AloneTeam
 from transport.protocol.scenario.sections.maneuver_sections import TargetSection
 from transport.protocol.scenario.sections.scenario_errors import requested
 from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.setup.team_run import TeamRun
 from transport.protocol.scenario.targets.target_checks import target_fields
 from transport.protocol.wire.messages import Target
 from transport.protocol.wire.outbox import Outbox
@@ -66,6 +72,12 @@ def _received(
     )
 
 
+def _changed(run: Setup, settings: Mapping[str, object]) -> TeamRun:
+    """Return a run with other settings of the controllers."""
+    changed = run.settings.model_copy(update=settings)
+    return replace(run.run, known=replace(run.run.known, settings=changed))
+
+
 def _assert_balances(team: TeamEstimate, run: Setup, k: int, forces: Array, carrying: int) -> None:
     """Check that a UAV alone is assumed to balance its part of some forces."""
     x = run.X_ref[k]
@@ -114,18 +126,21 @@ def test_forces_on_the_ground_are_those_of_the_flight(monkeypatch: pytest.Monkey
     run = runs.ready("resilient", "plant.engine=mujoco", "plant.ground_m=0.0")
     given = requested(TargetSection, {"points_m": [[0.5, 0.0, -10.0]]})
     target = Outbox("coordinator", 0).stamp(Target, number=1, **target_fields(run, given, 5))
-    landing = run.after([structs.replace(target, lands=True)])
-    team = _team(run)
+    first, landing = target, structs.replace(target, number=2, tick=40, lands=True)
+    team, later = _team(run), _team(run)
     team.update(_received(run, 0))
-    team.follow(landing.run)
-    ends = math.ceil(landing.maneuver.targets[-1].ends_s / run.settings.sampling_period_s)
+    landed = run.after([first]).after([landing])
+    for one in (team, later):
+        one.follow(landed.run)
+    ends = math.ceil(landed.maneuver.targets[-1].ends_s / run.settings.sampling_period_s)
     found = []
-    for k in (ends - 1, ends):
-        team.update(_received(run, k))
+    for k in (ends - 1, ends, ends + 1):
         on_ground = np.full(4 + 3 * run.system.N, float(k))
         monkeypatch.setattr(type(team.estimator), "forces", on_ground)
-        found.append(team.forces is on_ground)
-    assert found == [True, False]
+        team.update(_received(run, k))
+        assert team.forces is not None
+        found.append(team.forces[0])
+    assert found == [ends - 1] * 3
 
 
 def test_uavs_that_are_left_hold_the_force_on_the_payload(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -235,3 +250,160 @@ def test_an_agent_that_leaves_is_assumed_to_have_made_its_last_plan(
     team.expected = Expected(start=3, prediction=None, inputs=foreseen)  # type: ignore[arg-type]
     team.update(_received(run, 4, gone=[3]))
     assert assumed == [(3, 3, steps) for steps in assumed_steps]
+
+
+@pytest.mark.parametrize(
+    ("changed", "has_rule", "late_counts", "later_s"),
+    [
+        ({}, True, False, 0.0),
+        ({"silence": "law"}, False, False, 0.0),
+        ({"silence": "stop", "estimator": "kalman"}, True, True, 0.0),
+        ({"prediction": "open_loop"}, False, False, 0.0),
+        ({"share": "on_change", "share_heartbeat_s": 0.7}, True, False, 1.4),
+        ({"share_heartbeat_s": 0.7}, True, False, 0.0),
+    ],
+    ids=str,
+)
+def test_rule_by_which_the_others_act_alone(
+    changed: dict[str, object], has_rule: bool, late_counts: bool, later_s: float
+) -> None:
+    """They do with closed-loop prediction, unless the setting is the law; late information counts with a filter.
+
+    Where plans are sent on change, overdue is two heartbeats later than 0.5 s beyond the usual, (32c). After a
+    failure no information is late.
+    """
+    run = runs.ready("resilient")
+    team = _team(run)
+    team._setup = _changed(run, changed)
+    law = team._shared_law()
+    assert (law.silence is not None) is has_rule
+    assert (law.inputs_alone is not None) is has_rule
+    if law.silence is None or law.silence_after_failures is None:
+        return
+    begins_s = law.silence.overdue.begins * run.settings.sampling_period_s
+    assert begins_s == pytest.approx(0.5 + later_s)
+    assert (law.silence.late is not None) is late_counts
+    assert law.silence_after_failures.late is None
+
+
+def test_share_alone_follows_the_others_and_the_start() -> None:
+    """It is 0.2 below the largest that another announces; 1 from a start in mid-run until all are heard, (32c)."""
+    run = runs.ready("resilient")
+    team = _team(run)
+    team.update(_received(run, 0))
+    received = _received(run, 1, heard=0)
+    said = [structs.replace(one, alone=0.1 * one.agent) for one in received.plans]
+    team.update(structs.replace(received, plans=said))
+    assert team.share_alone(1) == pytest.approx(0.1 * max(run.agents) - 0.2)
+
+    late = _team(run)
+    for k, heard, expected in [(30, None, 1.0), (31, 30, 0.0)]:
+        late.update(_received(run, k, heard=heard))
+        assert late.share_alone(k) == expected
+
+
+def test_law_and_uavs_alone_follow_a_further_target() -> None:
+    """Inputs by the law are those about the new reference; setpoints and law alone are on it, (46)."""
+    run = runs.ready("resilient")
+    team = _team(run)
+    after = _with_target(run, 2)
+    k = after.ticks - 1
+    x = after.X_ref[k]
+    team.update(_received(run, 0))
+    team._by_law(k - 1, x)
+    team.follow(after.run)
+    regulation = team._controller.regulation
+    expected = regulation.inputs(x, after.X_ref[k - 1], team.forces, k - 1)
+    found = team._by_law(k - 1, x)
+    assert found is not None
+    assert expected is not None
+    np.testing.assert_array_equal(found, expected)
+    new = AloneTeam(run.model, run.hover, run.settings, regulation, after.reference.sampled)
+    np.testing.assert_array_equal(new.inputs(UAV, x, k), team._alone.inputs(UAV, x, k))
+
+
+def test_states_as_received_replace_those_of_the_estimate() -> None:
+    """Those of each agent that has been heard, as old as they are; else plans tell where the others were."""
+    run = runs.ready("resilient")
+    moved = run.initial_state().copy()
+    places = [state.uav_slice(uav) for uav in run.owned[2]]
+    for place in places:
+        moved[place][state.OMEGA] = 0.3
+    for changed, is_same in (("as_received", True), ("predicted", False)):
+        team = _team(run)
+        team._setup = _changed(run, {"received_states": changed})
+        team.update(_received(run, 0))
+        plan = runs.plan(run, 3, 0, x=moved)  # agent 2 has not been heard
+        x = team.update(structs.replace(_received(run, 1), plans=[plan]))
+        for place in places:
+            assert np.array_equal(x[place], moved[place]) is is_same
+            assert x[place][state.OMEGA].all()
+
+
+def test_rosters_change_who_is_without_agent_and_who_is_expected(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """All that are off, not only the last; the law of the meantime begins at the change, but not at a start, (46)."""
+    run = runs.ready("resilient")
+    for first in (0, 1):
+        team = _team(run)
+        left: list[tuple[list[int], int | None]] = []
+        failed: list[int | None] = []
+        controller = team._controller
+        monkeypatch.setattr(
+            controller, "without", lambda uavs, since, to=left: to.append((list(uavs), since))
+        )
+        monkeypatch.setattr(
+            controller, "fail", lambda off, released, since, to=failed: to.append(since)
+        )
+        stopped = frozenset({3})
+        for k, gone in enumerate([{2}, {2, 3}, {3}], start=first):
+            team.update(_received(run, k, gone=gone, off=stopped))
+            assert team.announced.heard.off_roster == gone
+        uavs = [[*run.owned[1]], [*run.owned[1], *run.owned[2]], [*run.owned[2]]]
+        since = [None if k == 0 else k for k in range(first, first + 3)]
+        assert left == list(zip(uavs, since, strict=True))
+        assert failed == since[:1]
+        assert team.announced.heard.has_returned(2)
+        assert not team.announced.heard.has_returned(3)
+
+
+def test_estimate_alone_and_law_change_as_uavs_fail(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At a failure a UAV stops to turn, and one that is released hangs at rest: each once, (50), (51)."""
+    run = runs.ready("resilient")
+    team = _team(run)
+    failures: list[Failure] = []
+    monkeypatch.setattr(team.estimator, "change", failures.append)
+    x = run.initial_state() + 0.1
+    steps: list[tuple[set[int], set[int], list[int], list[int]]] = [
+        ({3}, set(), [3], []),
+        ({3, 2}, {3}, [2], [3]),
+        ({3, 2, UAV}, {3}, [UAV], []),
+    ]
+    for k, (off, released, stopped, cut) in enumerate(steps, start=1):
+        team.update(
+            _received(run, k, off=frozenset(off), released=frozenset(released), failed_since=k)
+        )
+        expected = x.copy()
+        for uav in stopped:
+            expected[state.uav_slice(uav)][state.OMEGA] = 0.0
+        for uav in cut:
+            expected = released_state(expected, uav)
+        failure = failures[-1]
+        np.testing.assert_array_equal(failure.moved(x), expected)
+        assert failure.hover is team._controller.regulation.hover
+        assert list(failure.own_left) == [uav for uav in (UAV,) if uav not in off]
+        assert team._alone._off == off
+    assert len(failures) == len(steps)
+
+
+def test_the_newest_plan_that_has_started_tells_whether_an_agent_left_alone() -> None:
+    """A plan that starts later does not count yet; an agent without any plan has none to assume, (32b)."""
+    run = runs.ready("resilient")
+    team = _team(run)
+    team.expected = Expected(start=3, prediction=None, inputs=np.ones((5, 4)))  # type: ignore[arg-type]
+    team.announced.add(runs.plan(run, 3, 2))
+    team.announced.add(structs.replace(runs.plan(run, 3, 3, delay=6), alone=1.0))
+    assert not team._is_alone(3, 6)
+    assert team._is_alone(3, 9)
+    team._assume_last_plan(2, 6, is_alone=False)
