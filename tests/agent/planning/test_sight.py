@@ -9,11 +9,14 @@ from msgspec.structs import replace
 
 from tests.support import runs
 from tests.transport.flights.test_obstacles_seen import GO, LOAD_MARGIN_M, MARGIN_M, wall
-from transport.agent.planning.sight import Sight
+from transport.agent.planning.sight import Sight, _even, _ways_round
+from transport.model.arrays import Array
+from transport.model.path.target_and_stop import PathTarget
 from transport.model.physics.obstacles import clearances
 from transport.protocol.scenario.setup.run_setup import Setup
+from transport.protocol.scenario.targets.target_timing import straight
 from transport.protocol.wire.message_form import ENDLESS_M
-from transport.protocol.wire.messages import Measurement, Target
+from transport.protocol.wire.messages import MAX_POINTS, Measurement, Target
 
 ALONG_M = 6.5  # place of the wall
 REST_M = 0.3
@@ -171,3 +174,86 @@ def test_a_path_that_keeps_clear_stays() -> None:
         sight = Sight(1)
         assert sight.take(seen(run, row(along_m=along_m)))
         assert sight.avoid(run.run, now_s, left_s=0.0) is None
+
+
+def ways(*rows: Sequence[float], most_m: float = 100.0) -> list[Array]:
+    """Return the points of ways round what is seen, from a rest 3 m before the wall of a climb to its end."""
+    climb = (GO % 16).replace("9.6,7.2,0", "9.6,7.2,-3")
+    run = runs.ready("precise", climb, wall(ALONG_M, 2.0))
+    sight = Sight(1)
+    sight.take(seen(run, *rows))
+    rest_I = run.maneuver.path(np.array([4.0]))[0][0]
+    brake = PathTarget(since_s=2.0, point_I=rest_I, approach=straight(4.0, 2.0), brakes=True)
+    found = [*_ways_round(run.run, sight.seen, brake, most_m)]
+    for way in found:
+        np.testing.assert_allclose(way[0], rest_I)
+        np.testing.assert_allclose(way[-1], [9.6, 7.2, -13.0], atol=1e-5)
+    return found
+
+
+def length_m(way: Array) -> float:
+    """Return the length of a way through its points."""
+    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+
+
+@pytest.mark.parametrize(
+    ("margin_m", "load_margin_m", "keeps_m"), [(0.4, 0.1, 0.4), (0.2, 1.0, 1.0)]
+)
+def test_ways_round_keep_the_reach_of_the_team(
+    margin_m: float, load_margin_m: float, keeps_m: float
+) -> None:
+    """Their points are a margin, half of the payload's diagonal and 0.6, 1 or 1.8 m from the wall, in this order.
+
+    They climb evenly, in legs of a metre, and none is longer than what is left.
+    """
+    wall_seen = row(margin=margin_m, load_margin=load_margin_m)
+    found = ways(wall_seen)
+    # Rods hang straight down from the UAVs above the payload's corners.
+    reach_m = math.hypot(0.25, 0.25) + keeps_m
+    u = np.array([0.8, 0.6])
+    for way, more_m in zip(found, (0.6, 1.0, 1.8), strict=True):
+        xy = way[:, :2] - ALONG_M * u
+        beyond = np.abs(np.column_stack([xy @ u, xy @ [-0.6, 0.8]])) - [0.1, 1.0]
+        apart_m = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
+        least_m = reach_m + more_m
+        # The sides of an outline touch the circle of that radius, its corners are 4 % further.
+        assert least_m - 1e-6 <= apart_m[3:-3].min() <= 1.04 * least_m
+        legs_m = np.linalg.norm(np.diff(way, axis=0), axis=1)
+        assert 0.6 < legs_m.min() <= legs_m.max() <= 1.0
+        climbs = -np.diff(way[:, 2])
+        assert climbs.min() > 0.03
+        assert climbs.max() < 0.3
+    short, long = length_m(found[1]), length_m(found[2])
+    assert len(ways(wall_seen, most_m=(short + long) / 2.0)) == 2
+
+
+@pytest.mark.parametrize(("along_m", "count"), [(10.9, 0), (10.4, 1)])
+def test_no_way_leads_to_an_end_that_is_too_near(along_m: float, count: int) -> None:
+    """The path ends 12 m along, 1.05 or 1.55 m behind what is seen there, whose reach is 0.75 m."""
+    assert len(ways(row(), row(2, along_m, half_x=0.05, half_y=0.05))) == count
+
+
+@pytest.mark.parametrize(("metres", "points"), [(0.5, 3), (7.2, 9), (1000.0, MAX_POINTS)])
+def test_a_way_has_as_many_points_as_a_target_may(metres: float, points: int) -> None:
+    """One a metre, no fewer than three, at equal lengths."""
+    way = _even(np.array([[0.0, 0.0, 0.0], [0.1 * metres, 0.0, 0.0], [metres, 0.0, 0.0]]))
+    np.testing.assert_allclose(way[:, 0], np.linspace(0.0, metres, points))
+
+
+@pytest.mark.parametrize(("speed_mps", "is_as_fast"), [(0.8, True), (1.5, False)])
+def test_a_way_round_is_as_fast_as_the_path_and_the_limits(
+    speed_mps: float, is_as_fast: bool
+) -> None:
+    """Where it is slower, it is so as a whole: its ramps of 2 s take longer, over the same length."""
+    run = flight(speed_mps)
+    sight = Sight(1)
+    sight.take(seen(run, row()))
+    found = sight.avoid(run.run, 2.5, left_s=60.0)
+    assert found is not None
+    way = found.target
+    middle_s = 2.5 + way.approach_s + way.way_s * np.linspace(0.3, 0.7, 20)
+    v_I = run.run.led_to(way).maneuver.path(middle_s)[1]
+    cruise_mps = float(np.linalg.norm(v_I, axis=1).max())
+    assert cruise_mps <= speed_mps * 1.001
+    assert (cruise_mps > 0.95 * speed_mps) is is_as_fast
+    assert way.way_ramp_s * cruise_mps == pytest.approx(2.0 * speed_mps, rel=0.02)
