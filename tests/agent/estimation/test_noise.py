@@ -53,6 +53,17 @@ def test_first_errors_belong_to_their_states() -> None:
     np.testing.assert_array_equal(found.omega_B, errors.uav_rate_rads)
 
 
+def test_first_errors_and_correlation_are_those_documented() -> None:
+    """0.3 m and 3.4 deg of the payload, in yaw 0.9 deg and 1.1 deg/s, (64); one air by 0.8, (63a)."""
+    errors = FirstErrors()
+    assert errors.payload_position_m == 0.3
+    in_deg = np.degrees(
+        [errors.payload_tilt_rad, errors.payload_yaw_rad, errors.payload_yaw_rate_rads]
+    )
+    np.testing.assert_array_equal(np.round(in_deg, 1), [3.4, 0.9, 1.1])
+    assert ForceNoise().same_air == 0.8
+
+
 def test_accelerations_change_velocities_and_rates_alone() -> None:
     """White accelerations over a period add their square times the period's to these, (63)."""
     acceleration = 0.3
@@ -74,6 +85,13 @@ def test_bias_of_sensors_counts_as_noise() -> None:
     np.testing.assert_allclose(found, np.repeat(expected, 3).reshape(5, 3))
 
 
+def test_exact_sensors_are_assumed_to_err() -> None:
+    """By 1 mm, 5 mm/s, 1 mrad, 2 mrad/s and 0.1 m/s^2, each on three axes."""
+    sheet = SensorSheet(vehicle=True, noise=np.zeros(5), bias=np.zeros(5), ages=(0,) * 5)
+    expected = np.repeat([1e-3, 5e-3, 1e-3, 2e-3, 0.1], 3)
+    np.testing.assert_allclose(np.sqrt(LeastSensorNoise().variances(sheet)), expected)
+
+
 def test_units_of_unknown_forces() -> None:
     """Forces are shares of a weight in N, the mass error of the payload's mass in kg, (63a).
 
@@ -81,11 +99,11 @@ def test_units_of_unknown_forces() -> None:
     """
     payload_kg, uav_kg = UNEQUAL.payload.mass, min(uav.mass for uav in UNEQUAL.uavs)
     expected = np.zeros(COUNT)
-    expected[PAYLOAD_FORCE] = NOISE.payload_force.first * payload_kg * UNEQUAL.gravity
-    expected[MASS_ERROR] = NOISE.payload_mass.first * payload_kg
-    expected[UAV_FORCE] = NOISE.uav_force.first * uav_kg * UNEQUAL.gravity
-    expected[DRAG] = NOISE.payload_drag.first * payload_kg, NOISE.uav_drag.first * uav_kg
-    np.testing.assert_allclose(NOISE.first(UNEQUAL), expected)
+    expected[PAYLOAD_FORCE] = 0.03 * payload_kg * UNEQUAL.gravity
+    expected[MASS_ERROR] = 0.2 * payload_kg
+    expected[UAV_FORCE] = 0.03 * uav_kg * UNEQUAL.gravity
+    expected[DRAG] = 0.3 * payload_kg, 0.3 * uav_kg
+    np.testing.assert_allclose(ForceNoise().first(UNEQUAL), expected)
 
 
 def test_unknown_forces_are_random_walks() -> None:

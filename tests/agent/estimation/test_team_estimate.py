@@ -105,16 +105,26 @@ def test_uavs_alone_hold_what_was_estimated_with_the_team(monkeypatch: pytest.Mo
     _assert_balances(team, run, silent, BEFORE + step * (NOW - BEFORE), run.system.N)
 
 
+def test_uavs_alone_carry_the_mass_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its weight is a force on the payload, down, (63a)."""
+    run = runs.ready("resilient", FORCES)
+    team = _team(run)
+    monkeypatch.setattr(TeamEstimate, "forces", np.append(NOW, 0.3))
+    team.update(_received(run, 0))
+    weight = np.zeros_like(NOW)
+    weight[2] = 0.3 * run.system.gravity
+    _assert_balances(team, run, 0, NOW + weight, run.system.N)
+
+
 def test_drag_is_estimated_with_the_team_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Own measurements do not tell it: in a silence that of the team stays, (32f)."""
+    """Own measurements do not tell it: in a silence that of the team stays, (32f). Some estimates have none."""
     run = runs.ready("eight", FORCES)
     team = _team(run)
     assumed: list[list[float]] = []
     monkeypatch.setattr(team._alone, "assume_drag", lambda drag: assumed.append(drag.tolist()))
     silent = 60
-    for k in (0, silent):
-        forces = np.zeros(4 + 3 * run.system.N + 2)
-        forces[-2:] = [0.1 + k, 0.2 + k]
+    for k, drag in ((0, []), (1, [0.1, 0.2]), (silent, [0.3, 0.4])):
+        forces = np.append(np.full(4 + 3 * run.system.N, 0.5), drag)
         monkeypatch.setattr(TeamEstimate, "forces", forces)
         team.update(_received(run, k))
     assert team.share_alone(silent) == 1.0
@@ -127,11 +137,10 @@ def test_forces_on_the_ground_are_those_of_the_flight(monkeypatch: pytest.Monkey
     given = requested(TargetSection, {"points_m": [[0.5, 0.0, -10.0]]})
     target = Outbox("coordinator", 0).stamp(Target, number=1, **target_fields(run, given, 5))
     first, landing = target, structs.replace(target, number=2, tick=40, lands=True)
-    team, later = _team(run), _team(run)
+    team = _team(run)
     team.update(_received(run, 0))
     landed = run.after([first]).after([landing])
-    for one in (team, later):
-        one.follow(landed.run)
+    team.follow(landed.run)
     ends = math.ceil(landed.maneuver.targets[-1].ends_s / run.settings.sampling_period_s)
     found = []
     for k in (ends - 1, ends, ends + 1):
@@ -141,6 +150,11 @@ def test_forces_on_the_ground_are_those_of_the_flight(monkeypatch: pytest.Monkey
         assert team.forces is not None
         found.append(team.forces[0])
     assert found == [ends - 1] * 3
+
+    begins_landed = _team(run)
+    begins_landed.follow(landed.run)
+    begins_landed.update(_received(run, ends + 2))
+    assert begins_landed.forces is on_ground
 
 
 def test_uavs_that_are_left_hold_the_force_on_the_payload(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -304,7 +318,7 @@ def test_share_alone_follows_the_others_and_the_start() -> None:
 
 def test_law_and_uavs_alone_follow_a_further_target() -> None:
     """Inputs by the law are those about the new reference; setpoints and law alone are on it, (46)."""
-    run = runs.ready("resilient")
+    run = runs.ready("eight")
     team = _team(run)
     after = _with_target(run, 2)
     k = after.ticks - 1
@@ -312,6 +326,7 @@ def test_law_and_uavs_alone_follow_a_further_target() -> None:
     team.update(_received(run, 0))
     team._by_law(k - 1, x)
     team.follow(after.run)
+    np.testing.assert_array_equal(team._reference(10), after.X_ref[10])
     regulation = team._controller.regulation
     expected = regulation.inputs(x, after.X_ref[k - 1], team.forces, k - 1)
     found = team._by_law(k - 1, x)
@@ -377,7 +392,8 @@ def test_estimate_alone_and_law_change_as_uavs_fail(monkeypatch: pytest.MonkeyPa
     x = run.initial_state() + 0.1
     steps: list[tuple[set[int], set[int], list[int], list[int]]] = [
         ({3}, set(), [3], []),
-        ({3, 2}, {3}, [2], [3]),
+        ({3}, {3}, [], [3]),  # the others carry its load: another hover
+        ({3, 2}, {3}, [2], []),
         ({3, 2, UAV}, {3}, [UAV], []),
     ]
     for k, (off, released, stopped, cut) in enumerate(steps, start=1):
@@ -395,6 +411,33 @@ def test_estimate_alone_and_law_change_as_uavs_fail(monkeypatch: pytest.MonkeyPa
         assert list(failure.own_left) == [uav for uav in (UAV,) if uav not in off]
         assert team._alone._off == off
     assert len(failures) == len(steps)
+
+
+def test_measurements_before_the_ticks_own_are_taken_in() -> None:
+    """The state that the UAV measured a tick before is the estimate of that tick."""
+    run = runs.ready("resilient")
+    team = _team(run)
+    moved = run.initial_state().copy()
+    moved[state.POSITION] += 0.2
+    team.update(_received(run, 0))
+    measured = [runs.measurement(run, AGENT, k, x=moved) for k in (0, 1)]
+    x = team.update(structs.replace(_received(run, 1), measurements=measured))
+    np.testing.assert_array_equal(x[: state.PAYLOAD], moved[: state.PAYLOAD])
+
+
+def test_setpoints_alone_are_those_of_their_uav_and_tick() -> None:
+    """Each UAV alone has its own law, and its inputs ahead are those of its setpoints tick by tick, (31f)."""
+    run = runs.ready("eight")
+    team = _team(run)
+    alone = AloneTeam(
+        run.model, run.hover, run.settings, team._controller.regulation, run.reference.sampled
+    )
+    uav, first = 1, 30
+    law, _ = team.alone(uav, first)
+    assert law is team._alone.law(uav)
+    ahead = [alone.setpoint(uav, tick).inputs for tick in range(first, first + 3)]
+    np.testing.assert_array_equal(team.alone_ahead(uav, first, 3), ahead)
+    assert not np.array_equal(ahead[0], ahead[1])
 
 
 def test_the_newest_plan_that_has_started_tells_whether_an_agent_left_alone() -> None:
