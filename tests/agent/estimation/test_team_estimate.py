@@ -317,23 +317,26 @@ def test_share_alone_follows_the_others_and_the_start() -> None:
 
 
 def test_law_and_uavs_alone_follow_a_further_target() -> None:
-    """Inputs by the law are those about the new reference; setpoints and law alone are on it, (46)."""
-    run = runs.ready("eight")
+    """Inputs by the law are those about the new reference, on which are also UAVs alone after a failure, (46)."""
+    run = runs.ready("resilient")
     team = _team(run)
     after = _with_target(run, 2)
-    k = after.ticks - 1
+    k = 20  # in motion
     x = after.X_ref[k]
-    team.update(_received(run, 0))
-    team._by_law(k - 1, x)
+    failed = frozenset({3})
+    team.update(_received(run, 0, off=failed, released=failed))
+    team._by_law(k, x)
     team.follow(after.run)
-    np.testing.assert_array_equal(team._reference(10), after.X_ref[10])
+    np.testing.assert_array_equal(team._reference(k), after.X_ref[k])
+    assert not np.array_equal(after.X_ref[k], after.X_ref[k + 1])
     regulation = team._controller.regulation
-    expected = regulation.inputs(x, after.X_ref[k - 1], team.forces, k - 1)
-    found = team._by_law(k - 1, x)
+    expected = regulation.inputs(x, after.X_ref[k], team.forces, k)
+    found = team._by_law(k, x)
     assert found is not None
     assert expected is not None
     np.testing.assert_array_equal(found, expected)
     new = AloneTeam(run.model, run.hover, run.settings, regulation, after.reference.sampled)
+    new.fail(failed, failed)
     np.testing.assert_array_equal(new.inputs(UAV, x, k), team._alone.inputs(UAV, x, k))
 
 
@@ -427,7 +430,7 @@ def test_measurements_before_the_ticks_own_are_taken_in() -> None:
 
 def test_setpoints_alone_are_those_of_their_uav_and_tick() -> None:
     """Each UAV alone has its own law, and its inputs ahead are those of its setpoints tick by tick, (31f)."""
-    run = runs.ready("eight")
+    run = runs.ready("resilient")
     team = _team(run)
     alone = AloneTeam(
         run.model, run.hover, run.settings, team._controller.regulation, run.reference.sampled
