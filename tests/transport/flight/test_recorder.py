@@ -340,6 +340,14 @@ def test_a_target_changes_the_run(tmp_path: Path) -> None:
         assert len(recorder.setup.maneuver.targets) == 1
     recorder.close()
 
+    # Several are taken in order; where there is a ground, one may be to land on it.
+    landing = replace(target, lands=True)
+    ground = setup("plant.engine=mujoco", "plant.ground_m=0.0")
+    for run, has_ground in ((RUN, False), (ground, True)):
+        targets = run.after([landing, replace(landing, tick=200, number=2)]).maneuver.targets
+        assert [one.lands for one in targets] == [has_ground] * 2
+        assert [one.since_s for one in targets] == pytest.approx([5 * 0.05, 200 * 0.05])
+
 
 def test_progress_is_that_of_the_newest_genuine_message(tmp_path: Path) -> None:
     """Late messages, ticks beyond the run and kinds under a foreign key are recorded, and are no progress."""
