@@ -111,6 +111,8 @@ def test_the_bag_holds_the_run(run: transport.Run, tmp_path: Path) -> None:
         [[getattr(t.twist.linear, axis) for axis in "xyz"] for t in found["/uav2/twist"]]
     )
     np.testing.assert_allclose((places[2:] - places[:-2]) / 0.1, speeds[1:-1], atol=SLOPE_MPS)
+    velocities_I = [setup.model.velocities(one)[2] for one in x]  # r_i' of docs/equations.md (39)
+    np.testing.assert_allclose(speeds, velocities_I, atol=ROUNDING)
     # Twists and the goal are stated in the inertial frame.
     angular = [[getattr(t.twist.angular, axis) for axis in "xyz"] for t in found["/uav2/twist"]]
     omega_I = [rotation(view.Theta[k, 1]) @ view.omega_B[k, 1] for k in range(10)]
