@@ -102,8 +102,9 @@ def test_units_of_unknown_forces() -> None:
     expected[PAYLOAD_FORCE] = 0.03 * payload_kg * UNEQUAL.gravity
     expected[MASS_ERROR] = 0.2 * payload_kg
     expected[UAV_FORCE] = 0.03 * uav_kg * UNEQUAL.gravity
-    expected[DRAG] = 0.3 * payload_kg, 0.3 * uav_kg
-    np.testing.assert_allclose(ForceNoise().first(UNEQUAL), expected)
+    for noise, uav_drag in ((ForceNoise(), 0.3), (ForceNoise(uav_drag=NOISE.payload_mass), 0.2)):
+        expected[DRAG] = 0.3 * payload_kg, uav_drag * uav_kg
+        np.testing.assert_allclose(noise.first(UNEQUAL), expected)
 
 
 def test_unknown_forces_are_random_walks() -> None:

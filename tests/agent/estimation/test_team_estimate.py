@@ -442,6 +442,11 @@ def test_setpoints_alone_are_those_of_their_uav_and_tick() -> None:
     np.testing.assert_array_equal(team.alone_ahead(uav, first, 3), ahead)
     assert not np.array_equal(ahead[0], ahead[1])
 
+    # With motor lag a state has actual inputs, too, to which no UAV alone answers.
+    x = run.X_ref[first]
+    with_lag = team._by_law_alone(uav, first, np.concatenate([x, 2.0 * run.hover.u]))
+    np.testing.assert_array_equal(with_lag, team._by_law_alone(uav, first, x))
+
 
 def test_the_newest_plan_that_has_started_tells_whether_an_agent_left_alone() -> None:
     """A plan that starts later does not count yet; an agent without any plan has none to assume, (32b)."""
