@@ -80,7 +80,9 @@ def deferred_interrupts() -> Iterator[None]:
     finally:
         _uninterrupted -= 1
         if _deferred and not _uninterrupted:
-            signal.raise_signal(_deferred.pop())
+            first = _deferred[0]
+            _deferred.clear()  # further ones say the same, and must not end what comes after it
+            signal.raise_signal(first)
 
 
 def leave_interrupts_to_python() -> None:
